@@ -1,0 +1,144 @@
+"""The packed file: every array, its dimensions, dtype, unit and meaning. docs/FORMAT.md says the same in prose.
+
+Dimensions: n splats; c chunks of CHUNK splats; g groups of GROUP splats; b batches; k atoms; r ranks (atoms a splat,
+at most); w weight levels; e 32-bit words of the code stream.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+
+FORMAT_NAME = "splatpress"
+FORMAT_VERSION = 1
+CHUNK = 128
+GROUP = 8192
+MAX_ATOMS = 8
+PATCH_SIZE = 32
+MIP_SIZES = (32, 16, 8, 4, 2, 1)
+CLIPLINE_BITS = 12
+NO_CAMERA = 0xFFFF
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera without distortion: x_cam = rotation @ (x_world - centre), pixel = f * xy / z + c.
+
+    Looks along +z of its own frame, x right, y down; the centre of the first pixel is (0.5, 0.5), as in COLMAP.
+    """
+
+    name: str
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    rotation: tuple[tuple[float, float, float], ...]  # (3, 3) world to camera
+    centre: tuple[float, float, float]  # (3,) absolute, in the scan's unit
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Splats that one shader draws: the same atom count, all with or all without a clipline."""
+
+    n_atoms: int
+    clipline: bool = False
+
+
+@dataclass(frozen=True)
+class Header:
+    """What holds for the whole packed file; stored as attributes of its root group."""
+
+    n_splats: int
+    radius: float  # of every splat, in `unit`
+    unit: str
+    origin: tuple[float, float, float]  # absolute; boxes are against it
+    up_axis: int  # 0, 1 or 2: what tangent frames are aligned with
+    depth_margin: float  # in `unit`: how far behind the nearest surface splats still blend
+    n_dictionary: int  # atoms in the dictionary; 0 in a scan without texture
+    dictionary_bits: int
+    weight_bits: int
+    batches: tuple[Batch, ...]
+    cameras: tuple[Camera, ...]
+    scan: dict  # name, format, n_points as read
+    settings: dict  # what the job asked for
+
+    @property
+    def n_chunks(self) -> int:
+        return -(-self.n_splats // CHUNK)
+
+    @property
+    def n_groups(self) -> int:
+        return -(-self.n_splats // GROUP)
+
+    @property
+    def entry_bits(self) -> int:
+        """Bits of one atom of one code: its index, then its weight."""
+        return self.dictionary_bits + self.weight_bits
+
+    def to_json(self) -> dict:
+        return {"format": FORMAT_NAME, "version": FORMAT_VERSION, **asdict(self)}
+
+    @staticmethod
+    def from_json(data: dict) -> Header:
+        """The header of attributes as `to_json` makes them; KeyError, TypeError or ValueError where they differ."""
+        known = {f.name: data[f.name] for f in fields(Header)}
+        known["origin"] = tuple(float(x) for x in data["origin"])
+        known["batches"] = tuple(Batch(**b) for b in data["batches"])
+        known["cameras"] = tuple(
+            Camera(**{**c, "rotation": tuple(map(tuple, c["rotation"])), "centre": tuple(c["centre"])})
+            for c in data["cameras"]
+        )
+        return Header(**known)
+
+
+@dataclass(frozen=True)
+class Array:
+    """One array of the packed file. `part` is the row of the size table that its bytes are counted in."""
+
+    name: str
+    dims: tuple[str, ...]
+    dtype: str
+    part: str  # "geometry" | "codes" | "colors" | "dictionary" | "provenance"
+    meaning: str
+
+
+ARRAYS = (
+    Array("box_low", ("c", "3"), "float32", "geometry", "lowest corner of each chunk's box against the origin, unit"),
+    Array("box_size", ("c", "3"), "float32", "geometry", "extents of each chunk's box, unit"),
+    Array("box_bits", ("c", "3"), "uint8", "geometry", "how many of the 24 position bits each axis has"),
+    Array("position", ("n", "3"), "uint8", "geometry", "24-bit cell index, little-endian: x lowest, then y, then z"),
+    Array("normal", ("n", "2"), "int8", "geometry", "octahedral normal, -127..127"),
+    Array("color", ("n", "3"), "uint8", "colors", "average of the patch, sRGB"),
+    Array("batch_count", ("c", "b"), "uint8", "codes", "how many splats of the chunk belong to each batch"),
+    Array("group_word", ("g",), "uint32", "codes", "first word of each group's codes"),
+    Array("codes", ("e",), "uint32", "codes", "atoms and weights, a bit stream, lowest bit first"),
+    Array("weight_levels", ("r", "w"), "float32", "dictionary", "the weight that a weight code stands for, by rank"),
+    Array("atom_scale", ("k",), "float32", "dictionary", "what one step of an atom's texels is worth, sRGB in [0, 1]"),
+    *(Array(f"atoms_{s}", ("k", str(s), str(s), "3"), "int8", "dictionary", f"texels of the atoms, {s}x{s} RGB")
+      for s in MIP_SIZES),
+    Array("clipline_word", ("g",), "uint32", "geometry", "first word of each group's cliplines"),
+    Array("cliplines", ("e",), "uint32", "geometry", "3 x 4 bits a splat of the batches that have cliplines"),
+    Array("camera", ("n",), "uint16", "provenance", "the camera each splat was textured from; 65535 none; not for GPUs"),
+)
+BY_NAME = {array.name: array for array in ARRAYS}
+
+
+def arrays_of(header: Header) -> tuple[Array, ...]:
+    """The arrays that a file with this header holds: what a scan does not call for is not there."""
+    absent = set()
+    if not header.n_dictionary:
+        absent |= {a.name for a in ARRAYS if a.part == "dictionary"} | {"codes", "group_word"}
+    if not any(batch.clipline for batch in header.batches):
+        absent |= {"cliplines", "clipline_word"}
+    if not header.cameras:
+        absent.add("camera")
+    return tuple(array for array in ARRAYS if array.name not in absent)
+
+
+def dimensions_of(header: Header) -> dict[str, int]:
+    """The size of every named dimension but the word streams', whose lengths the streams themselves tell."""
+    return {
+        "n": header.n_splats, "c": header.n_chunks, "g": header.n_groups, "b": len(header.batches),
+        "k": header.n_dictionary, "r": MAX_ATOMS, "w": 2**header.weight_bits,
+    } | {str(s): s for s in (1, 2, 3, 4, 8, 16, 32)}
