@@ -19,6 +19,34 @@ CLIPLINE_BITS = 12
 NO_CAMERA = 0xFFFF
 
 
+_JSON_TYPES = {"int": int, "float": (int, float), "str": str, "bool": bool, "dict": dict}
+
+
+def _typed(cls: type, data: dict, **parsed):
+    """A dataclass of the `parsed` fields and, for the others, the plain values of `data`."""
+    for field in fields(cls):
+        if field.name not in parsed:
+            parsed[field.name] = _plain(data[field.name], field.type, field.name)
+    return cls(**parsed)
+
+
+def _plain(value, kind: str, name: str):
+    """A value of one of the _JSON_TYPES; `kind` is the field's annotation."""
+    if not isinstance(value, _JSON_TYPES[kind]) or isinstance(value, bool) != (kind == "bool"):
+        raise TypeError(f"{name} is {value!r}, not of type {kind}")
+    return float(value) if kind == "float" else value
+
+
+def _list(value, n: int | None = None) -> list | tuple:
+    if not isinstance(value, (list, tuple)) or n not in (None, len(value)):
+        raise TypeError(f"{value!r} is no list of {'any number of' if n is None else n} values")
+    return value
+
+
+def _numbers(value, n: int) -> tuple[float, ...]:
+    return tuple(_plain(x, "float", "a coordinate") for x in _list(value, n))
+
+
 @dataclass(frozen=True)
 class Camera:
     """A pinhole camera without distortion: x_cam = rotation @ (x_world - centre), pixel = f * xy / z + c.
@@ -35,6 +63,12 @@ class Camera:
     cy_px: float
     rotation: tuple[tuple[float, float, float], ...]  # (3, 3) world to camera
     centre: tuple[float, float, float]  # (3,) absolute, in the scan's unit
+
+    @staticmethod
+    def from_json(data: dict) -> Camera:
+        """The camera of what `dataclasses.asdict` makes; KeyError or TypeError where it differs."""
+        rotation = tuple(_numbers(row, 3) for row in _list(data["rotation"], 3))
+        return _typed(Camera, data, rotation=rotation, centre=_numbers(data["centre"], 3))
 
 
 @dataclass(frozen=True)
@@ -81,15 +115,13 @@ class Header:
 
     @staticmethod
     def from_json(data: dict) -> Header:
-        """The header of attributes as `to_json` makes them; KeyError, TypeError or ValueError where they differ."""
-        known = {f.name: data[f.name] for f in fields(Header)}
-        known["origin"] = tuple(float(x) for x in data["origin"])
-        known["batches"] = tuple(Batch(**b) for b in data["batches"])
-        known["cameras"] = tuple(
-            Camera(**{**c, "rotation": tuple(map(tuple, c["rotation"])), "centre": tuple(c["centre"])})
-            for c in data["cameras"]
+        """The header of attributes as `to_json` makes them; KeyError or TypeError where they differ."""
+        return _typed(
+            Header, data,
+            origin=_numbers(data["origin"], 3),
+            batches=tuple(_typed(Batch, batch) for batch in _list(data["batches"])),
+            cameras=tuple(map(Camera.from_json, _list(data["cameras"]))),
         )
-        return Header(**known)
 
 
 @dataclass(frozen=True)

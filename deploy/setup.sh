@@ -1,0 +1,61 @@
+#!/usr/bin/env bash
+# Make a virtual environment with the locked packages, and see that headless OpenGL works. Does only what is missing.
+set -eu
+cd "$(dirname "$0")/.."
+venv=${1:-.venv}
+stamp=$venv/.installed
+log() { printf 'setup: %s\n' "$*" >&2; }
+
+# Installs Debian packages where the user may; fails where not.
+install_packages() {
+    command -v apt-get >/dev/null || return 1
+    local as_root=()
+    if [ "$(id -u)" != 0 ]; then
+        sudo -n true 2>/dev/null || return 1
+        as_root=(sudo -n)
+    fi
+    log "installing $*"
+    "${as_root[@]}" apt-get update -qq >&2 &&
+        "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >&2
+}
+
+find_python() {
+    local candidate
+    for candidate in ${PYTHON:-} python3 python3.14 python3.13 python3.12 python3.11; do
+        if "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
+            echo "$candidate"
+            return
+        fi
+    done
+    log "no Python 3.11 or newer found; install one, or name it: make PYTHON=/path/to/python3 ..."
+    exit 1
+}
+
+make_venv() {
+    local python
+    python=$(find_python)
+    log "making $venv with $("$python" --version)"
+    rm -rf "$venv"
+    if ! "$python" -m venv "$venv" >/dev/null 2>&1; then
+        rm -rf "$venv"
+        install_packages python3-venv || { log "please install: python3-venv"; exit 1; }
+        "$python" -m venv "$venv"
+    fi
+}
+
+locked=$(cat requirements.lock pyproject.toml | sha256sum)
+if [ ! -f "$stamp" ] || [ "$(cat "$stamp")" != "$locked" ]; then
+    make_venv
+    log "installing the locked packages"
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
+    echo "$locked" >"$stamp"
+fi
+
+graphics="libegl1 libgl1 libgl1-mesa-dri"
+works() { "$venv/bin/python" -c 'from renderer.context import gl_context; gl_context()' >/dev/null 2>&1; }
+if ! works; then
+    # shellcheck disable=SC2086 # the names are words
+    install_packages $graphics || true
+    works || log "headless OpenGL does not work; rendering needs: $graphics (apt-get install $graphics)"
+fi

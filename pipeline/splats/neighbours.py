@@ -1,0 +1,68 @@
+"""Nearest neighbours over blocks of a scan too large for one tree: exact, one block's tree at a time.
+
+A block's points find their neighbours at home first; whoever's farthest lies beyond the box of another block asks
+there too, nearest box first. Equal positions count once: a scanned twin is no neighbour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """The k nearest other positions of each point, nearest first; where there are fewer, distance is inf."""
+
+    distance: np.ndarray  # (n, k) float64
+    position: np.ndarray  # (n, k, 3) float64; the point itself where distance is inf
+
+
+def find_neighbours(
+    block: int,
+    k: int,
+    load: Callable[[int], np.ndarray],  # positions (m, 3) float64 of a block
+    low: np.ndarray,  # (n_blocks, 3) lowest corners of the blocks' boxes
+    high: np.ndarray,  # (n_blocks, 3)
+) -> Neighbours:
+    """The k nearest of every point of `block` among all blocks' distinct positions, the point's own left out."""
+    points, inverse = np.unique(load(block), axis=0, return_inverse=True)
+    distance = np.full((len(points), k), np.inf)
+    position = np.repeat(points[:, None], k, axis=1)
+    _ask(points, np.arange(len(points)), points, distance, position)
+    apart = _box_distance(low[block], high[block], low, high)
+    for other in np.argsort(apart, kind="stable"):
+        if other == block:
+            continue
+        if apart[other] > distance[:, -1].max():
+            break
+        away = _box_distance(points, points, low[other], high[other])
+        needy = np.flatnonzero(away < distance[:, -1])
+        if len(needy):
+            _ask(np.unique(load(other), axis=0), needy, points, distance, position)
+    inverse = inverse.reshape(-1)
+    return Neighbours(distance[inverse], position[inverse])
+
+
+def _ask(there: np.ndarray, needy: np.ndarray, points: np.ndarray, distance: np.ndarray, position: np.ndarray) -> None:
+    """Merge the neighbours that the `needy` points have among `there` into `distance` and `position`."""
+    k = distance.shape[1]
+    tree = cKDTree(there, balanced_tree=False)
+    found_distance, found = tree.query(points[needy], k=min(k + 1, len(there)))
+    found_distance, found = found_distance.reshape(len(needy), -1), found.reshape(len(needy), -1)
+    found_distance = np.where(found_distance > 0, found_distance, np.inf)  # the point itself
+    both = np.concatenate([distance[needy], found_distance], axis=1)
+    places = np.concatenate([position[needy], there[found]], axis=1)
+    nearest = np.argsort(both, axis=1, kind="stable")[:, :k]
+    distance[needy] = np.take_along_axis(both, nearest, axis=1)
+    kept = np.take_along_axis(places, nearest[:, :, None], axis=1)
+    position[needy] = np.where(np.isfinite(distance[needy])[:, :, None], kept, points[needy, None])
+
+
+def _box_distance(low: np.ndarray, high: np.ndarray, other_low: np.ndarray, other_high: np.ndarray) -> np.ndarray:
+    """Distances of axis-aligned boxes (a point is a box too); the shapes broadcast to (..., 3)."""
+    gap = np.maximum(np.maximum(other_low - high, low - other_high), 0)
+    return np.linalg.norm(gap, axis=-1)

@@ -1,0 +1,100 @@
+"""Patches -> codes, with quantised weights in the loop; and what the coding lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.accuracy import psnr_db
+from pipeline.coding.omp import Codes, reconstruct, sparse_encode
+from pipeline.texture.patches import centred
+from pipeline.texture.resample import PATCH_DIM, disc_weights
+from storage import arrays, work
+from storage.schema import MAX_ATOMS
+
+ROWS = 1024  # patches in float32 at a time: 12 MiB
+
+
+@dataclass(frozen=True)
+class Encode:
+    """A task a block. Arrays: n_atoms (n,) uint8, atom (n, MAX_ATOMS) uint16, weight_code (n, MAX_ATOMS) uint8."""
+
+    patches: Path
+    quantized: Path | None  # None where nothing calls for a dictionary: every splat has 0 atoms
+    max_atoms: int
+    tolerance: float
+    name = "encode"
+
+    def init(self, folder: Path) -> int:
+        n = arrays.opened(self.patches, "energy").shape[0]
+        arrays.create(folder, "n_atoms", (n,), "uint8")
+        arrays.create(folder, "atom", (n, MAX_ATOMS), "uint16")
+        arrays.create(folder, "weight_code", (n, MAX_ATOMS), "uint8")
+        return arrays.n_blocks(n)
+
+    def run(self, folder: Path, index: int) -> dict:
+        start, stop = arrays.block_range(index, arrays.opened(self.patches, "energy").shape[0])
+        encode = self._encoder()
+        texel = arrays.read(self.patches, "texel", start, stop)
+        average = arrays.read(self.patches, "average", start, stop)
+        n_atoms = np.zeros(stop - start, np.uint8)
+        atom = np.zeros((stop - start, MAX_ATOMS), np.uint16)
+        weight_code = np.zeros((stop - start, MAX_ATOMS), np.uint8)
+        squared, weighted = 0.0, 0.0
+        for at in range(0, stop - start, ROWS):
+            rows = slice(at, at + ROWS)
+            codes, decoded = encode(centred(texel[rows], average[rows]))
+            used = codes.atom_index.shape[1]
+            n_atoms[rows], atom[rows, :used], weight_code[rows, :used] = codes[2], codes[0], codes[3]
+            lost = patch_errors(texel[rows], average[rows], decoded)
+            squared, weighted = squared + lost[0], weighted + lost[1]
+        for name, values in (("n_atoms", n_atoms), ("atom", atom), ("weight_code", weight_code)):
+            arrays.write(folder, name, start, values)
+        return {"n_splats": stop - start, "squared_error": squared, "weighted_error": weighted,
+                "histogram": np.bincount(n_atoms, minlength=MAX_ATOMS + 1).tolist()}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        return coding_quality(results)
+
+    def _encoder(self):
+        if self.quantized is None:
+            nothing = np.zeros((1, PATCH_DIM), np.float32)
+            return lambda patches: (_no_codes(len(patches)), nothing)
+        dictionary, gram = arrays.read(self.quantized, "dictionary"), arrays.read(self.quantized, "gram")
+        levels = arrays.read(self.quantized, "weight_levels")
+        most = min(self.max_atoms, len(dictionary))
+
+        def encode(patches: np.ndarray) -> tuple[Codes, np.ndarray]:
+            codes = sparse_encode(patches, dictionary, max_atoms=most, tolerance=self.tolerance,
+                                  weight_levels=levels, gram=gram)
+            return codes, reconstruct(codes, dictionary)
+
+        return encode
+
+
+def patch_errors(texel: np.ndarray, average: np.ndarray, decoded: np.ndarray) -> tuple[float, float]:
+    """Squared error of patches, plain and weighted by the splat's blending weight, summed over all values.
+
+    `texel` (n, d) uint8 resampled, `average` (n, 3) uint8, `decoded` (n, d) what the atoms add. The sum is clamped to
+    [0, 1] as the renderer clamps it.
+    """
+    added = decoded.reshape(len(decoded), -1, 3) + (average * np.float32(1 / 255))[:, None]
+    error = np.clip(added, 0, 1, out=added) - texel.reshape(len(texel), -1, 3) * np.float32(1 / 255)
+    by_value = np.square(error, out=error).reshape(len(texel), -1).sum(axis=0, dtype=np.float64)
+    return float(by_value.sum()), float(by_value @ disc_weights())
+
+
+def coding_quality(results: list[dict]) -> dict:
+    """Texture PSNR and visible PSNR of all blocks, and how many splats have how many atoms."""
+    n = sum(r["n_splats"] for r in results)
+    squared, weighted = (sum(r[k] for r in results) for k in ("squared_error", "weighted_error"))
+    histogram = np.sum([r["histogram"] for r in results], axis=0)
+    return {"texture_psnr_db": psnr_db(squared, n * PATCH_DIM), "visible_psnr_db": psnr_db(weighted, n * disc_weights().sum()),
+            "histogram": histogram.tolist(), "mean_atoms": float(histogram @ np.arange(len(histogram)) / n)}
+
+
+def _no_codes(n: int) -> Codes:
+    return Codes(np.zeros((n, 0), np.int32), np.zeros((n, 0), np.float32), np.zeros(n, np.int32),
+                 np.zeros((n, 0), np.int32), np.zeros(n))

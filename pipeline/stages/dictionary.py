@@ -1,0 +1,87 @@
+"""Patches -> dictionary: a random start, then k-SVD, one stage an iteration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.coding.ksvd import Sums, block_sums, initial_dictionary, merge_in_order, updated_dictionary
+from pipeline.coding.omp import sparse_encode
+from pipeline.stages.training import training_patches
+from storage import arrays, work
+
+
+@dataclass(frozen=True)
+class DictionarySeed:
+    """One task. Arrays: dictionary (k, d) float32 unit rows, gram (k, k) float32."""
+
+    training: Path
+    n_atoms: int
+    seed: int
+    name = "dictionary-seed"
+
+    def init(self, folder: Path) -> int:
+        return 1
+
+    def run(self, folder: Path, index: int) -> dict:
+        n_tasks = work.summary(self.training)["n_tasks"]
+        share = -(-2 * self.n_atoms // n_tasks)  # twice as many as needed: twins are passed over
+        pool = []
+        for task in range(n_tasks):
+            patches = training_patches(self.training, task)
+            pool.append(patches[np.random.default_rng([self.seed, task]).permutation(len(patches))[:share]])
+        dictionary = initial_dictionary(np.concatenate(pool), self.n_atoms, self.seed)
+        _store_dictionary(folder, dictionary)
+        return {"n_atoms": len(dictionary)}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        return results[0]
+
+
+@dataclass(frozen=True)
+class KsvdUpdate:
+    """One iteration: a task codes one part of the training set and sums it; finalise merges and updates.
+
+    Arrays: dictionary and gram, as those of `previous`.
+    """
+
+    training: Path
+    previous: Path
+    max_atoms: int
+    tolerance: float
+    iteration: int
+    name = "ksvd-update"
+
+    def init(self, folder: Path) -> int:
+        return work.summary(self.training)["n_tasks"]
+
+    def run(self, folder: Path, index: int) -> dict:
+        dictionary, gram = arrays.read(self.previous, "dictionary"), arrays.read(self.previous, "gram")
+        patches = training_patches(self.training, index)
+        most = min(self.max_atoms, len(dictionary))
+        codes = sparse_encode(patches, dictionary, max_atoms=most, tolerance=self.tolerance, gram=gram)
+        sums = block_sums(patches, dictionary, codes)
+        np.savez(folder / f"sums-{index}.npz", **vars(sums))
+        return {"n_splats": len(patches), "n_atoms_used": int(codes.n_atoms.sum())}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        sums = merge_in_order(lambda i: _load_sums(folder, i), 0, len(results))
+        dictionary, n_replaced = updated_dictionary(arrays.read(self.previous, "dictionary"), sums)
+        _store_dictionary(folder, dictionary)
+        for i in range(len(results)):
+            (folder / f"sums-{i}.npz").unlink()
+        return {"squared_error": sums.error, "n_patches": sums.n_patches, "n_replaced": n_replaced,
+                "n_atoms_used": sum(r["n_atoms_used"] for r in results)}
+
+
+def _load_sums(folder: Path, index: int) -> Sums:
+    with np.load(folder / f"sums-{index}.npz") as stored:
+        fields = {name: stored[name] for name in stored.files}
+    return Sums(**{**fields, "error": float(fields["error"]), "n_patches": int(fields["n_patches"])})
+
+
+def _store_dictionary(folder: Path, dictionary: np.ndarray) -> None:
+    for name, rows in (("dictionary", dictionary), ("gram", dictionary @ dictionary.T)):
+        arrays.create(folder, name, rows.shape, "float32", (4096, rows.shape[1]))[:] = rows

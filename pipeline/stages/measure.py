@@ -1,0 +1,88 @@
+"""Packed file + photographs -> what the file has lost, measured on its own bytes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.accuracy import psnr_db
+from pipeline.coding.quantize import dequantize_atoms
+from pipeline.geometry.frame import tangent_frames
+from pipeline.geometry.positions import Boxes, decode_positions
+from pipeline.stages.codes import ROWS, coding_quality, patch_errors
+from pipeline.texture.patches import make_patches
+from pipeline.texture.resample import PATCH_DIM
+from storage import arrays, work
+from storage.packed import PackedFile, PackedScene
+from storage.schema import GROUP, MAX_ATOMS, MIP_SIZES
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A task a group: its patches are resampled from the photographs and compared with what the file decodes to."""
+
+    ingest: Path  # of the scan that has the photographs of the file's cameras, in the same order
+    packed: Path
+    digest: str
+    name = "measure"
+    location_fields = ("packed",)
+
+    def init(self, folder: Path) -> int:
+        with PackedFile(self.packed) as packed:
+            return packed.header.n_groups
+
+    def run(self, folder: Path, index: int) -> dict:
+        with PackedFile(self.packed, verify=False) as packed:
+            scene = packed.group(index)
+            atoms = decoded_atoms(packed) if packed.header.n_dictionary else np.zeros((1, PATCH_DIM), np.float32)
+            levels = packed.read("weight_levels") if packed.header.n_dictionary else np.zeros((MAX_ATOMS, 1), np.float32)
+        texel, resampling_error, n_probes = self._resample(scene, index * GROUP)
+        squared, weighted = 0.0, 0.0
+        for at in range(0, len(texel), ROWS):
+            rows = slice(at, min(at + ROWS, len(texel)))
+            lost = patch_errors(texel[rows], scene.arrays["color"][rows], decode_patches(scene, rows, atoms, levels))
+            squared, weighted = squared + lost[0], weighted + lost[1]
+        return {"n_splats": len(texel), "squared_error": squared, "weighted_error": weighted,
+                "histogram": np.bincount(scene.n_atoms, minlength=MAX_ATOMS + 1).tolist(),
+                "resampling_error": resampling_error, "n_probes": n_probes}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        error, n_probes = (sum(r[k] for r in results) for k in ("resampling_error", "n_probes"))
+        return coding_quality(results) | {"resampling_psnr_db": psnr_db(error, n_probes)}
+
+    def _resample(self, scene: PackedScene, first_splat: int) -> tuple[np.ndarray, float, int]:
+        header, a = scene.header, scene.arrays
+        position = a["position"].astype(np.uint32)
+        code = position[:, 0] | position[:, 1] << 8 | position[:, 2] << 16
+        centre = decode_positions(code, Boxes(a["box_low"], a["box_size"], a["box_bits"]))
+        u, v, _ = tangent_frames(a["normal"], header.up_axis)
+        patches = make_patches(header.cameras, self._read_window, header.origin, centre, (u, v), header.radius,
+                               a["camera"], a["color"], first_splat)
+        return patches.texel, patches.resampling_error, patches.n_probes
+
+    def _read_window(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
+        return np.asarray(arrays.opened(self.ingest, f"photo_{camera}")[top:bottom, left:right])
+
+
+def decoded_atoms(packed: PackedFile) -> np.ndarray:
+    """The dictionary (k, PATCH_DIM) float32 of a packed file."""
+    return dequantize_atoms(packed.read(f"atoms_{MIP_SIZES[0]}"), packed.read("atom_scale"))
+
+
+def decode_patches(scene: PackedScene, rows: slice, atoms: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """What the atoms of some splats add to their averages, (n, PATCH_DIM) float32."""
+    atom, code = scene.codes(rows.start, rows.stop)
+    weight = levels[np.arange(MAX_ATOMS), code]
+    n_atoms = scene.n_atoms[rows]
+    decoded = np.zeros((len(atom), PATCH_DIM), np.float32)
+    for rank in range(int(n_atoms.max(initial=0))):
+        used = n_atoms > rank
+        decoded[used] += weight[used, rank, None] * atoms[atom[used, rank]]
+    return decoded
+
+
+def ingest_fits(ingest: Path, packed_names: list[str]) -> bool:
+    """Whether a scan's photographs are those a packed file was made from, by name and order."""
+    return [c["name"] for c in work.summary(ingest)["cameras"]] == packed_names

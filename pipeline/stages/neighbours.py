@@ -1,0 +1,72 @@
+"""How far splats lie apart, and normals where the scan has none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.splats.neighbours import find_neighbours
+from pipeline.splats.normals import NEIGHBOURS, estimate_normals, usable_normals
+from storage import arrays, work
+from storage.errors import InvalidScan
+
+SPACING_RANK = 4  # "3-5 splats contribute to the final pixel" (HPG 2021, section 3.6.1)
+MOST_SPACINGS = 1 << 22  # for the median; of a larger scan every n-th counts
+
+
+@dataclass(frozen=True)
+class Neighbourhoods:
+    """A task a block. Arrays: spacing (n,) float32, the distance to the 4th nearest neighbour; normal (n, 3) float32,
+    unit length and not yet turned; degenerate (n,) bool where no normal could be told."""
+
+    partition: Path
+    name = "neighbours"
+
+    def init(self, folder: Path) -> int:
+        n = work.summary(self.partition)["n_splats"]
+        arrays.create(folder, "spacing", (n,), "float32")
+        arrays.create(folder, "normal", (n, 3), "float32")
+        arrays.create(folder, "degenerate", (n,), "bool")
+        return arrays.n_blocks(n)
+
+    def run(self, folder: Path, index: int) -> dict:
+        points = work.summary(self.partition)
+        n = points["n_splats"]
+        start, stop = arrays.block_range(index, n)
+        given = arrays.exists(self.partition, "normal")
+        found = find_neighbours(
+            index, SPACING_RANK if given else NEIGHBOURS,
+            lambda b: arrays.read(self.partition, "position", *arrays.block_range(b, n)),
+            np.array(points["block_low"]), np.array(points["block_high"]),
+        )
+        if given:
+            normal, degenerate = usable_normals(arrays.read(self.partition, "normal", start, stop))
+        else:
+            normal, degenerate = estimate_normals(arrays.read(self.partition, "position", start, stop), found.position)
+        arrays.write(folder, "spacing", start, found.distance[:, SPACING_RANK - 1].astype(np.float32))
+        arrays.write(folder, "normal", start, normal.astype(np.float32))
+        arrays.write(folder, "degenerate", start, degenerate)
+        return {"n_splats": stop - start, "n_degenerate": int(degenerate.sum())}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        spacing = arrays.opened(folder, "spacing")
+        n = spacing.shape[0]
+        stride = -(-n // MOST_SPACINGS)
+        values = np.concatenate([
+            np.asarray(spacing[slice(*arrays.block_range(i, n))])[::stride] for i in range(arrays.n_blocks(n))
+        ])
+        finite = values[np.isfinite(values)]
+        return {"median_spacing": float(np.median(finite)) if len(finite) else None,
+                "n_degenerate": sum(r["n_degenerate"] for r in results)}
+
+
+def radius_of(neighbours: dict, asked: float | None, scan: str) -> float:
+    """The splat radius: what was asked for, else the median spacing (about 4 splats then cover a surface point)."""
+    if asked is not None:
+        return asked
+    if not neighbours["median_spacing"]:
+        raise InvalidScan(scan, "too few different positions to tell a splat radius from",
+                          f"more than {SPACING_RANK} different positions", "give one with --radius")
+    return neighbours["median_spacing"]

@@ -1,0 +1,162 @@
+"""Points in file order -> points in chunk order: the recursive median split, out of core.
+
+Nodes that fit into memory are split there (pipeline/geometry/chunks.py); larger ones are streamed: bounds, the exact
+median by two histograms, then two runs. Ties go by file order in both, so the order does not depend on the limit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.geometry.chunks import longest_axis, median_split, split_rank
+from storage import arrays, work
+from storage.errors import ResourceExhausted
+
+IN_MEMORY = 1 << 17  # points
+PIECE = 1 << 16
+BINS = 1 << 12
+
+
+@dataclass(frozen=True)
+class Partition:
+    """One task: it rewrites the whole scan. Arrays as the ingest's, in chunk order, position against `origin`."""
+
+    ingest: Path
+    name = "partition"
+
+    def init(self, folder: Path) -> int:
+        n = work.summary(self.ingest)["n_points"]
+        for name, dtype in _columns(self.ingest).items():
+            arrays.create(folder, name, (n, *dtype.shape), str(dtype.base))
+        return 1
+
+    def run(self, folder: Path, index: int) -> dict:
+        points = work.summary(self.ingest)
+        n = points["n_points"]
+        scratch = [folder / "scratch-a.bin", folder / "scratch-b.bin"]
+        record = np.dtype([(name, dtype.base, dtype.shape) for name, dtype in _columns(self.ingest).items()])
+        try:
+            _copy_records(self.ingest, scratch[0], record, n, np.array(_origin(points)))
+            _split(scratch, record, 0, n, folder)
+        except OSError as error:
+            raise ResourceExhausted(str(folder), f"{error}", f"room for {2 * n * record.itemsize} bytes") from error
+        finally:
+            for path in scratch:
+                path.unlink(missing_ok=True)
+        return {"n_splats": n}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        points = work.summary(self.ingest)
+        n = points["n_points"]
+        bounds = [_bounds(folder, *arrays.block_range(i, n)) for i in range(arrays.n_blocks(n))]
+        low, high = np.array(bounds).transpose(1, 0, 2)
+        return {"n_splats": n, "origin": _origin(points), "block_low": low.tolist(), "block_high": high.tolist()}
+
+
+def _origin(points: dict) -> list[float]:
+    """The middle of the scan's bounds."""
+    return [(a + b) / 2 for a, b in zip(points["low"], points["high"])]
+
+
+def _columns(ingest: Path) -> dict[str, np.dtype]:
+    names = ("position", "normal", "color", "intensity", "station", "candidate")
+    found = {name: arrays.opened(ingest, name) for name in names if arrays.exists(ingest, name)}
+    return {name: np.dtype((array.dtype, array.shape[1:])) for name, array in found.items()}
+
+
+def _bounds(folder: Path, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+    position = arrays.read(folder, "position", start, stop)
+    return position.min(axis=0), position.max(axis=0)
+
+
+def _copy_records(ingest: Path, scratch: Path, record: np.dtype, n: int, origin: np.ndarray) -> None:
+    with open(scratch, "wb") as file:
+        for start in range(0, n, arrays.BLOCK):
+            rows = np.empty(min(arrays.BLOCK, n - start), record)
+            for name in record.names:
+                rows[name] = arrays.read(ingest, name, start, start + len(rows))
+            rows["position"] -= origin
+            rows.tofile(file)
+
+
+def _split(scratch: list[Path], record: np.dtype, start: int, stop: int, folder: Path) -> None:
+    """Split rows start..stop of scratch[0]; scratch[1] is free to use in the same rows."""
+    if stop - start <= IN_MEMORY:
+        rows = _read(scratch[0], record, start, stop)
+        ordered = rows[median_split(rows["position"])]
+        for name in record.names:
+            arrays.write(folder, name, start, ordered[name])
+        return
+    low, high = _extent(scratch[0], record, start, stop)
+    axis = longest_axis(low, high)
+    n_left = split_rank(stop - start)
+    value, n_ties = _order_statistic(scratch[0], record, start, stop, axis, n_left, low[axis], high[axis])
+    _distribute(scratch, record, start, stop, axis, n_left, value, n_ties)
+    _split(scratch[::-1], record, start, start + n_left, folder)
+    _split(scratch[::-1], record, start + n_left, stop, folder)
+
+
+def _read(path: Path, record: np.dtype, start: int, stop: int) -> np.ndarray:
+    return np.fromfile(path, record, stop - start, offset=start * record.itemsize)
+
+
+def _pieces(path: Path, record: np.dtype, start: int, stop: int):
+    for at in range(start, stop, PIECE):
+        yield _read(path, record, at, min(at + PIECE, stop))
+
+
+def _extent(path: Path, record: np.dtype, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for rows in _pieces(path, record, start, stop):
+        low = np.minimum(low, rows["position"].min(axis=0))
+        high = np.maximum(high, rows["position"].max(axis=0))
+    return low, high
+
+
+def _order_statistic(path, record, start, stop, axis, rank, low, high) -> tuple[float, int]:
+    """The value that the `rank` lowest coordinates end below or at, and how many of its ties belong to them.
+
+    Narrowed by histograms until what is left fits into memory or is one value.
+    """
+    n_below = 0
+    while low < high:
+        edges = np.linspace(low, high, BINS + 1)
+        counts = np.zeros(BINS, np.int64)
+        for rows in _pieces(path, record, start, stop):
+            counts += np.histogram(rows["position"][:, axis], edges)[0]
+        running = n_below + np.cumsum(counts)
+        bin_ = int(np.searchsorted(running, rank))
+        bin_low, bin_high = edges[bin_], edges[bin_ + 1]
+        if counts[bin_] <= IN_MEMORY or (bin_low, bin_high) == (low, high):
+            inside = np.concatenate([
+                x[(x >= bin_low) & (x <= bin_high)]
+                for x in (rows["position"][:, axis] for rows in _pieces(path, record, start, stop))
+            ])
+            n_below = _count_below(path, record, start, stop, axis, bin_low)
+            value = float(np.partition(inside, rank - 1 - n_below)[rank - 1 - n_below])
+            return value, rank - _count_below(path, record, start, stop, axis, value)
+        n_below = _count_below(path, record, start, stop, axis, bin_low)
+        low, high = bin_low, bin_high
+    return float(low), rank - n_below
+
+
+def _count_below(path, record, start, stop, axis, value) -> int:
+    return sum(int((rows["position"][:, axis] < value).sum()) for rows in _pieces(path, record, start, stop))
+
+
+def _distribute(scratch, record, start, stop, axis, n_left, value, n_ties) -> None:
+    """Write the two halves behind each other into scratch[1], each in the order it is read, `n_ties` ties left."""
+    mode = "r+b" if scratch[1].is_file() else "w+b"
+    with open(scratch[1], mode) as left, open(scratch[1], "r+b") as right:
+        left.seek(start * record.itemsize)
+        right.seek((start + n_left) * record.itemsize)
+        for rows in _pieces(scratch[0], record, start, stop):
+            x = rows["position"][:, axis]
+            tie = x == value
+            goes_left = (x < value) | (tie & (np.cumsum(tie) <= n_ties))
+            n_ties -= min(n_ties, int(tie.sum()))
+            rows[goes_left].tofile(left)
+            rows[~goes_left].tofile(right)

@@ -1,0 +1,67 @@
+"""Photographs -> patches, in the frame of the decoded geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.accuracy import psnr_db
+from pipeline.geometry.frame import tangent_frames
+from pipeline.stages.splats import decoded_centres
+from pipeline.texture.patches import make_patches
+from pipeline.texture.resample import PATCH_DIM
+from storage import arrays, work
+from storage.schema import Camera
+
+
+@dataclass(frozen=True)
+class Resample:
+    """A task a block. Arrays: texel (n, PATCH_DIM) uint8, average (n, 3) uint8, energy (n,) float32."""
+
+    ingest: Path
+    partition: Path
+    splats: Path
+    radius: float
+    up_axis: int
+    name = "resample"
+
+    def init(self, folder: Path) -> int:
+        n = work.summary(self.splats)["n_splats"]
+        arrays.create(folder, "texel", (n, PATCH_DIM), "uint8")
+        arrays.create(folder, "average", (n, 3), "uint8")
+        arrays.create(folder, "energy", (n,), "float32")
+        return arrays.n_blocks(n)
+
+    def run(self, folder: Path, index: int) -> dict:
+        scan, points = work.summary(self.ingest), work.summary(self.partition)
+        start, stop = arrays.block_range(index, points["n_splats"])
+        u, v, _ = tangent_frames(arrays.read(self.splats, "normal_code", start, stop), self.up_axis)
+        patches = make_patches(
+            tuple(Camera.from_json(c) for c in scan["cameras"]), self._read_window, tuple(points["origin"]),
+            decoded_centres(self.splats, start, stop), (u, v), self.radius,
+            arrays.read(self.splats, "camera", start, stop), arrays.read(self.splats, "color", start, stop), start,
+        )
+        arrays.write(folder, "texel", start, patches.texel)
+        arrays.write(folder, "average", start, patches.average)
+        arrays.write(folder, "energy", start, patches.energy)
+        return {"n_splats": stop - start, "resampling_error": patches.resampling_error, "n_probes": patches.n_probes,
+                "energy": float(patches.energy.sum(dtype=np.float64))}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        error, n_probes = (sum(r[k] for r in results) for k in ("resampling_error", "n_probes"))
+        return {"resampling_psnr_db": psnr_db(error, n_probes), "energy": sum(r["energy"] for r in results)}
+
+    def _read_window(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
+        return np.asarray(arrays.opened(self.ingest, f"photo_{camera}")[top:bottom, left:right])
+
+
+def up_axis_of(cameras: list[dict]) -> int:
+    """The world axis that the photographs' columns follow best; z where there are none.
+
+    Patches then stand upright as in the photographs, and edges that run along their rows and columns stay so.
+    """
+    if not cameras:
+        return 2
+    return int(np.abs(np.sum([c["rotation"][1] for c in cameras], axis=0)).argmax())

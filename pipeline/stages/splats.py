@@ -1,0 +1,114 @@
+"""Points -> splats: camera, colour, and quantised geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.geometry.normals import decode_normals, encode_normals
+from pipeline.geometry.positions import Boxes, decode_positions, encode_positions, fit_boxes
+from pipeline.splats.cameras import best_cameras
+from pipeline.splats.normals import turned_to
+from pipeline.splats.visibility import seen_points
+from storage import arrays, work
+from storage.schema import CHUNK, NO_CAMERA, Camera
+
+GREY = 0.5  # of a scan with neither colour nor intensity
+
+
+@dataclass(frozen=True)
+class Splats:
+    """A task a block. Arrays by splat: position_code (n,) uint32, normal_code (n, 2) int8, camera (n,) uint16, color
+    (n, 3) uint8; by chunk: box_low, box_size (c, 3) float32, box_bits (c, 3) uint8."""
+
+    ingest: Path
+    partition: Path
+    neighbours: Path
+    depth_maps: Path | None
+    radius: float
+    name = "splats"
+
+    def init(self, folder: Path) -> int:
+        n = work.summary(self.partition)["n_splats"]
+        for name, shape, dtype in (("position_code", (n,), "uint32"), ("normal_code", (n, 2), "int8"),
+                                   ("camera", (n,), "uint16"), ("color", (n, 3), "uint8")):
+            arrays.create(folder, name, shape, dtype)
+        for name, dtype in (("box_low", "float32"), ("box_size", "float32"), ("box_bits", "uint8")):
+            arrays.create(folder, name, (-(-n // CHUNK), 3), dtype, (arrays.BLOCK // CHUNK, 3))
+        return arrays.n_blocks(n)
+
+    def run(self, folder: Path, index: int) -> dict:
+        scan, points = work.summary(self.ingest), work.summary(self.partition)
+        start, stop = arrays.block_range(index, points["n_splats"])
+        position = arrays.read(self.partition, "position", start, stop)
+        absolute = position + points["origin"]
+        normal = arrays.read(self.neighbours, "normal", start, stop).astype(np.float64)
+        camera = self._cameras(scan, absolute, normal, start, stop)
+        normal = turned_to(normal, self._viewers(scan, absolute, camera, start, stop) - absolute)
+        boxes, code, normal_code = fit_boxes(position), None, encode_normals(normal)
+        code = encode_positions(position, boxes)
+        self._write(folder, start, code, normal_code, camera, self._colors(scan, start, stop), boxes)
+        off = np.linalg.norm(decode_positions(code, boxes) - position, axis=1)
+        cosine = np.clip((decode_normals(normal_code) * normal).sum(axis=1), -1, 1)
+        return {"n_splats": stop - start, "n_without_camera": int((camera == NO_CAMERA).sum()),
+                "position_error": float(off.sum()), "normal_error": float(np.degrees(np.arccos(cosine)).sum())}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        n = sum(r["n_splats"] for r in results)
+        return {"n_splats": n, "n_without_camera": sum(r["n_without_camera"] for r in results),
+                "mean_position_error": sum(r["position_error"] for r in results) / n,
+                "mean_normal_error_degrees": sum(r["normal_error"] for r in results) / n}
+
+    def _write(self, folder: Path, start: int, code, normal_code, camera, color, boxes: Boxes) -> None:
+        for name, rows in (("position_code", code), ("normal_code", normal_code), ("camera", camera), ("color", color)):
+            arrays.write(folder, name, start, rows)
+        for name, rows in (("box_low", boxes.low), ("box_size", boxes.size), ("box_bits", boxes.bits)):
+            arrays.write(folder, name, start // CHUNK, rows)
+
+    def _cameras(self, scan: dict, absolute: np.ndarray, normal: np.ndarray, start: int, stop: int) -> np.ndarray:
+        cameras = tuple(Camera.from_json(c) for c in scan["cameras"])
+        if not cameras:
+            return np.full(len(absolute), NO_CAMERA, np.uint16)
+        seen = np.zeros((len(absolute), len(cameras) + 1), bool)
+        if self.depth_maps is None:
+            candidate = arrays.read(self.partition, "candidate", start, stop).astype(np.int64)
+            np.put_along_axis(seen, np.minimum(candidate, len(cameras)), True, axis=1)
+        else:
+            for i, camera in enumerate(cameras):
+                seen[:, i] = seen_points(arrays.read(self.depth_maps, f"depth_{i}"), camera, absolute, self.radius)
+        return best_cameras(cameras, absolute, normal, self.radius, seen)
+
+    def _viewers(self, scan: dict, absolute: np.ndarray, camera: np.ndarray, start: int, stop: int) -> np.ndarray:
+        """Where each splat was seen from, (n, 3): its camera, else its station, else above (airborne), else outside."""
+        middle = (np.array(scan["low"]) + scan["high"]) / 2
+        if scan["format"] == "las":
+            viewer = absolute + [0.0, 0.0, 1.0]
+        else:
+            viewer = 2 * absolute - middle
+        if arrays.exists(self.partition, "station"):
+            viewer = np.array(scan["stations"])[arrays.read(self.partition, "station", start, stop)]
+        if scan["cameras"]:
+            centres = np.array([c["centre"] for c in scan["cameras"]])
+            has = camera != NO_CAMERA
+            viewer[has] = centres[camera[has]]
+        return viewer
+
+    def _colors(self, scan: dict, start: int, stop: int) -> np.ndarray:
+        """The scan's own colour, else grey from its intensity, else grey."""
+        if arrays.exists(self.partition, "color"):
+            return arrays.read(self.partition, "color", start, stop)
+        grey = np.full(stop - start, GREY)
+        if arrays.exists(self.partition, "intensity"):
+            low, high = scan["intensity_range"]
+            intensity = arrays.read(self.partition, "intensity", start, stop).astype(np.float64)
+            grey = np.clip(np.nan_to_num((intensity - low) / max(high - low, np.finfo(float).tiny)), 0, 1)
+        return np.repeat(np.round(grey * 255).astype(np.uint8)[:, None], 3, axis=1)
+
+
+def decoded_centres(splats: Path, start: int, stop: int) -> np.ndarray:
+    """What the renderer will make of the positions of a block of whole chunks, (n, 3) float64 against the origin."""
+    chunks = slice(start // CHUNK, -(-stop // CHUNK))
+    boxes = Boxes(*(arrays.read(splats, name, chunks.start, chunks.stop) for name in ("box_low", "box_size", "box_bits")))
+    return decode_positions(arrays.read(splats, "position_code", start, stop), boxes)

@@ -1,0 +1,79 @@
+"""The patches of a block of splats: each from its own camera's photograph, with its average and its energy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from pipeline.texture.projection import homographies, project_corners
+from pipeline.texture.resample import (
+    PATCH_DIM, PROBES, Window, resample_patches, resampling_error, window_bounds,
+)
+from storage.schema import NO_CAMERA, PATCH_SIZE, Camera
+
+ReadWindow = Callable[[int, int, int, int, int], np.ndarray]  # camera, left, top, right, bottom -> (h, w, 3) uint8
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Patches as they are stored, and what coding needs to know of them."""
+
+    texel: np.ndarray  # (n, PATCH_DIM) uint8, (row, column, rgb)
+    average: np.ndarray  # (n, 3) uint8: what the packed file stores
+    energy: np.ndarray  # (n,) float32: squared norm of texel / 255 - average / 255
+    resampling_error: float  # sum of squared differences over all probes
+    n_probes: int  # values it is summed over
+
+
+def make_patches(
+    cameras: tuple[Camera, ...],
+    read_window: ReadWindow,
+    origin: tuple[float, float, float],
+    centre: np.ndarray,  # (n, 3) decoded, against the origin
+    frame: tuple[np.ndarray, np.ndarray],  # tangents u and v, (n, 3) each
+    radius: float,
+    camera: np.ndarray,  # (n,) uint16
+    color: np.ndarray,  # (n, 3) uint8: of splats without a camera
+    first_splat: int,
+) -> Patches:
+    """Resample a block. A splat without a camera has a patch of its one colour, and so no energy."""
+    texel = np.repeat(color[:, None], PATCH_SIZE * PATCH_SIZE, axis=1).reshape(-1, PATCH_DIM)
+    error, n_probes = 0.0, 0
+    for i in np.unique(camera[camera != NO_CAMERA]):
+        rows = np.flatnonzero(camera == i)
+        h = homographies(cameras[i], origin, centre[rows], frame[0][rows], frame[1][rows], radius)
+        bounds = window_bounds(project_corners(h), cameras[i].width_px, cameras[i].height_px)
+        window = Window(read_window(int(i), *bounds), bounds[0], bounds[1])
+        texel[rows] = resample_patches(window, h)
+        error += float(resampling_error(window, h, texel[rows], first_splat + rows).sum())
+        n_probes += 3 * PROBES * len(rows)
+    average, energy = np.empty((len(texel), 3), np.uint8), np.empty(len(texel), np.float32)
+    _measure(texel.reshape(len(texel), -1, 3), average, energy)
+    return Patches(texel, average, energy, error, n_probes)
+
+
+def centred(texel: np.ndarray, average: np.ndarray) -> np.ndarray:
+    """What is coded: patches less their stored average, (n, PATCH_DIM) float32 in [-1, 1]."""
+    return (texel.reshape(len(texel), -1, 3) * np.float32(1 / 255) - (average * np.float32(1 / 255))[:, None]).reshape(
+        len(texel), -1
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _measure(texel, average, energy):
+    n_texels = texel.shape[1]
+    for i in range(texel.shape[0]):
+        total = 0.0
+        for k in range(3):
+            first, second = 0, 0
+            for t in range(n_texels):
+                value = np.int64(texel[i, t, k])
+                first += value
+                second += value * value
+            mean = (2 * first + n_texels) // (2 * n_texels)
+            average[i, k] = mean
+            total += second - 2 * mean * first + n_texels * mean * mean
+        energy[i] = total / 65025.0

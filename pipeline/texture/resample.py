@@ -1,0 +1,148 @@
+"""Patches: photographs resampled into the squares of splats.
+
+Paper: HPG 2021, section 3.2: projective, bilinear, the whole square and not only the disc, in sRGB. Texel (row,
+column) of a patch lies at x = (column + 0.5) / 16 - 1, y = (row + 0.5) / 16 - 1 of its square. Where a texel covers
+more than a photo pixel, it is the mean of as many bilinear lookups as it covers pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from storage.schema import PATCH_SIZE
+
+PATCH_DIM = 3 * PATCH_SIZE * PATCH_SIZE
+MOST_LOOKUPS = 64  # a texel and axis; more would mean a splat of 2,000 photo pixels
+PROBES = 16  # random points of the disc that the resampling error is measured at
+
+
+@dataclass(frozen=True)
+class Window:
+    """A part of a photograph: pixels[y - top, x - left] is its pixel (x, y)."""
+
+    pixels: np.ndarray  # (h, w, 3) uint8
+    left: int
+    top: int
+
+
+def window_bounds(corners: np.ndarray, width_px: int, height_px: int) -> tuple[int, int, int, int]:
+    """Left, top, right, bottom of the pixels that bilinear lookups between `corners` (n, 4, 2) can touch."""
+    low = np.floor(corners.min(axis=(0, 1)) - 1.5)
+    high = np.ceil(corners.max(axis=(0, 1)) + 1.5)
+    left, top = (int(np.clip(x, 0, size - 1)) for x, size in zip(low, (width_px, height_px)))
+    right, bottom = (int(np.clip(x, 1, size)) for x, size in zip(high, (width_px, height_px)))
+    return left, top, max(right, left + 1), max(bottom, top + 1)
+
+
+def resample_patches(window: Window, homography: np.ndarray) -> np.ndarray:
+    """Patches (n, PATCH_DIM) uint8, flattened (row, column, rgb), of the splats with `homography` (n, 3, 3).
+
+    The whole square must lie in front of the camera (`is_in_front`). Lookups outside the photo take its edge.
+    """
+    patches = np.empty((len(homography), PATCH_SIZE, PATCH_SIZE, 3), np.uint8)
+    _resample(window.pixels, window.left, window.top, homography, patches)
+    return patches.reshape(len(homography), PATCH_DIM)
+
+
+def resampling_error(window: Window, homography: np.ndarray, patches: np.ndarray, seed: np.ndarray) -> np.ndarray:
+    """Sum of squared differences (n,) of photo lookups and patch lookups at PROBES random points of each disc.
+
+    Values in [0, 1], three channels a point. `seed` (n,) uint64 is the splats' global index.
+    """
+    error = np.empty(len(homography))
+    shaped = patches.reshape(-1, PATCH_SIZE, PATCH_SIZE, 3)
+    _probe(window.pixels, window.left, window.top, homography, shaped, seed.astype(np.uint64), error)
+    return error
+
+
+def disc_weights() -> np.ndarray:
+    """The blending weight max(0, 1 - d^2) of each texel, repeated for its three channels, (PATCH_DIM,) float64."""
+    at = (np.arange(PATCH_SIZE) + 0.5) * 2 / PATCH_SIZE - 1
+    weight = np.maximum(0, 1 - at[:, None] ** 2 - at[None, :] ** 2)
+    return np.repeat(weight.ravel(), 3)
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _lookup(pixels, x, y, channel_sum):
+    """Add the bilinear lookup at array position (x, y), edge clamped, to channel_sum (3,)."""
+    height, width = pixels.shape[0], pixels.shape[1]
+    x = min(max(x, 0.0), width - 1.0)
+    y = min(max(y, 0.0), height - 1.0)
+    x0, y0 = int(x), int(y)
+    x1, y1 = min(x0 + 1, width - 1), min(y0 + 1, height - 1)
+    fx, fy = x - x0, y - y0
+    a, b, c, d = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
+    for k in range(3):
+        channel_sum[k] += (a * pixels[y0, x0, k] + b * pixels[y0, x1, k]) + (c * pixels[y1, x0, k] + d * pixels[y1, x1, k])
+
+
+@numba.njit(cache=True, nogil=True)
+def _lookups_a_texel(h):
+    """How many photo pixels a texel covers along x and y, at the square's worst corner; at least 1."""
+    step = 2.0 / PATCH_SIZE
+    most_x, most_y = 1.0, 1.0
+    for sx in (-1.0, 1.0):
+        for sy in (-1.0, 1.0):
+            w = h[2, 0] * sx + h[2, 1] * sy + h[2, 2]
+            px = (h[0, 0] * sx + h[0, 1] * sy + h[0, 2]) / w
+            py = (h[1, 0] * sx + h[1, 1] * sy + h[1, 2]) / w
+            most_x = max(most_x, step * np.hypot(h[0, 0] - px * h[2, 0], h[1, 0] - py * h[2, 0]) / w)
+            most_y = max(most_y, step * np.hypot(h[0, 1] - px * h[2, 1], h[1, 1] - py * h[2, 1]) / w)
+    return min(int(np.ceil(most_x - 1e-9)), MOST_LOOKUPS), min(int(np.ceil(most_y - 1e-9)), MOST_LOOKUPS)
+
+
+@numba.njit(cache=True, nogil=True)
+def _resample(pixels, left, top, homography, patches):
+    channel_sum = np.empty(3)
+    for i in range(homography.shape[0]):
+        h = homography[i]
+        n_x, n_y = _lookups_a_texel(h)
+        share = 1.0 / (n_x * n_y)
+        for row in range(PATCH_SIZE):
+            for column in range(PATCH_SIZE):
+                channel_sum[:] = 0.0
+                for j in range(n_y):
+                    y = (row + (j + 0.5) / n_y) * 2.0 / PATCH_SIZE - 1.0
+                    for k in range(n_x):
+                        x = (column + (k + 0.5) / n_x) * 2.0 / PATCH_SIZE - 1.0
+                        w = 1.0 / (h[2, 0] * x + h[2, 1] * y + h[2, 2])
+                        px = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) * w
+                        py = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) * w
+                        _lookup(pixels, px - 0.5 - left, py - 0.5 - top, channel_sum)
+                for channel in range(3):
+                    patches[i, row, column, channel] = np.uint8(channel_sum[channel] * share + 0.5)
+
+
+@numba.njit(cache=True, nogil=True)
+def _uniform(state):
+    """The next state of a splitmix64 stream and a number in [0, 1) (Steele et al. 2014)."""
+    state = state + np.uint64(0x9E3779B97F4A7C15)
+    z = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return state, np.float64(z >> np.uint64(11)) / 9007199254740992.0
+
+
+@numba.njit(cache=True, nogil=True)
+def _probe(pixels, left, top, homography, patches, seed, error):
+    photo, patch = np.empty(3), np.empty(3)
+    for i in range(homography.shape[0]):
+        h = homography[i]
+        state = seed[i] * np.uint64(0xD1342543DE82EF95)
+        error[i] = 0.0
+        for _ in range(PROBES):
+            state, a = _uniform(state)
+            state, b = _uniform(state)
+            x, y = np.sqrt(a) * np.cos(2 * np.pi * b), np.sqrt(a) * np.sin(2 * np.pi * b)
+            w = 1.0 / (h[2, 0] * x + h[2, 1] * y + h[2, 2])
+            px = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) * w
+            py = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) * w
+            photo[:] = 0.0
+            patch[:] = 0.0
+            _lookup(pixels, px - 0.5 - left, py - 0.5 - top, photo)
+            _lookup(patches[i], (x + 1) * PATCH_SIZE / 2 - 0.5, (y + 1) * PATCH_SIZE / 2 - 0.5, patch)
+            for k in range(3):
+                error[i] += ((photo[k] - patch[k]) / 255.0) ** 2

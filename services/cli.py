@@ -1,0 +1,270 @@
+"""The command line: splatpress compress | inspect | render | report | demo.
+
+Exit codes: 0 ok, 1 arguments, 2 I/O or resources, 3 invalid input, 4 a mistake of ours, 5 unsupported, 7 a quality
+gate missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import warnings
+from pathlib import Path
+
+from storage.errors import SplatpressError
+
+OK, ARGUMENTS, INPUT_OUTPUT, INTERNAL, GATE_MISSED = 0, 1, 2, 4, 7
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse, but wrong arguments exit with 1."""
+
+    def error(self, message: str):
+        self.print_usage(sys.stderr)
+        self.exit(ARGUMENTS, f"{self.prog}: {message}\n")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command; returns its exit code."""
+    options = _parser().parse_args(arguments)
+    warnings.filterwarnings("ignore", module="zarr")
+    try:
+        return options.command(options)
+    except SplatpressError as error:
+        print(f"splatpress: {error.kind} error: {error}", file=sys.stderr)
+        return error.exit_code
+    except ValueError as error:
+        if not getattr(error, "is_argument", False):
+            raise
+        print(f"splatpress: {error}", file=sys.stderr)
+        return ARGUMENTS
+    except OSError as error:
+        print(f"splatpress: {error}", file=sys.stderr)
+        return INPUT_OUTPUT
+    except KeyboardInterrupt:
+        print("splatpress: interrupted", file=sys.stderr)
+        return 130
+
+
+def _wrong_argument(message: str) -> ValueError:
+    error = ValueError(message)
+    error.is_argument = True
+    return error
+
+
+# --- commands: heavy imports stand inside, so that --help and inspect answer at once ----------------------------------
+
+
+def _compress(options: argparse.Namespace) -> int:
+    from services.workflow import compress
+
+    settings = _settings(options)
+    scan, out = _scan_path(options.scan), Path(options.out)
+    _refuse_to_overwrite(out, options.overwrite)
+    with _executor(options) as executor:
+        report = compress(scan, out, settings, executor, _progress(), render=not options.no_render,
+                          work=Path(options.work) if options.work else None)
+    return _show_report(report, out, options)
+
+
+def _inspect(options: argparse.Namespace) -> int:
+    from services.inspection import inspect
+
+    found = inspect(_scan_path(options.path))
+    print(json.dumps(found) if options.json else _as_lines(found))
+    return OK
+
+
+def _render(options: argparse.Namespace) -> int:
+    from services.rendering import render_views
+
+    paths = render_views(_scan_path(options.packed), Path(options.out), camera=options.camera, n_orbit=options.orbit,
+                         size=options.size, max_atoms=options.max_atoms)
+    for path in paths:
+        print(path)
+    return OK
+
+
+def _report(options: argparse.Namespace) -> int:
+    from services.workflow import report
+
+    out = Path(options.out)
+    with _executor(options) as executor:
+        made = report(_scan_path(options.packed), _scan_path(options.scan), out, executor, _progress(),
+                      render=not options.no_render)
+    return _show_report(made, out, options)
+
+
+def _demo(options: argparse.Namespace) -> int:
+    import tempfile
+
+    from services.demo import write_motorcycle
+    from services.workflow import compress
+
+    settings, out = _settings(options), Path(options.out)
+    _refuse_to_overwrite(out, options.overwrite)
+    with tempfile.TemporaryDirectory() as folder, _executor(options) as executor:
+        scan = write_motorcycle(Path(folder) / "motorcycle")
+        report = compress(scan, out, settings, executor, _progress(), render=not options.no_render)
+    return _show_report(report, out, options)
+
+
+def _settings(options: argparse.Namespace):
+    from pipeline.settings import settings_for
+
+    names = ("dictionary_bits", "weight_bits", "max_atoms", "target_psnr_db", "iterations", "training_splats", "radius", "seed")
+    try:
+        return settings_for(options.preset, **{name: getattr(options, name, None) for name in names})
+    except ValueError as error:
+        raise _wrong_argument(str(error)) from error
+
+
+def _executor(options: argparse.Namespace):
+    from pipeline.executors import DaskExecutor, SerialExecutor
+
+    if options.executor == "serial":
+        return SerialExecutor()
+    return DaskExecutor(options.workers, options.scheduler)
+
+
+def _progress():
+    from services.progress import ProgressBars
+
+    return ProgressBars()
+
+
+def _scan_path(text: str) -> Path:
+    path = Path(text)
+    if not path.exists():
+        raise FileNotFoundError(f"{text}: no such file or folder")
+    return path
+
+
+def _refuse_to_overwrite(out: Path, overwrite: bool) -> None:
+    if out.exists() and not overwrite and (not out.is_dir() or any(out.iterdir())):
+        raise _wrong_argument(f"--out {out} exists and is not empty; choose another, or say --overwrite")
+
+
+def _show_report(report: dict, out: Path, options: argparse.Namespace) -> int:
+    missed = _missed_gate(report, options)
+    if options.json:
+        print(json.dumps({**report, "out": str(out), "gate_missed": missed}))
+    else:
+        print(_summary(report, out))
+    if missed:
+        print(f"splatpress: quality gate missed: {missed}", file=sys.stderr)
+        return GATE_MISSED
+    return OK
+
+
+def _missed_gate(report: dict, options: argparse.Namespace) -> str | None:
+    wanted, got = options.require_psnr_db, report["quality"]["texture_psnr_db"]
+    if wanted is None or got is None or got >= wanted:
+        return None
+    return f"texture PSNR is {got:.2f} dB, asked for {wanted:g}"
+
+
+def _summary(report: dict, out: Path) -> str:
+    sizes, quality = report["sizes"], report["quality"]
+    lines = [f"splats           {report['splats']:,}",
+             f"size             {sizes['bytes_per_splat']:.2f} bytes a splat on the GPU, file {sizes['file_bytes']:,} bytes"]
+    if quality["texture_psnr_db"] is not None:
+        lines.append(f"texture PSNR     {quality['texture_psnr_db']:.2f} dB, visible {quality['visible_psnr_db']:.2f} dB, "
+                     f"resampling {quality['resampling_psnr_db']:.2f} dB")
+    if sizes["compression_factor_total"] is not None:
+        lines.append(f"compression      {sizes['compression_factor_total']:.1f} times in all, "
+                     f"{sizes['compression_factor_texture']:.1f} times the textures")
+    lines += [f"warning          {w}" for w in report.get("warnings", [])]
+    lines.append(f"report           {out / 'report.html'}")
+    if quality["views"]:
+        lines.append(f"previews         {out / 'previews'}")
+    return "\n".join(lines)
+
+
+def _as_lines(found: dict, indent: str = "") -> str:
+    lines = []
+    for key, value in found.items():
+        if isinstance(value, dict):
+            lines += [f"{indent}{key}:", _as_lines(value, indent + "  ")]
+        elif isinstance(value, list) and value and all(isinstance(v, str) for v in value):
+            lines += [f"{indent}{key}:"] + [f"{indent}  {v}" for v in value]
+        else:
+            lines.append(f"{indent}{key}: {value}")
+    return "\n".join(lines)
+
+
+# --- arguments -------------------------------------------------------------------------------------------------------
+
+
+def _size(text: str) -> tuple[int, int]:
+    try:
+        width, height = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT, as 1280x720") from None
+    if not (1 <= width <= 16384 and 1 <= height <= 16384):
+        raise argparse.ArgumentTypeError(f"{text} is out of range; allowed: 1x1 to 16384x16384")
+    return width, height
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="splatpress", description="Turns textured scans into small packed files that a GPU renders.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    _add_compress(commands)
+    inspect = commands.add_parser("inspect", help="what a scan or a packed file is, and what is wrong with it")
+    inspect.add_argument("path", metavar="SCAN-or-PACKED")
+    inspect.add_argument("--json", action="store_true")
+    inspect.set_defaults(command=_inspect)
+    render = commands.add_parser("render", help="pictures of a packed file")
+    render.add_argument("packed", metavar="PACKED")
+    view = render.add_mutually_exclusive_group(required=True)
+    view.add_argument("--camera", metavar="NAME", help="one of the scan's cameras")
+    view.add_argument("--orbit", metavar="N", type=int, help="N pictures around the scan")
+    render.add_argument("--size", type=_size, metavar="WxH", help="default: the camera's own, or 1280x720")
+    render.add_argument("--max-atoms", type=int, choices=range(9), default=8, metavar="0..8")
+    render.add_argument("--out", required=True, metavar="DIR")
+    render.set_defaults(command=_render)
+    report = commands.add_parser("report", help="measure a packed file against its scan")
+    report.add_argument("packed", metavar="PACKED")
+    report.add_argument("--scan", required=True, metavar="SCAN")
+    report.add_argument("--out", required=True, metavar="DIR")
+    _add_running(report)
+    report.set_defaults(command=_report)
+    demo = commands.add_parser("demo", help="compress a real stereo pair")
+    demo.add_argument("--out", default="demo-output", metavar="DIR")
+    demo.add_argument("--preset", default="balanced", metavar="draft|balanced|high")
+    demo.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
+    _add_running(demo)
+    demo.set_defaults(command=_demo)
+    return parser
+
+
+def _add_compress(commands) -> None:
+    compress = commands.add_parser("compress", help="a scan into a packed file, previews and a report")
+    compress.add_argument("scan", metavar="SCAN", help="COLMAP workspace (folder or .zip), .ply, .las, .laz, .e57")
+    compress.add_argument("--out", required=True, metavar="DIR")
+    compress.add_argument("--preset", default="balanced", metavar="draft|balanced|high")
+    for name, kind, text in (
+        ("dictionary-bits", int, "8, 12 or 16"), ("weight-bits", int, "4 or 8"), ("max-atoms", int, "0 to 8"),
+        ("target-psnr-db", float, "where a splat is good enough"), ("iterations", int, "of k-SVD"),
+        ("training-splats", int, "that the dictionary is learned from"), ("radius", float, "of every splat, in the scan's unit"),
+        ("seed", int, "of all random choices"),
+    ):
+        compress.add_argument(f"--{name}", type=kind, help=text)
+    compress.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
+    compress.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
+    _add_running(compress)
+    compress.set_defaults(command=_compress)
+
+
+def _add_running(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--workers", type=int, metavar="N", help="worker processes; default: one a core")
+    command.add_argument("--executor", choices=("dask", "serial"), default="dask")
+    command.add_argument("--scheduler", metavar="tcp://...", help="a running Dask scheduler")
+    command.add_argument("--no-render", action="store_true", help="no previews: needs no OpenGL")
+    command.add_argument("--require-psnr-db", type=float, metavar="DB", help="exit with 7 below this texture PSNR")
+    command.add_argument("--json", action="store_true", help="the report as the last line of stdout")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

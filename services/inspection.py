@@ -1,0 +1,21 @@
+"""What a file is, told from its header alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.readers import inspect_scan
+from storage.packed import PackedFile, is_packed_file
+
+
+def inspect(path: Path) -> dict:
+    """A JSON-able account of a scan or a packed file."""
+    return inspect_packed(path) if is_packed_file(path) else inspect_scan(path)
+
+
+def inspect_packed(path: Path) -> dict:
+    """A packed file's header; its seal is checked, so a damaged file is refused."""
+    with PackedFile(path) as packed:
+        header = packed.header.to_json()
+    cameras = header.pop("cameras")
+    return {**header, "kind": "packed", "file_bytes": path.stat().st_size, "cameras": [c["name"] for c in cameras]}

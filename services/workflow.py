@@ -1,0 +1,285 @@
+"""The order of the stages: from a scan to a packed file, its previews and its report."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+import time
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.accuracy import psnr_db, squared_error_at
+from pipeline.settings import Settings
+from pipeline.stage import Executor, Progress, Stage, StageRecord, run_stage
+from pipeline.stages.codes import Encode
+from pipeline.stages.depth import DepthMaps
+from pipeline.stages.dictionary import DictionarySeed, KsvdUpdate
+from pipeline.stages.ingest import Ingest
+from pipeline.stages.measure import Measure, ingest_fits
+from pipeline.stages.neighbours import Neighbourhoods, radius_of
+from pipeline.stages.pack import Pack, write_packed
+from pipeline.stages.partition import Partition
+from pipeline.stages.patches import Resample, up_axis_of
+from pipeline.stages.quantization import Quantization
+from pipeline.stages.splats import Splats
+from pipeline.stages.training import TrainingSet
+from pipeline.texture.resample import PATCH_DIM
+from renderer.previews import make_previews
+from renderer.report import build_report, write_report
+from renderer.report_page import write_page
+from storage import arrays
+from storage.errors import InvalidScan
+from storage.packed import SUFFIX, PackedFile, PackedScene
+from storage.schema import MAX_ATOMS, NO_CAMERA, Batch, Camera, Header
+
+# Splats this far behind the nearest surface still blend. The paper takes 1 to 2.5 radii (2 to 5 cm at 2 cm).
+DEPTH_MARGIN_RADII = 2.0
+PATCHES_AN_ATOM = 4  # a dictionary that a scan can fill: fewer training patches an atom would only be stored
+
+
+@dataclass
+class Run:
+    """One job under way: its stages run into one work folder, and what they cost is kept for the report."""
+
+    work: Path
+    executor: Executor
+    progress: Progress
+    records: list[StageRecord] = field(default_factory=list)
+
+    def do(self, stage: Stage) -> StageRecord:
+        record = run_stage(stage, self.work, self.executor, self.progress)
+        self.records.append(record)
+        return record
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A scan as quantised splats with cameras: what every setting but the radius shares."""
+
+    scan: StageRecord
+    partition: StageRecord
+    neighbours: StageRecord
+    splats: StageRecord
+    radius: float
+
+
+@dataclass(frozen=True)
+class Coded:
+    """Splats with texture: what the settings of the coder decide."""
+
+    patches: StageRecord
+    codes: StageRecord
+    quantized: StageRecord | None
+    learning: list[dict]
+    n_dictionary: int
+
+
+def fingerprint(scan: Path) -> str:
+    """A hash of the names, sizes and times of a scan's files: changes when they do."""
+    files = sorted(p for p in scan.rglob("*") if p.is_file()) if scan.is_dir() else [scan]
+    state = hashlib.sha256()
+    for path in files:
+        stat = path.stat()
+        state.update(f"{path.relative_to(scan)}\0{stat.st_size}\0{stat.st_mtime_ns}\n".encode())
+    return state.hexdigest()
+
+
+def prepare(run: Run, scan: Path, radius: float | None) -> Prepared:
+    """Read the scan, put its points in chunk order, and make splats of them."""
+    ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
+    partition = run.do(Partition(ingest.folder))
+    neighbours = run.do(Neighbourhoods(partition.folder))
+    radius = radius_of(neighbours.summary, radius, str(scan))
+    depth = None
+    if ingest.summary["cameras"] and not ingest.summary["has_visibility"]:
+        depth = run.do(DepthMaps(ingest.folder, partition.folder, radius)).folder
+    splats = run.do(Splats(ingest.folder, partition.folder, neighbours.folder, depth, radius))
+    return Prepared(ingest, partition, neighbours, splats, radius)
+
+
+def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
+    """Resample patches, learn a dictionary if any patch calls for one, and code them."""
+    scan = prepared.scan
+    patches = run.do(Resample(scan.folder, prepared.partition.folder, prepared.splats.folder, prepared.radius,
+                              up_axis_of(scan.summary["cameras"])))
+    tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
+    training = run.do(TrainingSet(patches.folder, tolerance, settings.training_splats, settings.seed))
+    quantized, learning = None, []
+    if settings.max_atoms and training.summary["n_patches"]:
+        learned, learning = _learn(run, patches, training, settings, tolerance)
+        quantized = run.do(Quantization(training.folder, learned, settings.max_atoms, tolerance, settings.weight_bits))
+    codes = run.do(Encode(patches.folder, quantized.folder if quantized else None, settings.max_atoms, tolerance))
+    return Coded(patches, codes, quantized, learning, quantized.summary["n_atoms"] if quantized else 0)
+
+
+def _learn(run: Run, patches: StageRecord, training: StageRecord, settings: Settings, tolerance: float):
+    """The folder of the learned dictionary, and the learning curve as estimates for the whole scan."""
+    begun = time.perf_counter()
+    n_atoms = max(1, min(2**settings.dictionary_bits, training.summary["n_patches"] // PATCHES_AN_ATOM))
+    learned = run.do(DictionarySeed(training.folder, n_atoms, settings.seed)).folder
+    curve = []
+    for iteration in range(settings.iterations):
+        record = run.do(KsvdUpdate(training.folder, learned, settings.max_atoms, tolerance, iteration))
+        learned, found = record.folder, record.summary
+        error = found["squared_error"] / found["n_patches"] * training.summary["n_active"] + training.summary["settled_energy"]
+        curve.append({"seconds": time.perf_counter() - begun, "replaced_atoms": found["n_replaced"],
+                      "psnr_db": psnr_db(error, training.summary["n_splats"] * PATCH_DIM)})
+    return learned, curve
+
+
+def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, name: str, path: Path) -> StageRecord:
+    """Write the packed file to `path`."""
+    scan = prepared.scan.summary
+    histogram = coded.codes.summary["histogram"] if coded else [1]
+    header = Header(
+        n_splats=scan["n_points"], radius=prepared.radius, unit=scan["unit"],
+        origin=tuple(prepared.partition.summary["origin"]), up_axis=up_axis_of(scan["cameras"]),
+        depth_margin=DEPTH_MARGIN_RADII * prepared.radius, n_dictionary=coded.n_dictionary if coded else 0,
+        dictionary_bits=settings.dictionary_bits, weight_bits=settings.weight_bits,
+        batches=tuple(Batch(n) for n, count in enumerate(histogram) if count),
+        cameras=tuple(Camera.from_json(c) for c in scan["cameras"]),
+        scan={"name": name, "format": scan["format"], "n_points": scan["n_read"]}, settings=asdict(settings),
+    )
+    record = run.do(Pack(header, prepared.splats.folder, coded.patches.folder if coded else None,
+                         coded.codes.folder if coded else None, coded.quantized.folder if coded and coded.quantized else None))
+    write_packed(record.folder, path)
+    return record
+
+
+def compress(scan: Path, out: Path, settings: Settings, executor: Executor, progress: Progress, *, render: bool = True,
+             work: Path | None = None) -> dict:
+    """Compress a scan into `out`: NAME.splatpress, report.json, report.html and previews/. Returns the report.
+
+    `out` appears with all of it, or not at all. With `work` the outputs of the stages stay there and are used again;
+    else they are thrown away.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    made = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    try:
+        run = Run(work or made / "work", executor, progress)
+        name = scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem
+        path = made / (name + SUFFIX)
+        prepared = prepare(run, scan, settings.radius)
+        textured = prepared.splats.summary["n_without_camera"] < prepared.scan.summary["n_points"]
+        coded = code(run, prepared, settings) if textured else None
+        pack(run, prepared, coded, settings, name, path)
+        report = finish(run, path, prepared, coded, settings, made, render)
+        if work is None:
+            shutil.rmtree(made / "work")
+        _put_in_place(made, out)
+        return report
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+def finish(run: Run, path: Path, prepared: Prepared, coded: Coded | None, settings: Settings, out: Path, render: bool) -> dict:
+    """Previews and report of a packed file just made."""
+    record = {
+        "scan": _scan_record(prepared), "quality": _quality(prepared, coded),
+        "learning": coded.learning if coded else [], "settings": asdict(settings),
+    }
+    return write_outputs(run, path, prepared.scan.folder, record, out, render)
+
+
+def write_outputs(run: Run, path: Path, ingest: Path, record: dict, out: Path, render: bool) -> dict:
+    """previews/, report.json and report.html beside each other in `out`. Returns the report."""
+    with PackedFile(path) as packed:
+        scene = packed.load()
+    views = _views(run, scene, ingest, out) if render else []
+    record = record | {"stages": [stage_row(r) for r in merged(run.records)]}
+    report = build_report(scene, path.stat().st_size, record, views)
+    write_report(out, report)
+    write_page(out, report, scene)
+    return report
+
+
+def _views(run: Run, scene: PackedScene, ingest: Path, out: Path) -> list[dict]:
+    begun = time.perf_counter()
+    run.progress.begin("render", 1)
+    done = 0
+
+    def on_view(n_done: int, n_views: int) -> None:
+        nonlocal done
+        run.progress.begin("render", n_views) if done == 0 else None
+        run.progress.advance("render", n_done - done, 0)
+        done = n_done
+
+    read_photo = (lambda i: np.asarray(arrays.opened(ingest, f"photo_{i}")[:])) if scene.header.cameras else None
+    views = make_previews(scene, out, read_photo, progress=on_view)
+    record = StageRecord("render", out, {}, time.perf_counter() - begun, 0, len(views), 0, False)
+    run.records.append(record)
+    run.progress.end(record)
+    return views
+
+
+def _scan_record(prepared: Prepared) -> dict:
+    scan = prepared.scan.summary
+    warnings = list(scan["warnings"])
+    n_bad = prepared.neighbours.summary["n_degenerate"]
+    if n_bad:
+        warnings.append(f"{n_bad} of {scan['n_points']} splats have no normal that their neighbourhood defines")
+    n_blind = prepared.splats.summary["n_without_camera"]
+    if scan["cameras"] and n_blind:
+        warnings.append(f"{n_blind} of {scan['n_points']} splats are seen whole by no camera and have the scan's colour")
+    return {"unit": scan["unit"], "n_points": scan["n_read"], "n_cameras": len(scan["cameras"]), "warnings": warnings}
+
+
+def _quality(prepared: Prepared, coded: Coded | None) -> dict:
+    splats = prepared.splats.summary
+    geometry = {"mean_position_error": splats["mean_position_error"],
+                "mean_position_error_in_radii": splats["mean_position_error"] / prepared.radius,
+                "mean_normal_error_degrees": splats["mean_normal_error_degrees"]}
+    texture = dict.fromkeys(("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db"))
+    if coded:
+        texture = {k: (coded.codes.summary | coded.patches.summary)[k] for k in texture}
+    return texture | {"geometry": geometry}
+
+
+def merged(records: list[StageRecord]) -> list[StageRecord]:
+    """One row a stage: the iterations of k-SVD are added up."""
+    rows: dict[str, StageRecord] = {}
+    for r in records:
+        if (row := rows.get(r.name)) is not None:
+            r = replace(r, seconds=row.seconds + r.seconds, peak_rss_bytes=max(row.peak_rss_bytes, r.peak_rss_bytes),
+                        n_tasks=row.n_tasks + r.n_tasks, n_splats=row.n_splats + r.n_splats)
+        rows[r.name] = r
+    return list(rows.values())
+
+
+def stage_row(record: StageRecord) -> dict:
+    """A stage as the report lists it."""
+    rate = record.n_splats / record.seconds if record.n_splats and record.seconds > 0 and not record.reused else None
+    return {"name": record.name, "seconds": record.seconds, "peak_rss_bytes": record.peak_rss_bytes or None,
+            "splats_per_second": rate, "tasks": record.n_tasks, "reused": record.reused}
+
+
+def report(packed: Path, scan: Path, out: Path, executor: Executor, progress: Progress, *, render: bool = True) -> dict:
+    """Measure a packed file against the scan's photographs, and write previews and report into `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    with PackedFile(packed) as opened, tempfile.TemporaryDirectory(prefix=".work.", dir=out) as work:
+        run = Run(Path(work), executor, progress)
+        header = opened.header
+        quality: dict = {}
+        ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
+        if not ingest_fits(ingest.folder, [c.name for c in header.cameras]):
+            raise InvalidScan(str(scan), f"photographs {[c['name'] for c in ingest.summary['cameras']][:3]}...",
+                              f"those that {packed.name} was made from, {[c.name for c in header.cameras][:3]}...")
+        if header.cameras:
+            measured = run.do(Measure(ingest.folder, packed.resolve(), fingerprint(packed))).summary
+            quality = {k: measured[k] for k in ("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db")}
+        record = {"scan": {"n_cameras": len(header.cameras), "warnings": ingest.summary["warnings"]}, "quality": quality}
+        return write_outputs(run, packed, ingest.folder, record, out, render)
+
+
+def _put_in_place(made: Path, out: Path) -> None:
+    """Let `out` be what was made; an older `out` goes only when the new one is whole."""
+    made.chmod(0o755)
+    old = made.with_name(made.name + ".old")
+    if out.exists():
+        os.replace(out, old)
+    os.replace(made, out)
+    shutil.rmtree(old, ignore_errors=True)

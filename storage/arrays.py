@@ -1,0 +1,82 @@
+"""Arrays of a stage's folder: zarr v3, one chunk a block of splats, written whole by one task.
+
+Uncompressed: they are read back within minutes, and on the machines this was measured on a disk cache outruns zstd.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import zarr
+
+BLOCK = 16384  # splats a task: two groups
+
+
+def create(
+    folder: Path, name: str, shape: tuple[int, ...], dtype: str, chunks: tuple[int, ...] | None = None
+) -> zarr.Array:
+    """A new array of a stage, zeros until written; a chunk, by default BLOCK rows, is what one task owns."""
+    chunks = tuple(max(1, min(c, s)) for c, s in zip(chunks or (BLOCK, *shape[1:]), shape))
+    return zarr.create_array(
+        store=str(folder / f"{name}.zarr"), shape=shape, chunks=chunks, dtype=dtype, compressors=None, overwrite=True,
+        fill_value=0, config={"write_empty_chunks": True},
+    )
+
+
+def exists(folder: Path, name: str) -> bool:
+    return (folder / f"{name}.zarr" / "zarr.json").is_file()
+
+
+def opened(folder: Path, name: str, mode: str = "r") -> zarr.Array:
+    return zarr.open_array(store=str(folder / f"{name}.zarr"), mode=mode)
+
+
+def read(folder: Path, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
+    """Rows start..stop."""
+    return np.asarray(opened(folder, name)[start:stop])
+
+
+def write(folder: Path, name: str, start: int, rows: np.ndarray) -> None:
+    """Rows from `start` on. The caller owns every chunk that they touch."""
+    opened(folder, name, "r+")[start : start + len(rows)] = rows
+
+
+def block_range(index: int, n: int, rows: int = BLOCK) -> tuple[int, int]:
+    """First row and end of block `index` of `n` rows."""
+    return index * rows, min((index + 1) * rows, n)
+
+
+def n_blocks(n: int, rows: int = BLOCK) -> int:
+    return -(-n // rows)
+
+
+class Appender:
+    """Rows of unknown number, appended in order by one process, in whole chunks."""
+
+    def __init__(self, folder: Path, name: str, row_shape: tuple[int, ...], dtype: str, rows: int = BLOCK) -> None:
+        self._array = zarr.create_array(
+            store=str(folder / f"{name}.zarr"), shape=(0, *row_shape), chunks=(rows, *row_shape), dtype=dtype,
+            compressors=None, overwrite=True, fill_value=0, config={"write_empty_chunks": True},
+        )
+        self._rows, self._waiting, self._n_waiting = rows, [], 0
+
+    def append(self, rows: np.ndarray) -> None:
+        self._waiting.append(rows)
+        self._n_waiting += len(rows)
+        if self._n_waiting >= self._rows:
+            self._flush(self._n_waiting - self._n_waiting % self._rows)
+
+    def close(self) -> int:
+        """Write what waits; returns the number of rows."""
+        self._flush(self._n_waiting)
+        return self._array.shape[0]
+
+    def _flush(self, n: int) -> None:
+        if not n:
+            return
+        rows = np.concatenate(self._waiting)
+        start = self._array.shape[0]
+        self._array.resize((start + n, *self._array.shape[1:]))
+        self._array[start:] = rows[:n]
+        self._waiting, self._n_waiting = [rows[n:]], len(rows) - n

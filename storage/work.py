@@ -1,0 +1,71 @@
+"""The work folder: one folder a stage, named by the hash of all that its output depends on.
+
+    work/<stage>-<hash>/   the stage's arrays
+        results/<i>.json   one a finished task, so that a restart does only what is missing
+        summary.json       written last: the stage is complete
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+LAYOUT_VERSION = 1  # raised when a stage's output changes for equal inputs
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Strict JSON under its name only when it is whole."""
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    try:
+        partial.write_text(json.dumps(data, allow_nan=False, indent=1))
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def read_json(path: Path) -> Any:
+    return json.loads(path.read_text())
+
+
+def stage_folder(work: Path, stage: Any) -> Path:
+    """Where a stage's output lies. `stage` is a frozen dataclass; a path among its fields counts by its name, which
+    for another stage's folder holds that stage's hash in turn."""
+    fields = {f.name: getattr(stage, f.name) for f in dataclasses.fields(stage)}
+    plain = {name: value.name if isinstance(value, Path) else value for name, value in fields.items()
+             if name not in getattr(stage, "location_fields", ())}
+    text = json.dumps([LAYOUT_VERSION, stage.name, plain], sort_keys=True, default=dataclasses.asdict)
+    return work / f"{stage.name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+
+
+def is_complete(folder: Path) -> bool:
+    return (folder / "summary.json").is_file()
+
+
+def begin(folder: Path) -> None:
+    (folder / "results").mkdir(parents=True, exist_ok=True)
+
+
+def finished_tasks(folder: Path) -> dict[int, dict]:
+    """The results of the tasks that have finished, by index."""
+    return {int(p.stem): read_json(p) for p in sorted((folder / "results").glob("*.json"))}
+
+
+def record_task(folder: Path, index: int, result: dict) -> None:
+    write_json(folder / "results" / f"{index:06d}.json", result)
+
+
+def complete(folder: Path, summary: dict) -> None:
+    write_json(folder / "summary.json", summary)
+
+
+def summary(folder: Path) -> dict:
+    return read_json(folder / "summary.json")
+
+
+def discard(folder: Path) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
