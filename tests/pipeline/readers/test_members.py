@@ -1,0 +1,104 @@
+"""Archives as hostile bytes: names, links, sizes, and what is opened without unpacking."""
+
+import struct
+import warnings
+import zipfile
+
+import pytest
+
+from pipeline.readers import members, open_scan
+from pipeline.readers.members import Folder, open_archive
+from storage.errors import InvalidScan, UnsupportedScan
+
+LANDMARKS = ("sparse", "images", "fused.ply")
+
+
+def archive_of(tmp_path, *names, content=b"abc"):
+    path = tmp_path / "a.zip"
+    with warnings.catch_warnings(), zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        warnings.simplefilter("ignore")  # zipfile warns of duplicates
+        for name in names:
+            archive.writestr(name, content)
+    return str(path)
+
+
+@pytest.mark.parametrize("name", ["../evil", "/etc/evil", "a/../../evil", "a\\..\\evil", "c:/evil"])
+def test_members__refuses_names_that_leave_the_archive(tmp_path, name):
+    with pytest.raises(InvalidScan, match="leaves the archive"):
+        open_archive(archive_of(tmp_path, "fused.ply", name), LANDMARKS)
+
+
+def test_members__refuses_a_name_that_occurs_twice(tmp_path):
+    with pytest.raises(InvalidScan, match="fused.ply: a name that occurs twice"):
+        open_archive(archive_of(tmp_path, "fused.ply", "fused.ply"), LANDMARKS)
+
+
+def test_members__refuses_symbolic_links(tmp_path):
+    link = zipfile.ZipInfo("images/a.png")
+    link.external_attr = 0o120777 << 16
+    with pytest.raises(InvalidScan, match="images/a.png: a symbolic link"):
+        open_archive(archive_of(tmp_path, link, content=b"/etc/passwd"), LANDMARKS)
+
+
+def test_members__refuses_a_bomb(tmp_path):
+    with pytest.raises(InvalidScan, match="bytes unpacked from"):
+        open_archive(archive_of(tmp_path, "fused.ply", content=bytes(1 << 20)), LANDMARKS)
+
+
+def test_members__refuses_too_many_members(tmp_path, monkeypatch):
+    monkeypatch.setattr(members, "MAX_ENTRIES", 2)
+    with pytest.raises(InvalidScan, match="3 members; allowed: at most 2"):
+        open_archive(archive_of(tmp_path, "a", "b", "c"), LANDMARKS)
+
+
+def test_members__refuses_members_that_overlap(tmp_path):
+    path = archive_of(tmp_path, "a", "b", content=bytes(range(256)))
+    content = bytearray(open(path, "rb").read())
+    for entry in (content.find(b"PK\1\2"), content.rfind(b"PK\1\2")):
+        struct.pack_into("<I", content, entry + 20, 600)  # packed size
+    open(path, "wb").write(content)
+    with pytest.raises(InvalidScan, match="packed bytes"):
+        open_archive(path, LANDMARKS)
+
+
+def test_members__refuses_encryption(tmp_path):
+    path = archive_of(tmp_path, "a")
+    content = bytearray(open(path, "rb").read())
+    content[content.find(b"PK\1\2") + 8] |= 1
+    open(path, "wb").write(content)
+    with pytest.raises(UnsupportedScan, match="encrypted"):
+        open_archive(path, LANDMARKS)
+
+
+def test_members__refuses_truncated_archives(tmp_path):
+    path = archive_of(tmp_path, "fused.ply", "images/a.png")
+    whole = open(path, "rb").read()
+    for n in range(0, len(whole), 7):
+        open(path, "wb").write(whole[:n])
+        with pytest.raises(InvalidScan, match="a.zip"):
+            open_scan(path)
+
+
+@pytest.mark.parametrize("wrap", ["", "dense/"])
+def test_members__tolerates_one_wrapping_folder(tmp_path, wrap):
+    names = (f"{wrap}fused.ply", f"{wrap}images/a.png", "__MACOSX/._a")
+    archive = open_archive(archive_of(tmp_path, *names), LANDMARKS)
+    assert archive.root == wrap and archive.size("fused.ply") == 3 and archive.size("images/a.png") == 3
+
+
+def test_members__a_lone_landmark_is_not_a_wrapping_folder(tmp_path):
+    assert open_archive(archive_of(tmp_path, "sparse/cameras.bin"), LANDMARKS).root == ""
+
+
+def test_members__folder_and_archive_answer_alike(tmp_path):
+    archive = open_archive(archive_of(tmp_path, "sub/b.txt", "fused.ply", content=b"hello"), LANDMARKS)
+    (tmp_path / "f" / "sub").mkdir(parents=True)
+    (tmp_path / "f" / "sub" / "b.txt").write_bytes(b"hello")
+    for source in (archive, Folder(str(tmp_path / "f"))):
+        assert source.size("sub/b.txt") == 5 and source.size("nothing") is None and source.size("sub") is None
+        with source.open("sub/b.txt") as stream:
+            assert stream.seek(1) == 1 and stream.read() == b"ello"
+        with source.local("sub/b.txt") as path:
+            assert open(path, "rb").read() == b"hello" and path.endswith(".txt")
+        with source.local("sub/b.txt", 3) as path:
+            assert open(path, "rb").read().startswith(b"hel")
