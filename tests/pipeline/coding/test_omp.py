@@ -56,7 +56,7 @@ def test_omp__stops_at_the_tolerance_and_not_before():
     atoms, patches = unit_rows(rng, 96, 192), smooth_patches(rng, 200)
     codes = sparse_encode(patches, atoms, max_atoms=8, tolerance=0.1)
     assert (codes.residual[codes.n_atoms < 8] <= 0.1).all()
-    assert 0 < codes.n_atoms.min() < 8 == codes.n_atoms.max()
+    assert len(set(codes.n_atoms.tolist())) > 4
     for n in range(1, 8):
         shorter = sparse_encode(patches[codes.n_atoms == n + 1], atoms, max_atoms=n)
         assert (shorter.residual > 0.1).all()
@@ -121,14 +121,15 @@ def test_omp__quantised_weights_are_levels_of_their_rank():
 
 def test_omp__quantising_in_the_loop_beats_rounding_afterwards():
     rng = np.random.default_rng(10)
-    atoms, patches = unit_rows(rng, 64, 192), smooth_patches(rng, 300)
+    atoms, patches = smooth_patches(rng, 64), smooth_patches(rng, 300)
+    atoms /= np.linalg.norm(atoms, axis=1, keepdims=True)
     levels = np.tile(np.linspace(-3, 3, 16), (8, 1))
     in_loop = sparse_encode(patches, atoms, max_atoms=8, weight_levels=levels).residual.sum()
     exact = sparse_encode(patches, atoms, max_atoms=8)
     nearest = np.abs(levels[0] - exact.weight[..., None]).argmin(axis=2)
     rounded = exact._replace(weight=levels[0][nearest].astype(np.float32))
     after = ((patches - reconstruct(rounded, atoms)) ** 2).sum()
-    assert in_loop < 0.8 * after
+    assert in_loop < 0.5 * after
 
 
 @pytest.mark.parametrize("patch", [np.zeros(192), np.full(192, 1e-20)], ids=["zero", "denormal square"])
