@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from pipeline.coding.omp import Codes, sparse_encode
+from pipeline.coding.omp import Codes, reconstruct, sparse_encode
 
 BLOCK = 8192  # patches whose sums are made in one go; part of the result, as float sums depend on their order
 WORST = 512  # how many badly represented patches a block offers as replacements
@@ -52,7 +52,8 @@ def block_sums(patches: np.ndarray, dictionary: np.ndarray, codes: Codes) -> Sum
     n_atoms, dim = dictionary.shape
     moment = np.zeros((n_atoms, dim), np.float32)
     gain, n_users = np.zeros(n_atoms), np.zeros(n_atoms, np.int64)
-    _accumulate(patches, dictionary, codes.atom_index, codes.weight, codes.n_atoms, moment, gain, n_users)
+    residual = patches - reconstruct(codes, dictionary)
+    _accumulate(residual, codes.atom_index, codes.weight, codes.n_atoms, moment, gain, n_users)
     worst = np.argsort(-codes.residual, kind="stable")[:WORST]
     rows = patches[worst].astype(np.float32)
     norms = np.linalg.norm(rows, axis=1, keepdims=True)
@@ -133,21 +134,14 @@ def learn_dictionary(
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
-def _accumulate(patches, dictionary, atom_index, weight, n_atoms, moment, gain, n_users):
-    dim = patches.shape[1]
-    residual = np.empty(dim, np.float32)
-    for i in range(patches.shape[0]):
-        for d in range(dim):
-            residual[d] = patches[i, d]
-        for t in range(n_atoms[i]):
-            x, row = weight[i, t], dictionary[atom_index[i, t]]
-            for d in range(dim):
-                residual[d] -= x * row[d]
+def _accumulate(residual, atom_index, weight, n_atoms, moment, gain, n_users):
+    """Add each patch's share to the sums of its atoms, with v_ik = x_ik."""
+    for i in range(residual.shape[0]):
         for t in range(n_atoms[i]):
             atom, x = atom_index[i, t], weight[i, t]
             row = moment[atom]
-            for d in range(dim):
-                row[d] += x * residual[d]
+            for d in range(row.shape[0]):
+                row[d] += x * residual[i, d]
             gain[atom] += np.float64(x) * x
             n_users[atom] += 1
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.coding.omp_kernels import pursue
+from pipeline.coding.omp_kernels import add_atoms, pursue
 
 ROWS = 512  # patches a GEMM: 512 x 4096 correlations are 8 MiB, near the second-level cache
 NO_LEVELS = np.empty((0, 0))
@@ -76,10 +76,8 @@ def sparse_encode(
 
 def reconstruct(codes: Codes, dictionary: np.ndarray) -> np.ndarray:
     """What the codes stand for, (n, patch_dim) float32."""
-    result = np.zeros((len(codes.weight), dictionary.shape[1]), np.float32)
-    for rank in range(codes.weight.shape[1]):
-        used = codes.n_atoms > rank
-        result[used] += codes.weight[used, rank, None] * dictionary[codes.atom_index[used, rank]]
+    result = np.zeros((len(codes.n_atoms), dictionary.shape[1]), np.float32)
+    add_atoms(result, dictionary, codes.atom_index, codes.weight, codes.n_atoms)
     return result
 
 

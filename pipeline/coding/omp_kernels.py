@@ -170,3 +170,14 @@ def pursue(initial, energy, gram, tolerance, levels, atom, weight, code, n_atoms
                 code[i, j] = trial_code[j]
         n_atoms[i] = t
         residual[i] = error
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+def add_atoms(rows, dictionary, atom, weight, n_atoms):
+    """Add to each row (n, d) float32 its weighted atoms: weight (n, r) float32 of dictionary (k, d) float32."""
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        for j in range(n_atoms[i]):
+            x, texels = weight[i, j], dictionary[atom[i, j]]
+            for d in range(row.shape[0]):
+                row[d] += x * texels[d]

@@ -27,8 +27,8 @@ def longest_axis(low: np.ndarray, high: np.ndarray) -> int:
 def median_split(position: np.ndarray) -> np.ndarray:
     """The order that lists the points chunk by chunk. `position` (n, 3) finite; returns (n,) int64.
 
-    Guarantees: a permutation; chunks of CHUNK consecutive points, the last may be shorter; ties keep the order of
-    the input, so equal inputs give equal orders; any number of points from 0 on, duplicates included.
+    Guarantees: a permutation; chunks of CHUNK consecutive points, the last may be shorter; points at the same place
+    keep the order of the input; equal inputs give equal orders; any number of points from 0 on, duplicates included.
     """
     order = np.arange(len(position))
     pending = [(0, len(position))]

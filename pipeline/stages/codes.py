@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.accuracy import psnr_db
 from pipeline.coding.omp import Codes, reconstruct, sparse_encode
-from pipeline.texture.patches import centred
+from pipeline.texture.patches import centred, patch_errors
 from pipeline.texture.resample import PATCH_DIM, disc_weights
 from storage import arrays, work
 from storage.schema import MAX_ATOMS
@@ -72,18 +72,6 @@ class Encode:
             return codes, reconstruct(codes, dictionary)
 
         return encode
-
-
-def patch_errors(texel: np.ndarray, average: np.ndarray, decoded: np.ndarray) -> tuple[float, float]:
-    """Squared error of patches, plain and weighted by the splat's blending weight, summed over all values.
-
-    `texel` (n, d) uint8 resampled, `average` (n, 3) uint8, `decoded` (n, d) what the atoms add. The sum is clamped to
-    [0, 1] as the renderer clamps it.
-    """
-    added = decoded.reshape(len(decoded), -1, 3) + (average * np.float32(1 / 255))[:, None]
-    error = np.clip(added, 0, 1, out=added) - texel.reshape(len(texel), -1, 3) * np.float32(1 / 255)
-    by_value = np.square(error, out=error).reshape(len(texel), -1).sum(axis=0, dtype=np.float64)
-    return float(by_value.sum()), float(by_value @ disc_weights())
 
 
 def coding_quality(results: list[dict]) -> dict:

@@ -11,8 +11,9 @@ from pipeline.accuracy import psnr_db
 from pipeline.coding.quantize import dequantize_atoms
 from pipeline.geometry.frame import tangent_frames
 from pipeline.geometry.positions import Boxes, decode_positions
-from pipeline.stages.codes import ROWS, coding_quality, patch_errors
-from pipeline.texture.patches import make_patches
+from pipeline.coding.omp_kernels import add_atoms
+from pipeline.stages.codes import ROWS, coding_quality
+from pipeline.texture.patches import make_patches, patch_errors
 from pipeline.texture.resample import PATCH_DIM
 from storage import arrays, work
 from storage.packed import PackedFile, PackedScene
@@ -74,12 +75,8 @@ def decoded_atoms(packed: PackedFile) -> np.ndarray:
 def decode_patches(scene: PackedScene, rows: slice, atoms: np.ndarray, levels: np.ndarray) -> np.ndarray:
     """What the atoms of some splats add to their averages, (n, PATCH_DIM) float32."""
     atom, code = scene.codes(rows.start, rows.stop)
-    weight = levels[np.arange(MAX_ATOMS), code]
-    n_atoms = scene.n_atoms[rows]
     decoded = np.zeros((len(atom), PATCH_DIM), np.float32)
-    for rank in range(int(n_atoms.max(initial=0))):
-        used = n_atoms > rank
-        decoded[used] += weight[used, rank, None] * atoms[atom[used, rank]]
+    add_atoms(decoded, atoms, atom, levels[np.arange(MAX_ATOMS), code], scene.n_atoms[rows])
     return decoded
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.texture.projection import homographies, project_corners
 from pipeline.texture.resample import (
-    PATCH_DIM, PROBES, Window, resample_patches, resampling_error, window_bounds,
+    PATCH_DIM, PROBES, Window, disc_weights, resample_patches, resampling_error, window_bounds,
 )
 from storage.schema import NO_CAMERA, PATCH_SIZE, Camera
 
@@ -57,9 +57,19 @@ def make_patches(
 
 def centred(texel: np.ndarray, average: np.ndarray) -> np.ndarray:
     """What is coded: patches less their stored average, (n, PATCH_DIM) float32 in [-1, 1]."""
-    return (texel.reshape(len(texel), -1, 3) * np.float32(1 / 255) - (average * np.float32(1 / 255))[:, None]).reshape(
-        len(texel), -1
-    )
+    result = np.empty(texel.shape, np.float32)
+    _centre(texel.reshape(len(texel), -1, 3), average, result.reshape(len(texel), -1, 3))
+    return result
+
+
+def patch_errors(texel: np.ndarray, average: np.ndarray, added: np.ndarray) -> tuple[float, float]:
+    """Squared error of patches, plain and weighted by the splat's blending weight, summed over all values.
+
+    `texel` (n, PATCH_DIM) uint8 resampled, `average` (n, 3) uint8, `added` (n, PATCH_DIM) float32 what the atoms add
+    to it. The sum is clamped to [0, 1] as the renderer clamps it.
+    """
+    shape = (len(texel), -1, 3)
+    return _errors(texel.reshape(shape), average, added.reshape(shape), disc_weights()[::3].astype(np.float32))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -77,3 +87,31 @@ def _measure(texel, average, energy):
             average[i, k] = mean
             total += second - 2 * mean * first + n_texels * mean * mean
         energy[i] = total / 65025.0
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+def _centre(texel, average, result):
+    step = np.float32(1 / 255)
+    for i in range(texel.shape[0]):
+        for t in range(texel.shape[1]):
+            for k in range(3):
+                result[i, t, k] = np.float32(np.int32(texel[i, t, k]) - np.int32(average[i, k])) * step
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+def _errors(texel, average, added, weight):
+    step = np.float32(1 / 255)
+    plain, weighted = 0.0, 0.0
+    for i in range(texel.shape[0]):
+        patch_plain, patch_weighted = np.float32(0), np.float32(0)
+        for t in range(texel.shape[1]):
+            squared = np.float32(0)
+            for k in range(3):
+                decoded = added[i, t, k] + np.float32(average[i, k]) * step
+                error = min(max(decoded, np.float32(0)), np.float32(1)) - np.float32(texel[i, t, k]) * step
+                squared += error * error
+            patch_plain += squared
+            patch_weighted += weight[t] * squared
+        plain += patch_plain
+        weighted += patch_weighted
+    return plain, weighted
