@@ -1,0 +1,70 @@
+"""Pictures in and out of files: uint8 sRGB (height, width, 3), through OpenImageIO."""
+
+from __future__ import annotations
+
+import base64
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+
+from renderer.files import write_whole
+from storage.errors import ResourceExhausted
+
+PHOTO_QUALITY = 92
+PNG_LEVEL = 3  # a third of the time of the default, 6, for 7 % more bytes (views of fountain_p11)
+EMBEDDED_QUALITY = 82
+EMBEDDED_WIDTH_PX = 1024
+MIN_WIDTH_PX = 16
+
+
+def save_picture(path: Path, rgb: np.ndarray) -> None:
+    """Write a PNG, or by the ending .jpg a JPEG; it appears under its name only when it is whole."""
+    path = Path(path)
+    write_whole(path, _encoded(rgb, "jpeg" if path.suffix == ".jpg" else "png", PHOTO_QUALITY))
+
+
+def resized(rgb: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
+    """A picture at another size, filtered over the pixels that each new one covers; itself where the size is right."""
+    if rgb.shape[:2] == (height_px, width_px):
+        return rgb
+    region = oiio.ROI(0, width_px, 0, height_px, 0, 1, 0, 3)
+    picture = oiio.ImageBuf(np.ascontiguousarray(rgb))
+    # A tent: a quarter of the time of OpenImageIO's default, Lanczos, and it cannot overshoot.
+    return oiio.ImageBufAlgo.resize(picture, filtername="triangle", roi=region).get_pixels(oiio.UINT8)
+
+
+def jpeg_within(rgb: np.ndarray, max_bytes: int) -> bytes:
+    """The picture as a JPEG of at most `max_bytes`, made narrower until it fits; not below MIN_WIDTH_PX."""
+    height, width = rgb.shape[:2]
+    narrow = min(width, EMBEDDED_WIDTH_PX)
+    while True:
+        data = _encoded(resized(rgb, narrow, max(1, round(height * narrow / width))), "jpeg", EMBEDDED_QUALITY)
+        if len(data) <= max_bytes or narrow <= MIN_WIDTH_PX:
+            return data
+        # Bytes go with area at most; smaller pictures hold more detail a pixel, hence the 5 % less.
+        narrow = max(MIN_WIDTH_PX, int(narrow * 0.95 * (max_bytes / len(data)) ** 0.5))
+
+
+def png_uri(rgb: np.ndarray) -> str:
+    """A PNG as a data URI."""
+    return data_uri(_encoded(rgb, "png"), "image/png")
+
+
+def data_uri(data: bytes, media_type: str) -> str:
+    return f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}"
+
+
+def _encoded(rgb: np.ndarray, kind: str, quality: int = 0) -> bytes:
+    """The bytes of a picture as "jpeg" or "png"; `quality`, out of 100, is for JPEG alone."""
+    buffer = oiio.ImageBuf(np.ascontiguousarray(rgb))
+    if kind == "jpeg":
+        buffer.specmod().attribute("Compression", f"jpeg:{quality}")
+    else:
+        buffer.specmod().attribute("png:compressionLevel", PNG_LEVEL)
+    with tempfile.TemporaryDirectory() as folder:  # OpenImageIO's Python binding writes to files alone
+        path = Path(folder) / "picture"
+        if not buffer.write(str(path), oiio.UINT8, kind):
+            raise ResourceExhausted(folder, f"a picture that could not be written ({buffer.geterror().strip()})")
+        return path.read_bytes()

@@ -1,0 +1,167 @@
+"""Rendering of a packed scene in four passes.
+
+Paper: HPG 2021, section 3.6, after Botsch et al. 2005: cull groups into indirect draws, draw depth pushed back by a
+margin, add up weighted colours of all splats within the margin, divide.
+
+A draw is one batch of one group: its splats' quads, by an index list that all groups share. One indirect call draws
+a batch in all groups; the base vertex of a draw names its group.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import moderngl
+import numpy as np
+
+from renderer.baseline import PhotoSplats
+from renderer.context import gl_context
+from renderer.programs import Programs, set_uniforms
+from renderer.projection import checked_view, view_block
+from renderer.scene import DRAWS, GpuScene
+from renderer.targets import Targets, make_targets
+from storage.schema import MAX_ATOMS, Camera
+
+_INVOCATIONS = 64  # local size of cull.comp.glsl
+_VIEW_BYTES = 7 * 16
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One rendered view, top row first."""
+
+    rgb: np.ndarray  # (height, width, 3) uint8 sRGB, black where nothing is seen
+    coverage: np.ndarray  # (height, width) bool: where splats were seen
+    pass_seconds: dict[str, float]  # by pass, in the order they ran; waits for the GPU after each
+    programs: tuple[str, ...]  # those that drew it
+
+
+@dataclass
+class _Frame:
+    targets: Targets
+    pass_seconds: dict[str, float] = field(default_factory=dict)
+    programs: list[str] = field(default_factory=list)
+
+
+class Renderer:
+    """Draws packed scenes into pictures. Of one context, and so of one thread.
+
+    Guarantees: no NaN and no Inf reaches a picture; splats behind the camera, at its plane and around the eye are
+    drawn as far as they are in front of it; a splat smaller than a pixel still covers one.
+    """
+
+    def __init__(self, context: moderngl.Context | None = None) -> None:
+        self.context = context or gl_context()
+        with self.context:
+            self._programs = Programs(self.context)
+            self._view = self.context.buffer(reserve=_VIEW_BYTES)
+        self._targets: Targets | None = None
+
+    def render(self, gpu_scene: GpuScene, view: Camera, max_atoms: int = MAX_ATOMS) -> Picture:
+        """The scene from `view`, each splat with at most `max_atoms` of its atoms.
+
+        Raises: InvalidScan for a view that is not finite, ResourceExhausted for one too large.
+        """
+        with self.context:
+            frame = self._begin(gpu_scene, view)
+            with self._pass(frame, "visibility"):
+                self._draw_depth(frame, gpu_scene)
+            with self._pass(frame, "attribute"):
+                self._draw_attributes(frame, gpu_scene, max_atoms)
+            return self._finish(frame)
+
+    def render_baseline(self, photos: PhotoSplats, view: Camera) -> Picture:
+        """The same splats from `view`, textured from the photographs themselves: what compression is compared with."""
+        with self.context:
+            frame = self._begin(photos.gpu_scene, view)
+            with self._pass(frame, "visibility"):
+                self._draw_depth(frame, photos.gpu_scene)
+            with self._pass(frame, "attribute"):
+                self._begin_attributes(frame)
+                frame.programs += photos.draw(self._programs, view)
+            return self._finish(frame)
+
+    # --- passes ------------------------------------------------------------------------------------------------------
+
+    def _begin(self, gpu_scene: GpuScene, view: Camera) -> _Frame:
+        checked_view(view)
+        frame = _Frame(self._targets_of((view.width_px, view.height_px)))
+        self._view.write(view_block(view, gpu_scene.scene.header))
+        self._view.bind_to_uniform_block(0)
+        gpu_scene.bind()
+        with self._pass(frame, "cull"):
+            frame.programs.append("cull")
+            self._programs.compute("cull").run(-(-gpu_scene.scene.header.n_groups // _INVOCATIONS))
+            self.context.memory_barrier(moderngl.Context.COMMAND_BARRIER_BIT)
+        return frame
+
+    def _draw_depth(self, frame: _Frame, gpu_scene: GpuScene) -> None:
+        frame.targets.visibility.use()
+        frame.targets.visibility.clear(depth=0.0)
+        self.context.enable_only(moderngl.DEPTH_TEST)
+        self.context.depth_func = ">"
+        if gpu_scene.has_cliplines:
+            for batch, kind in enumerate(gpu_scene.scene.header.batches):
+                self._draw_batch(frame, gpu_scene, batch, "visibility", CLIPLINE=int(kind.clipline))
+        else:
+            name, drawing = self._programs.drawing("visibility")
+            self._draw_groups(gpu_scene, drawing, len(gpu_scene.scene.header.batches))
+            frame.programs.append(name)
+
+    def _draw_attributes(self, frame: _Frame, gpu_scene: GpuScene, max_atoms: int) -> None:
+        self._begin_attributes(frame)
+        for batch, kind in enumerate(gpu_scene.scene.header.batches):
+            n_atoms = min(kind.n_atoms, max_atoms)
+            self._draw_batch(frame, gpu_scene, batch, "attribute", N_ATOMS=n_atoms, CLIPLINE=int(kind.clipline))
+
+    def _begin_attributes(self, frame: _Frame) -> None:
+        frame.targets.attribute.use()
+        frame.targets.attribute.clear()
+        self.context.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
+        self.context.depth_func = ">="
+        self.context.blend_func = moderngl.ONE, moderngl.ONE
+
+    def _finish(self, frame: _Frame) -> Picture:
+        with self._pass(frame, "resolve"):
+            frame.targets.resolve.use()
+            self.context.enable_only(moderngl.NOTHING)
+            frame.targets.sums.use(0)
+            name, drawing = self._programs.drawing("resolve")
+            drawing.render(moderngl.TRIANGLES, vertices=3)
+            frame.programs.append(name)
+        width, height = frame.targets.size
+        pixels = np.frombuffer(frame.targets.resolve.read(components=4), np.uint8).reshape(height, width, 4)
+        programs = tuple(dict.fromkeys(frame.programs))
+        return Picture(pixels[..., :3].copy(), pixels[..., 3] > 0, frame.pass_seconds, programs)
+
+    # --- helpers -----------------------------------------------------------------------------------------------------
+
+    def _draw_batch(self, frame: _Frame, gpu_scene: GpuScene, batch: int, name: str, **defines: int) -> None:
+        batches = gpu_scene.scene.header.batches
+        name, drawing = self._programs.drawing(name, **defines, BY_BATCH=int(len(batches) > 1))
+        set_uniforms(drawing, batch=batch, atoms_stored=batches[batch].n_atoms)
+        self._draw_groups(gpu_scene, drawing, batch)
+        frame.programs.append(name)
+
+    @staticmethod
+    def _draw_groups(gpu_scene: GpuScene, drawing: moderngl.VertexArray, row: int) -> None:
+        n_groups = gpu_scene.scene.header.n_groups
+        drawing.render_indirect(gpu_scene.buffers[DRAWS], moderngl.TRIANGLES, n_groups, row * n_groups)
+
+    @contextmanager
+    def _pass(self, frame: _Frame, name: str) -> Iterator[None]:
+        started = perf_counter()
+        yield
+        self.context.finish()
+        frame.pass_seconds[name] = perf_counter() - started
+
+    def _targets_of(self, size: tuple[int, int]) -> Targets:
+        if self._targets is None or self._targets.size != size:
+            if self._targets is not None:
+                self._targets.release()
+                self._targets = None
+            self._targets = make_targets(self.context, size)
+        return self._targets

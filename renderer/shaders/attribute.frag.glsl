@@ -1,0 +1,20 @@
+#include "splat_fragment.glsl"
+#ifdef N_ATOMS
+#include "view.glsl"
+#include "srgb.glsl"
+#include "atom_texture.glsl"
+#endif
+
+flat in vec3 average;
+out vec4 weighted;  // linear light times weight, weight
+
+void main() {
+    float d2 = squared_distance();
+    if (outside(d2)) discard;
+#ifdef N_ATOMS
+    vec3 color = to_linear(clamp(average + sum_of_atoms(place.xy), 0.0, 1.0));
+#else
+    vec3 color = average;
+#endif
+    weighted = vec4(color, 1.0) * (1.0 - d2);
+}

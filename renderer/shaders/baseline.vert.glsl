@@ -1,0 +1,41 @@
+// The attribute pass of the baseline: splats of one photo, named by a list, textured from the photo itself.
+
+#include "view.glsl"
+#include "splat_geometry.glsl"
+#include "splat_quad.glsl"
+
+layout(std430, binding = 4) readonly buffer Listed { uint listed[]; };  // splats, camera by camera
+uniform uint first_listed;
+#ifdef CLIPLINE
+layout(std430, binding = 5) readonly buffer Lines { uint lines[]; };  // a clipline code for each listed splat
+flat out vec3 clipline;
+#endif
+
+out vec4 place;
+flat out vec3 average;
+#ifdef PHOTO
+uniform mat4 photo;  // from camera axes of the view to homogeneous px of the photo
+flat out vec3 photo_centre, photo_u, photo_v;
+flat out float level;
+#endif
+
+void main() {
+    uint at = first_listed + uint(gl_VertexID) / 4u;
+    uint splat = listed[at];
+    Disc disc = decode_disc(splat);
+    Quad quad = splat_quad(disc);
+    gl_Position = quad.clip;
+    place = quad.place;
+    average = decode_color(splat);
+#ifdef PHOTO
+    photo_centre = (photo * vec4(disc.centre, 1.0)).xyz;
+    photo_u = mat3(photo) * disc.u;
+    photo_v = mat3(photo) * disc.v;
+    vec2 seen = photo_centre.xy / photo_centre.z;
+    mat2 image = mat2(photo_u.xy - seen * photo_u.z, photo_v.xy - seen * photo_v.z) / photo_centre.z;
+    level = photo_centre.z > 0.0 ? mip_level(abs(determinant(image)), quad.area_px) : 0.0;
+#endif
+#ifdef CLIPLINE
+    clipline = vec3(uvec3(lines[at], lines[at] >> 4, lines[at] >> 8) & 15u) / 15.0 * 2.0 - 1.0;
+#endif
+}

@@ -1,0 +1,40 @@
+// Pass 1: one invocation a group writes its draws, one a batch and one for all batches; empty where its box lies
+// outside the view.
+
+layout(local_size_x = 64) in;
+
+#include "view.glsl"
+#include "running_counts.glsl"
+
+struct Draw { uint n_indices, n_instances, first_index, base_vertex, base_instance; };
+layout(std430, binding = 7) readonly buffer GroupBoxes { float group_boxes[]; };  // low, high; grown by the radius
+layout(std430, binding = 8) writeonly buffer Draws { Draw draws[]; };             // batch by batch, then whole groups
+
+const float SPARE_PX = 1.0;  // what the low-pass filter reaches beyond a disc
+
+bool reaches_inside(vec3 low, vec3 high, vec3 plane) {
+    vec3 inward = plane.x * view.camera_x.xyz + plane.y * view.camera_y.xyz + plane.z * view.camera_z.xyz;
+    return dot(inward, mix(low, high, greaterThan(inward, vec3(0.0)))) >= 0.0;
+}
+
+bool in_view(vec3 low, vec3 high) {
+    float fx = view.lens.x, fy = view.lens.y;
+    vec2 before = view.lens.zw + SPARE_PX, behind = view.screen.xy - view.lens.zw + SPARE_PX;
+    return reaches_inside(low, high, vec3(0.0, 0.0, 1.0))
+        && reaches_inside(low, high, vec3(fx, 0.0, before.x)) && reaches_inside(low, high, vec3(-fx, 0.0, behind.x))
+        && reaches_inside(low, high, vec3(0.0, fy, before.y)) && reaches_inside(low, high, vec3(0.0, -fy, behind.y));
+}
+
+void main() {
+    uint group = gl_GlobalInvocationID.x;
+    if (group >= scene.n_groups) return;
+    uint at = group * 6u;
+    vec3 low = against_eye(vec3(group_boxes[at], group_boxes[at + 1u], group_boxes[at + 2u]));
+    vec3 high = against_eye(vec3(group_boxes[at + 3u], group_boxes[at + 4u], group_boxes[at + 5u]));
+    bool visible = in_view(low, high);
+    uint chunk = last_chunk(group);
+    for (uint batch = 0u; batch <= scene.n_batches; ++batch) {
+        uint n_splats = batch < scene.n_batches ? counted_of(chunk, batch) : counted(chunk, scene.n_batches);
+        draws[batch * scene.n_groups + group] = Draw(visible ? 6u * n_splats : 0u, 1u, 0u, group * 4u * GROUP, 0u);
+    }
+}

@@ -1,0 +1,15 @@
+// Which fragments belong to a splat, and with what weight: 1 - d^2, see splat_quad.glsl.
+
+in vec4 place;
+#ifdef CLIPLINE
+flat in vec3 clipline;
+#endif
+
+bool outside(float d2) {
+#ifdef CLIPLINE
+    if (dot(clipline, vec3(place.xy, 1.0)) < 0.0) return true;
+#endif
+    return d2 >= 1.0;
+}
+
+float squared_distance() { return min(dot(place.xy, place.xy), dot(place.zw, place.zw)); }

@@ -1,0 +1,5 @@
+#include "splat_fragment.glsl"
+
+void main() {
+    if (outside(squared_distance())) discard;
+}

@@ -1,0 +1,224 @@
+"""The renderer once more, slow and readable: one splat after the other, all pixels at once, in float64.
+
+Every definition stands here in its plain form: rays against discs, sums, a division. What the shaders take from
+bit streams and search for with tables, this takes from storage's own readers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.geometry.cliplines import decode_cliplines
+from pipeline.geometry.frame import tangent_frames
+from pipeline.geometry.positions import Boxes, decode_positions
+from storage.bits import unpack_bits
+from storage.packed import PackedScene
+from storage.schema import CLIPLINE_BITS, GROUP, MIP_SIZES, NO_CAMERA, Camera
+
+NEAR_IN_RADII = 0.01
+ROUNDING = 1e-5
+LEAST_WEIGHT = 1 / 1024
+ATOM_AREA = 0.5 * 16 * 16  # half a level finer than one texel a pixel
+
+
+@dataclass(frozen=True)
+class Discs:
+    """Splats in the axes of a camera."""
+
+    centre: np.ndarray  # (n, 3)
+    u: np.ndarray  # (n, 3) one radius long
+    v: np.ndarray  # (n, 3)
+
+
+@dataclass(frozen=True)
+class Fragments:
+    """The pixels of one splat; rows correspond."""
+
+    pixel: np.ndarray  # (m,) index in the flattened picture
+    x: np.ndarray  # (m,) on the disc, in radii
+    y: np.ndarray
+    d2: np.ndarray
+    z: np.ndarray
+    pushed_z: np.ndarray
+    area_px: float  # None where the splat is too close for it
+
+
+def render(scene: PackedScene, view: Camera, max_atoms: int = 8) -> tuple[np.ndarray, np.ndarray]:
+    """Picture (h, w, 3) in [0, 1], sRGB, and coverage (h, w)."""
+    atom, weight_code = scene.codes()
+
+    def color(splat: int, fragments: Fragments) -> np.ndarray:
+        level = mip_level(ATOM_AREA, fragments.area_px, 5)
+        total = np.tile(scene.arrays["color"][splat] / 255.0, (len(fragments.x), 1))
+        for rank in range(min(max_atoms, scene.n_atoms[splat])):
+            index = atom[splat, rank]
+            weight = scene.arrays["weight_levels"][rank, weight_code[splat, rank]] * scene.arrays["atom_scale"][index]
+            levels = [scene.arrays[f"atoms_{size}"][index] for size in MIP_SIZES]
+            total += float(weight) * sample(levels, texel_of(fragments.x), texel_of(fragments.y), level)
+        return np.clip(total, 0, 1)
+
+    return blend(scene, view, color)
+
+
+def render_baseline(scene: PackedScene, photos: list[np.ndarray], view: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """The same, with colours from the photos, (h, w, 3) uint8 each."""
+    header = scene.header
+    camera_of = scene.arrays.get("camera", np.full(header.n_splats, NO_CAMERA))
+    pyramids = [box_pyramid(photo / 255.0) for photo in photos]
+    discs = [discs_of(scene, camera) for camera in header.cameras]
+
+    def color(splat: int, fragments: Fragments) -> np.ndarray:
+        index = camera_of[splat]
+        if index == NO_CAMERA:
+            return np.tile(scene.arrays["color"][splat] / 255.0, (len(fragments.x), 1))
+        camera, disc = header.cameras[index], discs[index]
+        image = image_of(disc, splat, camera)
+        level = mip_level(abs(np.linalg.det(image)), fragments.area_px, len(pyramids[index]) - 1)
+        x, y = np.clip(fragments.x, -1, 1)[:, None], np.clip(fragments.y, -1, 1)[:, None]
+        point = disc.centre[splat] + x * disc.u[splat] + y * disc.v[splat]
+        px_x = camera.fx_px * point[:, 0] / point[:, 2] + camera.cx_px
+        px_y = camera.fy_px * point[:, 1] / point[:, 2] + camera.cy_px
+        return sample(pyramids[index], px_x, px_y, level)
+
+    return blend(scene, view, color)
+
+
+def blend(scene: PackedScene, view: Camera, color) -> tuple[np.ndarray, np.ndarray]:
+    header = scene.header
+    discs, lines = discs_of(scene, view), cliplines_of(scene)
+    drawn = [fragments_of(discs, splat, lines[splat], view, header.radius, header.depth_margin)
+             for splat in range(header.n_splats)]
+    n_pixels = view.width_px * view.height_px
+    nearest = np.full(n_pixels, np.inf)
+    for fragments in drawn:
+        np.minimum.at(nearest, fragments.pixel, fragments.pushed_z)
+    sums, weights = np.zeros((n_pixels, 3)), np.zeros(n_pixels)
+    for splat, fragments in enumerate(drawn):
+        if len(fragments.pixel):
+            weight = (1 - fragments.d2) * (fragments.z <= nearest[fragments.pixel])
+            np.add.at(sums, fragments.pixel, to_linear(color(splat, fragments)) * weight[:, None])
+            np.add.at(weights, fragments.pixel, weight)
+    covered = weights >= LEAST_WEIGHT
+    picture = np.zeros((n_pixels, 3))
+    picture[covered] = to_srgb(np.clip(sums[covered] / weights[covered, None], 0, 1))
+    shape = view.height_px, view.width_px
+    return picture.reshape(*shape, 3), covered.reshape(shape)
+
+
+def discs_of(scene: PackedScene, view: Camera) -> Discs:
+    header, arrays = scene.header, scene.arrays
+    code = arrays["position"].astype(np.int64) @ [1, 1 << 8, 1 << 16]
+    position = decode_positions(code, Boxes(arrays["box_low"], arrays["box_size"], arrays["box_bits"]))
+    u, v, _ = tangent_frames(arrays["normal"], header.up_axis)
+    to_camera = np.array(view.rotation).T
+    eye = np.subtract(view.centre, header.origin)
+    return Discs((position - eye) @ to_camera, header.radius * u @ to_camera, header.radius * v @ to_camera)
+
+
+def cliplines_of(scene: PackedScene) -> np.ndarray:
+    """(n, 3); 0 x + 0 y + 1 where there is none."""
+    lines = np.tile([0.0, 0.0, 1.0], (scene.header.n_splats, 1))
+    has_line = np.flatnonzero(scene.rows.clipline >= 0)
+    if len(has_line):
+        first_word = scene.arrays["clipline_word"].astype(np.int64)[has_line // GROUP]
+        first_bit = first_word * 32 + scene.rows.clipline[has_line] * CLIPLINE_BITS
+        lines[has_line] = decode_cliplines(unpack_bits(scene.arrays["cliplines"], first_bit, CLIPLINE_BITS))
+    return lines
+
+
+def image_of(discs: Discs, splat: int, view: Camera) -> np.ndarray:
+    """(2, 2): how the projected px moves with x and y on the disc, at its centre."""
+    centre = discs.centre[splat]
+    focal = np.array([view.fx_px, view.fy_px])
+    columns = [focal * (axis[:2] - centre[:2] / centre[2] * axis[2]) / centre[2]
+               for axis in (discs.u[splat], discs.v[splat])]
+    return np.stack(columns, axis=1)
+
+
+def fragments_of(discs: Discs, splat: int, line: np.ndarray, view: Camera, radius: float, margin: float) -> Fragments:
+    column, row = np.meshgrid(np.arange(view.width_px) + 0.5, np.arange(view.height_px) + 0.5)
+    px = np.stack([column.ravel(), row.ravel()], axis=1)
+    centre, u, v = discs.centre[splat], discs.u[splat], discs.v[splat]
+    ray = np.column_stack([(px - [view.cx_px, view.cy_px]) / [view.fx_px, view.fy_px], np.ones(len(px))])
+    area_px = None
+    small = False
+    if centre[2] > 2 * radius:
+        image = image_of(discs, splat, view)
+        area_px = abs(np.linalg.det(image))
+        small = np.linalg.svd(image, compute_uv=False)[1] < 1
+    if small:
+        offset = px - (ray_to_px(centre, view))
+        left, half_axes, right = np.linalg.svd(image)
+        on_disc = ((offset @ left) / np.maximum(half_axes, 1e-3)) @ right
+        d2 = np.minimum((on_disc**2).sum(axis=1), (offset**2).sum(axis=1))
+        z = np.full(len(px), centre[2])
+    else:
+        normal = np.cross(u, v)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = (centre @ normal) / (ray @ normal)
+            offset = ray * z[:, None] - centre
+            on_disc = np.stack([offset @ u, offset @ v], axis=1) / radius**2
+            d2 = (on_disc**2).sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        kept = (d2 < 1) & (z >= NEAR_IN_RADII * radius) & (on_disc @ line[:2] + line[2] >= 0)
+    pixel = np.flatnonzero(kept)
+    z, on_disc = z[pixel], on_disc[pixel]
+    pushed_z = z * (1 + margin / np.linalg.norm(centre) + ROUNDING)
+    return Fragments(pixel, on_disc[:, 0], on_disc[:, 1], d2[pixel], z, pushed_z, area_px)
+
+
+def ray_to_px(point: np.ndarray, view: Camera) -> np.ndarray:
+    return np.array([view.fx_px, view.fy_px]) * point[:2] / point[2] + [view.cx_px, view.cy_px]
+
+
+def mip_level(area_texels: float, area_px: float | None, last: int) -> float:
+    if area_px is None:
+        return 0.0
+    return float(np.clip(0.5 * np.log2(area_texels / max(area_px, 0.25)), 0, last))
+
+
+def texel_of(on_disc: np.ndarray) -> np.ndarray:
+    return (np.clip(on_disc, -1, 1) + 1) * 16
+
+
+def sample(levels: list[np.ndarray], x: np.ndarray, y: np.ndarray, level: float) -> np.ndarray:
+    """Texels at x, y of the finest level, between two levels of a pyramid; the edge goes on for ever."""
+    finer = int(level)
+    values = bilinear(levels[finer], x, y, len(levels[0]))
+    if level > finer:
+        values += (level - finer) * (bilinear(levels[finer + 1], x, y, len(levels[0])) - values)
+    return values
+
+
+def bilinear(texels: np.ndarray, x: np.ndarray, y: np.ndarray, finest_height: int) -> np.ndarray:
+    height, width = texels.shape[:2]
+    scale = height / finest_height
+    x, y = np.clip(x * scale - 0.5, 0, width - 1), np.clip(y * scale - 0.5, 0, height - 1)
+    left, top = np.floor(x).astype(int), np.floor(y).astype(int)
+    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    fx, fy = (x - left)[:, None], (y - top)[:, None]
+    upper = texels[top, left] * (1 - fx) + texels[top, right] * fx
+    return upper * (1 - fy) + (texels[bottom, left] * (1 - fx) + texels[bottom, right] * fx) * fy
+
+
+def box_pyramid(photo: np.ndarray) -> list[np.ndarray]:
+    """Means of 2 x 2, as far as sides are even."""
+    levels = [photo]
+    while all(side % 2 == 0 for side in levels[-1].shape[:2]):
+        height, width = levels[-1].shape[:2]
+        levels.append(levels[-1].reshape(height // 2, 2, width // 2, 2, 3).mean(axis=(1, 3)))
+    return levels
+
+
+def to_linear(srgb: np.ndarray) -> np.ndarray:
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def to_srgb(linear: np.ndarray) -> np.ndarray:
+    return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def psnr_db(a: np.ndarray, b: np.ndarray) -> float:
+    return 10 * np.log10(1 / max(np.mean((a - b) ** 2), 1e-20))

@@ -1,0 +1,178 @@
+"""Tiny packed scenes from plain arrays, for tests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pipeline.geometry.chunks import median_split
+from pipeline.geometry.cliplines import encode_cliplines
+from pipeline.geometry.normals import encode_normals
+from pipeline.geometry.positions import encode_positions, fit_boxes
+from storage.batches import CHUNKS_PER_GROUP, count_batches, rows_of
+from storage.bits import pack_bits
+from storage.codes import pack_codes
+from storage.packed import PackedScene
+from storage.schema import CHUNK, CLIPLINE_BITS, GROUP, MAX_ATOMS, MIP_SIZES, NO_CAMERA, Batch, Camera, Header
+
+
+@dataclass(frozen=True)
+class Splats:
+    """What a tiny scene is made of, in any order. Rows correspond; what is None is the plainest there is."""
+
+    position: np.ndarray  # (n, 3) float64, absolute
+    normal: np.ndarray  # (n, 3) unit
+    color: np.ndarray | None = None  # (n, 3) uint8; grey
+    n_atoms: np.ndarray | None = None  # (n,) 0..8; none
+    atom: np.ndarray | None = None  # (n, 8) index
+    weight: np.ndarray | None = None  # (n, 8) weight code
+    clipline: np.ndarray | None = None  # (n, 3) a, b, c; NaN where there is none
+    camera: np.ndarray | None = None  # (n,) index; none
+
+
+@dataclass(frozen=True)
+class Dictionary:
+    """Atoms and weights; `atoms` are texels of the finest level, and the mip levels are their means."""
+
+    atoms: np.ndarray  # (k, 32, 32, 3) int8, -127..127
+    scale: np.ndarray  # (k,) float32
+    weight_levels: np.ndarray  # (8, 2^weight_bits) float32
+    dictionary_bits: int = 8
+
+
+@dataclass(frozen=True)
+class Settings:
+    radius: float = 0.1
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    up_axis: int = 2
+    depth_margin: float = 0.05
+    cameras: tuple[Camera, ...] = field(default=())
+
+
+def random_colors(rng: np.random.Generator, n: int) -> np.ndarray:
+    return rng.integers(20, 236, (n, 3)).astype(np.uint8)
+
+
+def sheet(rng: np.random.Generator, n: int, tilt: float = 0.3, half_width: float = 0.5, **more) -> Splats:
+    """Splats scattered over the square |x|, |z| <= half_width of the plane y = 0, their normals tilted at random."""
+    position = rng.uniform(-half_width, half_width, (n, 3)) * [1, 0, 1]
+    normal = np.array([0.0, -1.0, 0.0]) + rng.normal(0, tilt, (n, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return Splats(position, normal, random_colors(rng, n), **more)
+
+
+def coded(rng: np.random.Generator, n: int, n_dictionary: int = 20, weight_bits: int = 4, max_atoms: int = 8) -> dict:
+    """Random codes, as arguments of `Splats`."""
+    return {
+        "n_atoms": rng.integers(0, max_atoms + 1, n),
+        "atom": rng.integers(0, n_dictionary, (n, 8)),
+        "weight": rng.integers(0, 2**weight_bits, (n, 8)),
+    }
+
+
+def random_dictionary(rng: np.random.Generator, n_atoms: int = 20, weight_bits: int = 4, bits: int = 8) -> Dictionary:
+    """Smooth random atoms and even weight levels."""
+    y, x = np.meshgrid(np.linspace(-1, 1, 32), np.linspace(-1, 1, 32), indexing="ij")
+    angle, cycles = rng.uniform(0, 2 * np.pi, n_atoms), rng.uniform(0.5, 3, n_atoms)
+    shift = rng.uniform(0, 6, (n_atoms, 3))
+    across = np.cos(angle)[:, None, None] * x + np.sin(angle)[:, None, None] * y
+    waves = np.sin(np.pi * cycles[:, None, None] * across)[..., None] * np.cos(shift)[:, None, None, :]
+    atoms = np.clip(np.round(waves * 127), -127, 127).astype(np.int8)
+    levels = np.tile(np.linspace(-1, 1, 2**weight_bits), (MAX_ATOMS, 1)) / np.arange(1, MAX_ATOMS + 1)[:, None]
+    return Dictionary(atoms, np.full(n_atoms, 0.2 / 127, np.float32), levels.astype(np.float32), bits)
+
+
+def mip_levels(atoms: np.ndarray) -> dict[str, np.ndarray]:
+    """The arrays atoms_32 .. atoms_1 of atoms (k, 32, 32, 3) int8: each level the mean of the one before."""
+    level, arrays = atoms.astype(np.float64), {}
+    for size in MIP_SIZES:
+        arrays[f"atoms_{size}"] = np.round(level).astype(np.int8)
+        if size > 1:
+            level = level.reshape(len(level), size // 2, 2, size // 2, 2, 3).mean(axis=(2, 4))
+    return arrays
+
+
+def build_scene(splats: Splats, settings: Settings = Settings(), dictionary: Dictionary | None = None) -> PackedScene:
+    """The packed scene of these splats: split into chunks and, inside each, sorted by batch."""
+    scene, _ = build_scene_and_order(splats, settings, dictionary)
+    return scene
+
+
+def build_scene_and_order(
+    splats: Splats, settings: Settings = Settings(), dictionary: Dictionary | None = None
+) -> tuple[PackedScene, np.ndarray]:
+    """The scene, and which of the given splats stands at each place of it."""
+    n = len(splats.position)
+    n_atoms = np.zeros(n, int) if splats.n_atoms is None else np.asarray(splats.n_atoms)
+    line = np.full((n, 3), np.nan) if splats.clipline is None else splats.clipline
+    kind_of = list(zip(n_atoms.tolist(), (~np.isnan(line[:, 0])).tolist(), strict=True))
+    kinds = sorted(set(kind_of), key=lambda kind: kind[::-1])
+    batches = tuple(Batch(*kind) for kind in kinds)
+    batch = np.array([kinds.index(kind) for kind in kind_of])
+
+    local = np.asarray(splats.position, np.float64) - settings.origin
+    order = median_split(local)
+    order = order[np.lexsort([batch[order], np.arange(n) // CHUNK])]
+    batch, line, n_atoms = batch[order], line[order], n_atoms[order]
+
+    header = Header(
+        n_splats=n, radius=settings.radius, unit="metre", origin=settings.origin, up_axis=settings.up_axis,
+        depth_margin=settings.depth_margin, n_dictionary=len(dictionary.atoms) if dictionary else 0,
+        dictionary_bits=dictionary.dictionary_bits if dictionary else 8,
+        weight_bits=dictionary.weight_levels.shape[1].bit_length() - 1 if dictionary else 4,
+        batches=batches, cameras=settings.cameras, scan={}, settings={},
+    )
+    boxes = fit_boxes(local[order])
+    position = encode_positions(local[order], boxes).astype("<u4").view(np.uint8).reshape(n, 4)[:, :3]
+    color = np.full((n, 3), 128, np.uint8) if splats.color is None else splats.color
+    arrays = {
+        "box_low": boxes.low, "box_size": boxes.size, "box_bits": boxes.bits, "position": position.copy(),
+        "normal": encode_normals(splats.normal[order]), "color": color[order],
+        "batch_count": count_batches(batch, len(batches)),
+    }
+    rows = rows_of(arrays["batch_count"], batches)
+    groups = [slice(start, start + GROUP) for start in range(0, n, GROUP)]
+    if dictionary:
+        atom, weight = splats.atom[order], splats.weight[order]
+        streams = [pack_codes(header, rows.entry[g], n_atoms[g], atom[g], weight[g]) for g in groups]
+        arrays["codes"], arrays["group_word"] = _joined(streams)
+        arrays |= mip_levels(dictionary.atoms)
+        arrays |= {"atom_scale": dictionary.scale, "weight_levels": dictionary.weight_levels}
+    if any(kind.clipline for kind in batches):
+        codes = encode_cliplines(np.nan_to_num(line))
+        streams = [pack_bits(_in_row_order(codes[g], rows.clipline[g]), CLIPLINE_BITS) for g in groups]
+        arrays["cliplines"], arrays["clipline_word"] = _joined(streams)
+    if settings.cameras:
+        camera = np.full(n, NO_CAMERA) if splats.camera is None else splats.camera
+        arrays["camera"] = camera[order].astype(np.uint16)
+    assert len(arrays["box_low"]) == -(-n // CHUNK) and len(groups) == -(-n // (CHUNK * CHUNKS_PER_GROUP))
+    return PackedScene(header, arrays), order
+
+
+def _joined(streams: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """One stream with its spare word, and the first word of each part."""
+    lengths = np.array([len(stream) for stream in streams])
+    first = (lengths.cumsum() - lengths).astype(np.uint32)
+    return np.concatenate([*streams, np.zeros(1, np.uint32)]).astype(np.uint32), first
+
+
+def _in_row_order(code: np.ndarray, row: np.ndarray) -> np.ndarray:
+    has_line = row >= 0
+    result = np.zeros(int(has_line.sum()), np.uint32)
+    result[row[has_line]] = code[has_line]
+    return result
+
+
+def camera_looking(
+    centre, target, size: tuple[int, int] = (64, 48), focal_px: tuple[float, float] = (60.0, 60.0),
+    up=(0.0, 0.0, 1.0), name: str = "view",
+) -> Camera:
+    """A camera at `centre` that looks at `target`, its principal point a little off the middle."""
+    forward = np.subtract(target, centre, dtype=float)
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return Camera(name, *size, *focal_px, size[0] * 0.52, size[1] * 0.47,
+                  tuple(map(tuple, rotation.tolist())), tuple(float(x) for x in centre))
