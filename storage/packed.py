@@ -1,19 +1,18 @@
 """The packed file: a zarr v3 group in a zip, sealed with a digest. See storage/schema.py and docs/FORMAT.md.
 
 A file is written as a folder by as many tasks as there are groups, each owning whole zarr chunks, and zipped once by
-one process. The zip's comment is the SHA-256 of all bytes before it, so any truncated or altered file is refused.
+one process.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
-import struct
+import shutil
 import zipfile
-import zlib
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,20 +20,27 @@ import zarr
 from zarr.codecs import ZstdCodec
 from zarr.storage import ZipStore
 
-from storage.batches import CHUNKS_PER_GROUP, Rows, group_batch_counts, rows_of
-from storage.bits import words_for
-from storage.codes import unpack_codes
-from storage.errors import InvalidPackedFile
-from storage.schema import (
-    BY_NAME, CHUNK, CLIPLINE_BITS, FORMAT_NAME, FORMAT_VERSION, GROUP, MAX_ATOMS, Array, Header, arrays_of, dimensions_of,
+from storage.batches import CHUNKS_PER_GROUP, group_batch_counts
+from storage.checks import ZSTD_HEADER_BYTES, check_frame, check_layout, check_members, read_header
+from storage.errors import InternalError, InvalidPackedFile
+from storage.layout import (
+    GROUPS_PER_ZARR_CHUNK, ROOT_MEMBER, WORDS_PER_ZARR_CHUNK, ZSTD_LEVEL, chunk_bytes, chunk_member, chunk_shape,
+    members_of, metadata_member, shape_of,
 )
+from storage.scene import PackedScene, check_tables, streams_of
+from storage.schema import BY_NAME, GROUP, Array, Header, arrays_of
+from storage.seal import UNSEALED, check_seal, is_packed_file, write_seal
+
+__all__ = ["GROUPS_PER_ZARR_CHUNK", "SUFFIX", "WORDS_PER_ZARR_CHUNK", "PackedFile", "PackedScene", "begin_packed",
+           "create_array", "is_packed_file", "reopen_packed", "seal_packed"]
 
 SUFFIX = ".splatpress"
-SEAL = b"splatpress sha256 "
-GROUPS_PER_ZARR_CHUNK = 8  # 65,536 splats: the pack tasks own whole zarr chunks
-WORDS_PER_ZARR_CHUNK = 1 << 16
-_COMMENT_BYTES = len(SEAL) + 64
 _ZIP_TIME = (1980, 1, 1, 0, 0, 0)
+_UNIX = 3  # zipfile's own default differs between systems
+
+# A missing chunk is damage, never a run of zeros. An array that is opened again forgets how it was created, so only the
+# process's own setting makes zarr write chunks of zeros whoever opens them.
+zarr.config.set({"array.write_empty_chunks": True})
 
 
 # --- writing ---------------------------------------------------------------------------------------------------------
@@ -42,15 +48,10 @@ _ZIP_TIME = (1980, 1, 1, 0, 0, 0)
 
 def create_array(root: zarr.Group, header: Header, array: Array, n_words: int = 0) -> zarr.Array:
     """Make one array of the schema in an open group; `n_words` is the length of a word stream, spare word included."""
-    sizes = dimensions_of(header) | {"e": n_words}
-    shape = tuple(sizes[d] for d in array.dims)
-    rows = {"n": GROUP * GROUPS_PER_ZARR_CHUNK, "c": CHUNKS_PER_GROUP * GROUPS_PER_ZARR_CHUNK,
-            "e": WORDS_PER_ZARR_CHUNK, "k": 256}.get(array.dims[0], shape[0])
-    chunks = tuple(max(1, c) for c in (min(rows, shape[0]), *shape[1:]))
+    shape = shape_of(header, array, n_words)
     return root.create_array(
-        array.name, shape=shape, chunks=chunks, dtype=array.dtype, dimension_names=array.dims,
-        compressors=[ZstdCodec(level=9)], fill_value=0,
-        config={"write_empty_chunks": True},  # a missing chunk is damage, never a run of zeros
+        array.name, shape=shape, chunks=chunk_shape(array, shape), dtype=array.dtype, dimension_names=array.dims,
+        compressors=[ZstdCodec(level=ZSTD_LEVEL)], fill_value=0,
     )
 
 
@@ -63,222 +64,143 @@ def begin_packed(folder: Path, header: Header) -> zarr.Group:
     return root
 
 
+def reopen_packed(folder: Path) -> zarr.Group:
+    """A begun packed file, for a task that fills in its zarr chunks."""
+    return zarr.open_group(str(folder), mode="r+", zarr_format=3)
+
+
 def seal_packed(folder: Path, path: Path) -> None:
-    """Zip a finished folder into `path`: same contents, same bytes. Appears under its name only when it is whole."""
+    """Zip a finished folder into `path`: same contents, same bytes. Appears under its name only when it is whole.
+
+    Raises InternalError where a chunk was never written. What does not belong to the file, such as the leavings of a
+    killed task, stays out.
+    """
+    members = _finished_members(folder)
     partial = path.with_name(path.name + ".partial")
     try:
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
-            for member in sorted(p for p in folder.rglob("*") if p.is_file()):
-                info = zipfile.ZipInfo(member.relative_to(folder).as_posix(), _ZIP_TIME)
-                info.external_attr = 0o644 << 16
-                archive.writestr(info, member.read_bytes())
-            archive.comment = SEAL + b"0" * 64
-        with open(partial, "r+b") as file:
-            digest = _digest(file, os.fstat(file.fileno()).st_size - _COMMENT_BYTES)
-            file.write(SEAL + digest.encode())
-            file.flush()
-            os.fsync(file.fileno())
+            for member in members:
+                _add_member(archive, folder, member)
+            archive.comment = UNSEALED
+        write_seal(partial)
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
 
 
-def _digest(file, n_bytes: int) -> str:
-    """SHA-256 of the first `n_bytes`; the file then stands right behind them."""
-    file.seek(0)
-    state, left = hashlib.sha256(), n_bytes
-    while left > 0:
-        block = file.read(min(left, 1 << 20))
-        if not block:
-            break
-        state.update(block)
-        left -= len(block)
-    return state.hexdigest()
+def _finished_members(folder: Path) -> list[str]:
+    """The members of a folder that a packed file consists of, in the order of their names."""
+    header = Header.from_json(json.loads((folder / ROOT_MEMBER).read_bytes())["attributes"])
+    members = [ROOT_MEMBER]
+    for array in arrays_of(header):
+        metadata = folder / metadata_member(array)
+        shape = json.loads(metadata.read_bytes())["shape"] if metadata.exists() else (0,)
+        members += members_of(array, tuple(shape))
+    missing = [member for member in members if not (folder / member).is_file()]
+    if missing:
+        raise InternalError(str(folder), f"{len(missing)} members were never written, such as {missing[0]}")
+    return sorted(members)
+
+
+def _add_member(archive: zipfile.ZipFile, folder: Path, member: str) -> None:
+    info = zipfile.ZipInfo(member, _ZIP_TIME)
+    info.create_system = _UNIX
+    info.external_attr = 0o644 << 16
+    info.file_size = (folder / member).stat().st_size
+    with open(folder / member, "rb") as source, archive.open(info, "w") as target:
+        shutil.copyfileobj(source, target, 1 << 20)
 
 
 # --- reading ---------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class PackedScene:
-    """A packed file in memory: its header and, by the names of the schema, its arrays."""
-
-    header: Header
-    arrays: dict[str, np.ndarray]
-
-    @cached_property
-    def rows(self) -> Rows:
-        return rows_of(self.arrays["batch_count"], self.header.batches)
-
-    @cached_property
-    def n_atoms(self) -> np.ndarray:  # (n,) int64
-        return np.array([batch.n_atoms for batch in self.header.batches])[self.rows.batch]
-
-    def codes(self, start: int = 0, stop: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Atoms and weight codes of the splats start..stop, two (n, MAX_ATOMS) int32, zero beyond their n_atoms."""
-        n_atoms = self.n_atoms[start:stop]
-        if not self.header.n_dictionary:
-            return np.zeros((2, len(n_atoms), MAX_ATOMS), np.int32)
-        group = np.arange(self.header.n_splats)[start:stop] // GROUP
-        return unpack_codes(
-            self.header, self.arrays["codes"], self.arrays["group_word"][group], self.rows.entry[start:stop], n_atoms
-        )
 
 
 class PackedFile:
     """An opened packed file. Arrays are read when asked for, and only the zarr chunks that are asked for.
 
     Guarantees: with `verify` (the default) any truncated or altered file raises InvalidPackedFile here; without it,
-    damage is found when it is read. Nothing else is ever raised for a file's contents.
+    damage is found when it is read. Nothing else is ever raised for a file's contents, and never is more memory taken
+    than the zarr chunks that are asked for, all of which the file holds.
     """
 
     def __init__(self, path: str | Path, verify: bool = True) -> None:
         self.path = Path(path)
         self.n_bytes = self.path.stat().st_size
         if verify:
-            _check_seal(self.path, self.n_bytes)
-        with _damage_is_an_error(self.path):
-            self._store = ZipStore(self.path, mode="r")
-            self._root = zarr.open_group(self._store, mode="r", zarr_format=3)
-            self.header = _checked_header(dict(self._root.attrs))
-            self._arrays = {array.name: self._open(array) for array in arrays_of(self.header)}
-            self._check_shapes()
+            check_seal(self.path)
+        with _damage_is_an_error(self.path), ExitStack() as stack:
+            self._archive = stack.enter_context(zipfile.ZipFile(self.path))
+            check_members(self._archive, self.n_bytes)
+            self.header = read_header(self._archive)
+            self._shapes = check_layout(self._archive, self.header)
+            store = ZipStore(self.path, mode="r")
+            stack.callback(store.close)
+            root = zarr.open_group(store, mode="r", zarr_format=3, use_consolidated=False)
+            self._arrays = {name: root[name] for name in self._shapes}
+            self._handles = stack.pop_all()
 
     def __enter__(self) -> PackedFile:
         return self
 
     def __exit__(self, *_) -> None:
-        self._store.close()
+        self.close()
+
+    def close(self) -> None:
+        self._handles.close()
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Rows start..stop of one array."""
+        opened, array, shape = self._arrays[name], BY_NAME[name], self._shapes[name]
+        rows = range(shape[0])[start:stop]
+        if not rows:
+            return np.empty((0, *shape[1:]), array.dtype)
+        rows_per_chunk = chunk_shape(array, shape)[0]
         with _damage_is_an_error(self.path):
-            return np.asarray(self._arrays[name][start:stop])
+            for index in range(rows[0] // rows_per_chunk, rows[-1] // rows_per_chunk + 1):
+                with self._archive.open(chunk_member(array, index)) as member:
+                    check_frame(member.read(ZSTD_HEADER_BYTES), chunk_bytes(array, shape))
+            return np.asarray(opened[rows[0]:rows[-1] + 1])
 
     def load(self) -> PackedScene:
         """The whole file in memory, with the tables checked against each other."""
         scene = PackedScene(self.header, {name: self.read(name) for name in self._arrays})
         with _damage_is_an_error(self.path):
-            _check_tables(scene)
+            check_tables(scene)
         return scene
 
     def group(self, index: int) -> PackedScene:
-        """One group of GROUP splats as a scene of its own; no other group's data is touched."""
-        header = self.header
-        spans = {"n": GROUP, "c": CHUNKS_PER_GROUP, "g": 1}
+        """One group of GROUP splats as a scene of its own, without the dictionary, checked like `load`.
+
+        Only the zarr chunks that hold the group are touched. Raises IndexError where there is no such group.
+        """
+        if not 0 <= index < self.header.n_groups:
+            raise IndexError(f"group {index} of {self.header.n_groups}")
+        spans = {"n": GROUP, "c": CHUNKS_PER_GROUP}
         arrays = {}
-        for array in arrays_of(header):
-            if array.dims[0] in spans:
-                span = spans[array.dims[0]]
+        for array in arrays_of(self.header):
+            span = spans.get(array.dims[0])
+            if span:
                 arrays[array.name] = self.read(array.name, index * span, (index + 1) * span)
-        counts = group_batch_counts(arrays["batch_count"])[0]
-        for stream, table, width, per_batch in _streams(header):
-            n_words = words_for(int(counts @ per_batch), width)
-            first = int(arrays[table][0])
-            arrays[stream] = self.read(stream, first, first + n_words + 1)
-            arrays[table] = np.zeros(1, np.uint32)
-        part = Header(**{**header.__dict__, "n_splats": len(arrays["position"])})
-        return PackedScene(part, arrays)
-
-    def _open(self, array: Array) -> zarr.Array:
-        return self._root[array.name]
-
-    def _check_shapes(self) -> None:
-        sizes = dimensions_of(self.header)
-        for name, opened in self._arrays.items():
-            array = BY_NAME[name]
-            expected = tuple(sizes.get(d, opened.shape[i]) for i, d in enumerate(array.dims))
-            if opened.shape != expected or str(opened.dtype) != array.dtype:
-                raise ValueError(f"array {name} is {opened.dtype} {opened.shape}, not {array.dtype} {expected}")
-            if opened.nchunks_initialized != opened.nchunks:
-                raise ValueError(f"array {name} has {opened.nchunks_initialized} of {opened.nchunks} chunks")
+        with _damage_is_an_error(self.path):
+            counts = group_batch_counts(arrays["batch_count"])
+            for stream in streams_of(self.header):
+                bounds = [*self.read(stream.table, index, index + 2), self._shapes[stream.name][0] - 1]
+                first, stop = map(int, bounds[:2])
+                if stop - first != stream.words(counts)[0]:
+                    raise ValueError(f"{stream.table} and {stream.name} do not fit batch_count in group {index}")
+                arrays[stream.name] = self.read(stream.name, first, stop + 1)
+                arrays[stream.table] = np.zeros(1, np.uint32)
+            part = PackedScene(replace(self.header, n_splats=len(arrays["position"])), arrays)
+            check_tables(part)
+        return part
 
 
-def is_packed_file(path: str | Path) -> bool:
-    """Whether a file's end claims that it is a packed file; says nothing of its health."""
-    path = Path(path)
-    if not path.is_file() or path.stat().st_size < _COMMENT_BYTES:
-        return False
-    with open(path, "rb") as file:
-        file.seek(-_COMMENT_BYTES, os.SEEK_END)
-        return file.read(len(SEAL)) == SEAL
-
-
-def _check_seal(path: Path, n_bytes: int) -> None:
-    with open(path, "rb") as file:
-        digest = _digest(file, max(0, n_bytes - _COMMENT_BYTES))
-        comment = file.read()
-    if not comment.startswith(SEAL):
-        raise InvalidPackedFile(str(path), "no seal at its end", "a whole packed file", "truncated, or no packed file")
-    if comment != SEAL + digest.encode():
-        raise InvalidPackedFile(str(path), f"contents of SHA-256 {digest[:16]}...",
-                                f"what the seal says, {comment[len(SEAL):].decode('latin-1')[:16]}...", "altered")
-
-
-class _damage_is_an_error:
-    """Whatever zarr, zip or numpy say of a broken file becomes InvalidPackedFile."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind, error, _trace) -> None:
-        expected = (ValueError, TypeError, KeyError, IndexError, OverflowError, RuntimeError, EOFError, MemoryError,
-                    OSError, NotImplementedError, AttributeError, AssertionError, struct.error, zlib.error,
-                    zipfile.BadZipFile, json.JSONDecodeError)
-        if isinstance(error, expected):
-            raise InvalidPackedFile(str(self.path), f"{kind.__name__}: {error}", "arrays as docs/FORMAT.md says") from error
-
-
-def _checked_header(attributes: dict) -> Header:
-    found = attributes.get("format"), attributes.get("version")
-    if found != (FORMAT_NAME, FORMAT_VERSION):
-        raise ValueError(f"format {found[0]!r} version {found[1]!r}, not {FORMAT_NAME!r} version {FORMAT_VERSION}")
-    header = Header.from_json(attributes)
-    in_range = (
-        header.n_splats >= 1, header.radius > 0, np.isfinite(header.origin).all(), header.up_axis in (0, 1, 2),
-        0 <= header.depth_margin < np.inf, 0 <= header.n_dictionary <= 2**header.dictionary_bits <= 2**16,
-        1 <= header.weight_bits <= 8, 1 <= len(header.batches) <= 2 * (MAX_ATOMS + 1),
-        all(0 <= batch.n_atoms <= MAX_ATOMS for batch in header.batches),
-    )
-    if not all(in_range):
-        raise ValueError(f"header field out of range (check {in_range.index(False)}): {header}")
-    return header
-
-
-def _streams(header: Header) -> list[tuple[str, str, int, np.ndarray]]:
-    """The word streams a file has: stream, table of first words, field width, fields a splat of each batch."""
-    streams = []
-    if header.n_dictionary:
-        streams.append(("codes", "group_word", header.entry_bits, np.array([b.n_atoms for b in header.batches])))
-    if any(batch.clipline for batch in header.batches):
-        clipped = np.array([int(b.clipline) for b in header.batches])
-        streams.append(("cliplines", "clipline_word", CLIPLINE_BITS, clipped))
-    return streams
-
-
-def _check_tables(scene: PackedScene) -> None:
-    header, arrays = scene.header, scene.arrays
-    sizes = np.minimum(CHUNK, header.n_splats - CHUNK * np.arange(header.n_chunks))
-    if not (arrays["batch_count"].sum(axis=1, dtype=np.int64) == sizes).all():
-        raise ValueError("batch_count does not add up to the size of every chunk")
-    if not (arrays["box_bits"].sum(axis=1, dtype=np.int64) == 24).all():
-        raise ValueError("box_bits does not add up to 24 in every chunk")
-    if not all(np.isfinite(arrays[name]).all() for name in ("box_low", "box_size")):
-        raise ValueError("box_low or box_size is not finite")
-    if not header.n_dictionary and any(batch.n_atoms for batch in header.batches):
-        raise ValueError("batches with atoms, but no dictionary")
-    counts = group_batch_counts(arrays["batch_count"])
-    for stream, table, width, per_batch in _streams(header):
-        n_words = np.array([words_for(int(n), width) for n in counts @ per_batch])
-        starts = np.cumsum(n_words) - n_words
-        if len(arrays[stream]) != n_words.sum() + 1 or not (arrays[table] == starts).all():
-            raise ValueError(f"{table} and {stream} do not fit batch_count")
-    if header.n_dictionary and int(scene.codes()[0].max(initial=0)) >= header.n_dictionary:
-        raise ValueError(f"an atom index beyond the dictionary's {header.n_dictionary}")
-    if header.cameras:
-        camera = arrays["camera"]
-        if ((camera >= len(header.cameras)) & (camera != 0xFFFF)).any():
-            raise ValueError(f"a camera index beyond the {len(header.cameras)} cameras")
+@contextmanager
+def _damage_is_an_error(path: Path) -> Iterator[None]:
+    """Whatever json, zip, zstd, zarr or numpy say of a broken file becomes InvalidPackedFile."""
+    try:
+        yield
+    except InvalidPackedFile:
+        raise
+    except Exception as error:
+        found = f"{type(error).__name__}: {error}"
+        raise InvalidPackedFile(str(path), found[:300], "what docs/FORMAT.md says") from error

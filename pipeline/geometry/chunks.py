@@ -14,9 +14,9 @@ from storage.schema import CHUNK, GROUP
 
 
 def split_rank(n: int) -> int:
-    """How many of a node's `n` points go left: the multiple of the unit nearest to n / 2, at least one unit."""
+    """How many of a node's `n` points, more than CHUNK, go left: the multiple of the unit nearest to n / 2."""
     unit = GROUP if n > GROUP else CHUNK
-    return max(unit, round(n / 2 / unit) * unit)
+    return round(n / 2 / unit) * unit
 
 
 def longest_axis(low: np.ndarray, high: np.ndarray) -> int:
@@ -27,8 +27,8 @@ def longest_axis(low: np.ndarray, high: np.ndarray) -> int:
 def median_split(position: np.ndarray) -> np.ndarray:
     """The order that lists the points chunk by chunk. `position` (n, 3) finite; returns (n,) int64.
 
-    Guarantees: a permutation; chunks of CHUNK consecutive points, the last may be shorter; points at the same place
-    keep the order of the input; equal inputs give equal orders; any number of points from 0 on, duplicates included.
+    Guarantees: a permutation; chunks of CHUNK consecutive points, the last may be shorter; ties and the
+    points of a chunk keep the order of the input, so equal inputs give equal orders; any number of points from 0 on, duplicates included.
     """
     order = np.arange(len(position))
     pending = [(0, len(position))]
@@ -39,7 +39,9 @@ def median_split(position: np.ndarray) -> np.ndarray:
         members = order[start:stop]
         points = position[members]
         axis = longest_axis(points.min(axis=0), points.max(axis=0))
-        order[start:stop] = members[np.argsort(points[:, axis], kind="stable")]
-        middle = start + split_rank(stop - start)
-        pending += [(start, middle), (middle, stop)]
+        n_left = split_rank(stop - start)
+        goes_left = np.zeros(stop - start, bool)
+        goes_left[np.argsort(points[:, axis], kind="stable")[:n_left]] = True
+        order[start : start + n_left], order[start + n_left : stop] = members[goes_left], members[~goes_left]
+        pending += [(start, start + n_left), (start + n_left, stop)]
     return order

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import zarr
 
 from storage import arrays, work
 from storage.batches import count_batches, rows_of
 from storage.codes import pack_codes
-from storage.packed import GROUPS_PER_ZARR_CHUNK, begin_packed, create_array, seal_packed
+from storage.packed import GROUPS_PER_ZARR_CHUNK, begin_packed, create_array, reopen_packed, seal_packed
 from storage.schema import BY_NAME, CHUNK, GROUP, Header, arrays_of
 
 TASK_SPLATS = GROUP * GROUPS_PER_ZARR_CHUNK
@@ -34,7 +33,7 @@ class Pack:
 
     def run(self, folder: Path, index: int) -> dict:
         start, stop = index * TASK_SPLATS, min((index + 1) * TASK_SPLATS, self.header.n_splats)
-        root = zarr.open_group(str(folder / "packed"), mode="r+")
+        root = reopen_packed(folder / "packed")
         n_atoms = self._codes("n_atoms", start, stop)
         batch_of = {batch.n_atoms: i for i, batch in enumerate(self.header.batches)}
         batch = np.array([batch_of.get(n, 0) for n in range(256)])[n_atoms]
@@ -48,7 +47,7 @@ class Pack:
         return {"n_splats": stop - start, "n_words": [len(w) for w in words]}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
-        root = zarr.open_group(str(folder / "packed"), mode="r+")
+        root = reopen_packed(folder / "packed")
         if self.header.n_dictionary:
             self._join_words(folder, root, [n for r in results for n in r["n_words"]], len(results))
             for array in arrays_of(self.header):
@@ -61,7 +60,7 @@ class Pack:
             return np.zeros(stop - start, np.uint8)
         return arrays.read(self.codes, name, start, stop)
 
-    def _write_splats(self, root: zarr.Group, start: int, stop: int, order: np.ndarray, counts: np.ndarray) -> None:
+    def _write_splats(self, root, start: int, stop: int, order: np.ndarray, counts: np.ndarray) -> None:
         code = arrays.read(self.splats, "position_code", start, stop)[order]
         color = (self.splats, "color") if self.patches is None else (self.patches, "average")
         by_splat = {
@@ -84,7 +83,7 @@ class Pack:
         groups = (slice(g, g + GROUP) for g in range(0, stop - start, GROUP))
         return [pack_codes(self.header, rows.entry[g], n_atoms[g], atom[g], weight[g]) for g in groups]
 
-    def _join_words(self, folder: Path, root: zarr.Group, n_words: list[int], n_tasks: int) -> None:
+    def _join_words(self, folder: Path, root, n_words: list[int], n_tasks: int) -> None:
         root["group_word"][:] = (np.cumsum(n_words) - n_words).astype(np.uint32)
         stream = create_array(root, self.header, BY_NAME["codes"], sum(n_words) + 1)
         at = 0
@@ -96,7 +95,7 @@ class Pack:
         stream[at:] = 0
 
 
-def array_bytes(root: zarr.Group, header: Header) -> dict[str, int]:
+def array_bytes(root, header: Header) -> dict[str, int]:
     """Bytes of each array as the GPU takes them."""
     return {array.name: int(root[array.name].nbytes) for array in arrays_of(header)}
 

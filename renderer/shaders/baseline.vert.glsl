@@ -7,6 +7,7 @@
 layout(std430, binding = 4) readonly buffer Listed { uint listed[]; };  // splats, camera by camera
 uniform uint first_listed;
 #ifdef CLIPLINE
+#include "decode_clipline.glsl"
 layout(std430, binding = 5) readonly buffer Lines { uint lines[]; };  // a clipline code for each listed splat
 flat out vec3 clipline;
 #endif
@@ -36,6 +37,6 @@ void main() {
     level = photo_centre.z > 0.0 ? mip_level(abs(determinant(image)), quad.area_px) : 0.0;
 #endif
 #ifdef CLIPLINE
-    clipline = vec3(uvec3(lines[at], lines[at] >> 4, lines[at] >> 8) & 15u) / 15.0 * 2.0 - 1.0;
+    clipline = decode_clipline(lines[at]);
 #endif
 }

@@ -1,0 +1,119 @@
+"""What a packed file must satisfy before any of its arrays is decoded.
+
+The bytes are hostile: the seal proves that a file is whole, not that a well-meaning program made it. So nothing is
+allocated by a size that a file only claims: every zarr chunk must be there, stored as it is, and decompress to just
+the bytes that its place in the layout calls for. Raises ValueError, KeyError or TypeError; PackedFile names the file.
+"""
+
+from __future__ import annotations
+
+import json
+from math import isfinite
+from zipfile import ZIP_STORED, ZipFile
+
+from storage.layout import ROOT_MEMBER, chunk_count, members_of, metadata_member, metadata_of, shape_of
+from storage.schema import FORMAT_NAME, FORMAT_VERSION, MAX_ATOMS, NO_CAMERA, Array, Header, arrays_of
+from storage.seal import SEAL, SEAL_BYTES
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+ZSTD_HEADER_BYTES = 18  # of a frame, at most
+
+
+def check_members(archive: ZipFile, n_bytes: int) -> None:
+    """The seal is in its place, and every member is stored as it is, under its own name, in bytes of its own."""
+    if len(archive.comment) != SEAL_BYTES or not archive.comment.startswith(SEAL):
+        raise ValueError(f"a zip with the comment {archive.comment[:32]!r}, not {SEAL!r} and a digest")
+    seen, total = set(), 0
+    for info in archive.infolist():
+        plain = info.compress_type == ZIP_STORED and info.flag_bits == 0 and info.compress_size == info.file_size
+        if not plain or info.filename in seen:
+            raise ValueError(f"member {info.filename!r} is compressed, encrypted, or there twice")
+        seen.add(info.filename)
+        total += info.file_size
+    if total > n_bytes:
+        raise ValueError(f"members of {total} bytes in a file of {n_bytes}")
+
+
+def read_header(archive: ZipFile) -> Header:
+    """The header, with every field in its range."""
+    attributes = json.loads(archive.read(ROOT_MEMBER))["attributes"]
+    found = attributes["format"], attributes["version"]
+    if found != (FORMAT_NAME, FORMAT_VERSION):
+        raise ValueError(f"format {found[0]!r} version {found[1]!r}, not {FORMAT_NAME!r} version {FORMAT_VERSION}")
+    header = Header.from_json(attributes)
+    for name, value, fine, allowed in _rules(header):
+        if not fine:
+            raise ValueError(f"{name} {value!r}, not {allowed}")
+    return header
+
+
+def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
+    """Field, value, whether it is in its range, and that range in words."""
+    h, batches, cameras = header, header.batches, header.cameras
+    needed_bits = max(0, h.n_dictionary - 1).bit_length()
+    atoms = [batch.n_atoms for batch in batches]
+    return [
+        ("n_splats", h.n_splats, h.n_splats >= 1, "1 or more"),
+        ("radius", h.radius, 0 < h.radius and isfinite(h.radius), "positive and finite"),
+        ("origin", h.origin, all(map(isfinite, h.origin)), "finite"),
+        ("up_axis", h.up_axis, h.up_axis in (0, 1, 2), "0, 1 or 2"),
+        ("depth_margin", h.depth_margin, 0 <= h.depth_margin and isfinite(h.depth_margin), "finite, 0 or more"),
+        ("dictionary_bits", h.dictionary_bits, 0 <= h.dictionary_bits <= 16, "0..16"),
+        ("weight_bits", h.weight_bits, 1 <= h.weight_bits <= 8, "1..8"),
+        ("n_dictionary", h.n_dictionary, h.n_dictionary >= 0 and needed_bits <= h.dictionary_bits,
+         f"0 or more, counted in {h.dictionary_bits} bits"),
+        ("batches", atoms, 0 < len(set(batches)) == len(batches), "different from each other, and at least one"),
+        ("n_atoms", atoms, all(0 <= n <= MAX_ATOMS for n in atoms), f"0..{MAX_ATOMS}"),
+        ("n_atoms", atoms, h.n_dictionary > 0 or not any(atoms), "0 where there is no dictionary"),
+        ("cameras", len(cameras), len(cameras) <= NO_CAMERA, f"at most {NO_CAMERA}"),
+        ("cameras", "of odd numbers", all(map(_camera_is_sound, cameras)), "of finite numbers and at least one pixel"),
+    ]
+
+
+def _camera_is_sound(camera) -> bool:
+    numbers = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.centre, *sum(camera.rotation, ()))
+    return camera.width_px >= 1 and camera.height_px >= 1 and all(map(isfinite, numbers))
+
+
+def check_layout(archive: ZipFile, header: Header) -> dict[str, tuple[int, ...]]:
+    """The shape of every array by its name, once the members are just those that the header calls for."""
+    shapes = {array.name: _checked_shape(archive, header, array) for array in arrays_of(header)}
+    found = set(archive.namelist())
+    n_expected = 1 + sum(1 + chunk_count(array, shapes[array.name]) for array in arrays_of(header))
+    if len(found) != n_expected:  # before the names are listed: a crafted header may call for 2^60 of them
+        raise ValueError(f"{len(found)} members, not {n_expected}")
+    expected = {ROOT_MEMBER}.union(*(members_of(array, shapes[array.name]) for array in arrays_of(header)))
+    if found != expected:
+        raise ValueError(f"members missing: {sorted(expected - found)[:3]}, unknown: {sorted(found - expected)[:3]}")
+    return shapes
+
+
+def _checked_shape(archive: ZipFile, header: Header, array: Array) -> tuple[int, ...]:
+    """An array's shape from its zarr.json, which must be the one that the writer makes."""
+    found = json.loads(archive.read(metadata_member(array)))
+    n_words = found["shape"][0] if "e" in array.dims else 0
+    if type(n_words) is not int or n_words < 0:
+        raise ValueError(f"{array.name} of {n_words!r} words")
+    shape = shape_of(header, array, n_words)
+    expected = metadata_of(array, shape)
+    differing = sorted(key for key in expected.keys() | found.keys() if found.get(key) != expected.get(key))
+    if differing:
+        key = differing[0]
+        raise ValueError(f"{array.name} has {key} {found.get(key)!r}, not {expected.get(key)!r}")
+    return shape
+
+
+def check_frame(head: bytes, n_bytes: int) -> None:
+    """A zstd frame's first ZSTD_HEADER_BYTES bytes promise `n_bytes` of contents, which is what decoders allocate.
+
+    Reference: RFC 8878, section 3.1.1.1.
+    """
+    if head[:4] != ZSTD_MAGIC:
+        raise ValueError(f"a chunk begins with {head[:4]!r}, not with zstd's {ZSTD_MAGIC!r}")
+    descriptor = head[4]
+    has_window = not descriptor >> 5 & 1
+    width = (0 if has_window else 1, 2, 4, 8)[descriptor >> 6]
+    start = 5 + has_window + (0, 1, 2, 4)[descriptor & 3]
+    found = int.from_bytes(head[start:start + width], "little") + (256 if width == 2 else 0)
+    if found != n_bytes:
+        raise ValueError(f"a chunk of {found} bytes, not {n_bytes}")

@@ -1,0 +1,66 @@
+"""Golden packed files and the numbers that they decode to; `python -m tests.golden.make_golden` makes them anew.
+
+Only a new version of the format, or a new case, is a reason to: files that exist must decode for ever.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.geometry.frame import tangent_frames
+from storage.packed import SUFFIX, PackedFile
+from storage.scene import PackedScene
+from tests import reference_packed
+from tests.packed_files import Case, write_packed_file
+
+HERE = Path(__file__).parent
+EXPECTED = HERE / "expected.json"
+
+CASES = {
+    "v1-d8w4": Case(),
+    "v1-d12w4": Case(dictionary_bits=12, n_dictionary=300),
+    "v1-d16w8": Case(dictionary_bits=16, weight_bits=8, n_dictionary=300),
+    "v1-no-texture": Case(n_dictionary=0, atom_counts=(0,), n_cameras=0),
+    "v1-cliplines": Case(cliplines=True, atom_counts=(0, 2, 5)),
+    "v1-two-groups": Case(n_splats=8192 + 130, period=128),
+}
+
+
+def golden_file(name: str) -> Path:
+    return HERE / (name + SUFFIX)
+
+
+def decoded_numbers(scene: PackedScene) -> dict:
+    """What the arrays hold, by digest, and what a few splats decode to by the slow twins."""
+    n = scene.header.n_splats
+    chosen = sorted({0, 1, 127, 128, n // 2, n - 2, n - 1})
+    digests = {name: hashlib.sha256(values.tobytes()).hexdigest() for name, values in sorted(scene.arrays.items())}
+    return {"header": scene.header.to_json(), "sha256": digests,
+            "splats": {str(i): _splat_numbers(scene, i) for i in chosen}}
+
+
+def _splat_numbers(scene: PackedScene, i: int) -> dict:
+    u, v, normal = (rows[0].tolist() for rows in tangent_frames(scene.arrays["normal"][i:i + 1], scene.header.up_axis))
+    patch = reference_packed.decode_patch(scene, i) if scene.header.n_dictionary else np.zeros((32, 32, 3))
+    return {
+        "position": reference_packed.decode_position(scene, i), "normal": normal, "u": u, "v": v,
+        "color": scene.arrays["color"][i].tolist(), "code": reference_packed.decode_code(scene, i),
+        "clipline": reference_packed.decode_clipline(scene, i), "texels": patch[[0, 9, 31], [31, 20, 0]].tolist(),
+    }
+
+
+def main() -> None:
+    expected = {}
+    for name, case in CASES.items():
+        path = write_packed_file(case, golden_file(name))
+        with PackedFile(path) as packed:
+            expected[name] = decoded_numbers(packed.load())
+    EXPECTED.write_text(json.dumps(expected, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,157 @@
+"""Tiny packed files from arithmetic alone: the same numbers on every machine and with every version of numpy.
+
+Any bits make a valid position, normal, colour or code, so nothing here goes through an encoder.
+"""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from storage.batches import group_batch_counts
+from storage.packed import begin_packed, create_array, seal_packed
+from storage.scene import streams_of
+from storage.schema import BY_NAME, CHUNK, MAX_ATOMS, MIP_SIZES, NO_CAMERA, Batch, Camera, Header
+
+LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a tiny packed file holds. `period`: splats repeat after so many, which keeps a file small."""
+
+    n_splats: int = 300
+    dictionary_bits: int = 8
+    weight_bits: int = 4
+    n_dictionary: int = 5
+    atom_counts: tuple[int, ...] = (0, 1, 3, 8)
+    cliplines: bool = False
+    n_cameras: int = 2
+    period: int = 1 << 40
+
+
+def noise(n: int, seed: int, below: int, period: int = 1 << 40) -> np.ndarray:
+    """Whole numbers (n,) int64 in 0..below, by splitmix64 of their index and a seed."""
+    x = (np.arange(n) % period).astype(np.uint64) + np.uint64(seed * 0x9E3779B97F4A7C15 % 2**64)
+    x *= np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return ((x ^ (x >> np.uint64(31))) % np.uint64(below)).astype(np.int64)
+
+
+def header_of(case: Case) -> Header:
+    plain = tuple(Batch(n) for n in case.atom_counts)
+    camera = Camera("photo", 640, 480, 500.0, 505.0, 320.5, 239.5, LOOKING_DOWN, (1.0, 2.0, 30.0))
+    return Header(
+        n_splats=case.n_splats, radius=0.25, unit="metre", origin=(450000.0, 5400000.0, 100.0), up_axis=2,
+        depth_margin=0.5, n_dictionary=case.n_dictionary, dictionary_bits=case.dictionary_bits,
+        weight_bits=case.weight_bits,
+        batches=plain + (tuple(Batch(n, clipline=True) for n in case.atom_counts) if case.cliplines else ()),
+        cameras=(camera,) * case.n_cameras, scan={"name": "tiny", "format": "ply", "n_points": case.n_splats},
+        settings={"preset": "draft"},
+    )
+
+
+def arrays_for(case: Case, header: Header) -> dict[str, np.ndarray]:
+    """All arrays of a packed file, by the names of the schema."""
+    n, c = header.n_splats, header.n_chunks
+    arrays = {
+        "box_low": (noise(3 * c, 1, 4096) / 64 - 32).reshape(c, 3).astype(np.float32),
+        "box_size": (noise(3 * c, 2, 256) / 128).reshape(c, 3).astype(np.float32),
+        "box_bits": np.array([[8, 8, 8], [7, 8, 9], [24, 0, 0], [0, 11, 13]], np.uint8)[noise(c, 3, 4)],
+        "position": _bytes(case, 4, 256),
+        "normal": (_bytes(case, 5, 255)[:, :2].astype(np.int64) - 127).astype(np.int8),
+        "color": _bytes(case, 6, 256),
+        "batch_count": _batch_count(case, header),
+    }
+    arrays |= _streams(case, header, arrays["batch_count"])
+    if header.n_dictionary:
+        arrays |= _dictionary(header)
+    if header.cameras:
+        camera = noise(n, 7, len(header.cameras) + 1, case.period)
+        arrays["camera"] = np.where(camera < len(header.cameras), camera, NO_CAMERA).astype(np.uint16)
+    return arrays
+
+
+def write_packed_file(case: Case, path: Path) -> Path:
+    """The packed file of a case at `path`."""
+    header = header_of(case)
+    return write_arrays(header, arrays_for(case, header), path)
+
+
+def write_arrays(header: Header, arrays: dict[str, np.ndarray], path: Path) -> Path:
+    """A packed file of any header and arrays of the schema, right or wrong."""
+    folder = path.with_suffix(".folder")
+    fill_folder(header, arrays, folder)
+    seal_packed(folder, path)
+    shutil.rmtree(folder)
+    return path
+
+
+def fill_folder(header: Header, arrays: dict[str, np.ndarray], folder: Path) -> None:
+    root = begin_packed(folder, header)
+    for name, values in arrays.items():
+        if "e" in BY_NAME[name].dims:
+            create_array(root, header, BY_NAME[name], len(values))
+        root[name][:] = values
+
+
+def _bytes(case: Case, seed: int, below: int) -> np.ndarray:
+    """(n_splats, 3) uint8."""
+    columns = [noise(case.n_splats, 100 * seed + i, below, case.period) for i in range(3)]
+    return np.stack(columns, axis=1).astype(np.uint8)
+
+
+def _batch_count(case: Case, header: Header) -> np.ndarray:
+    chunk = np.arange(header.n_splats) // CHUNK
+    batch = noise(header.n_splats, 8, len(header.batches), case.period)
+    counts = np.zeros((header.n_chunks, len(header.batches)), np.uint8)
+    np.add.at(counts, (chunk, batch), 1)
+    return counts
+
+
+def _streams(case: Case, header: Header, batch_count: np.ndarray) -> dict[str, np.ndarray]:
+    """Word streams of noise whose atoms are all in the dictionary, packed one bit after the other."""
+    arrays = {}
+    per_group = group_batch_counts(batch_count)
+    for stream in streams_of(header):
+        words = []
+        for group, n_fields in enumerate(per_group @ stream.fields):
+            if stream.name == "codes":
+                atom = noise(int(n_fields), 9 + group, header.n_dictionary, case.period)
+                weight = noise(int(n_fields), 50 + group, 2**header.weight_bits, case.period)
+                field = atom | weight << header.dictionary_bits
+            else:
+                field = noise(int(n_fields), 90 + group, 4096, case.period)
+            words.append(_packed(field, stream.width))
+        lengths = np.array([len(w) for w in words])
+        arrays[stream.table] = (np.cumsum(lengths) - lengths).astype(np.uint32)
+        arrays[stream.name] = np.concatenate([*words, np.zeros(1, np.uint32)])
+    return arrays
+
+
+def _packed(field: np.ndarray, width: int) -> np.ndarray:
+    """Fields as a stream of little-endian words, by way of single bits."""
+    bits = (field[:, None] >> np.arange(width) & 1).astype(np.uint8).ravel()
+    whole = np.zeros(-(-len(bits) // 32) * 32, np.uint8)
+    whole[: len(bits)] = bits
+    return np.packbits(whole, bitorder="little").view("<u4").astype(np.uint32)
+
+
+def _dictionary(header: Header) -> dict[str, np.ndarray]:
+    """Atoms of wide tiles, five kinds and their repeats, with their means as mip levels."""
+    k, levels = header.n_dictionary, 2**header.weight_bits
+    corner = noise(k * 4 * 4 * 3, 10, 255, period=4 * 4 * 3 * 5).reshape(k, 4, 4, 3) - 127
+    texels = np.repeat(np.repeat(corner, 8, axis=1), 8, axis=2)
+    arrays = {
+        "weight_levels": (np.arange(MAX_ATOMS * levels).reshape(MAX_ATOMS, levels) / 64 - 1).astype(np.float32),
+        "atom_scale": (1 / (64 + np.arange(k))).astype(np.float32),
+    }
+    for size in MIP_SIZES:
+        factor = 32 // size
+        mean = texels.reshape(k, size, factor, size, factor, 3).mean(axis=(2, 4))
+        arrays[f"atoms_{size}"] = np.round(mean).astype(np.int8)
+    return arrays

@@ -1,0 +1,54 @@
+"""The out-of-core median split gives what the one in memory gives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.geometry.chunks import median_split
+from pipeline.stages import partition
+from pipeline.stages.partition import Partition
+from storage import arrays, work
+
+
+def ingested(folder, position: np.ndarray):
+    """A folder as the ingest leaves it, each point's colour telling its place in the file."""
+    work.begin(folder)
+    index = np.arange(len(position))
+    color = np.column_stack([index & 255, index >> 8 & 255, index >> 16]).astype(np.uint8)
+    for name, rows in (("position", position), ("color", color)):
+        arrays.create(folder, name, rows.shape, str(rows.dtype))[:] = rows
+    work.complete(folder, {"n_points": len(position), "low": position.min(axis=0).tolist(), "high": position.max(axis=0).tolist()})
+    return folder
+
+
+def clouds() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    return {
+        "cloud": rng.normal(size=(40_000, 3)),
+        "ties": rng.integers(0, 5, (40_000, 3)).astype(float),
+        "all equal": np.full((20_000, 3), 7.0),
+        "one heavy value": np.where(rng.random((40_000, 3)) < 0.9, 0.0, rng.normal(size=(40_000, 3))),
+        "huge and tiny": rng.normal(size=(40_000, 3)) ** 15 * 1e9,
+        "georeferenced": rng.normal(size=(40_000, 3)) + [4.5e5, 5.4e6, 100],
+    }
+
+
+@pytest.mark.parametrize("kind", clouds())
+def test_partition__out_of_core_is_the_same_order_as_in_memory(kind, tmp_path, monkeypatch):
+    monkeypatch.setattr(partition, "IN_MEMORY", 8192)
+    monkeypatch.setattr(partition, "PIECE", 3000)
+    monkeypatch.setattr(partition, "BINS", 16)
+    position = clouds()[kind]
+    stage, folder = Partition(ingested(tmp_path / "ingest", position)), tmp_path / "partition"
+    work.begin(folder)
+    assert stage.init(folder) == 1
+    summary = stage.finalise(folder, [stage.run(folder, 0)])
+    origin = np.array(summary["origin"])
+    order = median_split(position - origin)
+    color = arrays.read(folder, "color").astype(np.int64)
+    assert (color[:, 0] + 256 * color[:, 1] + 65536 * color[:, 2] == order).all()
+    np.testing.assert_array_equal(arrays.read(folder, "position"), (position - origin)[order])
+    assert not list(folder.glob("scratch*"))
+    block = arrays.read(folder, "position", 0, arrays.BLOCK)
+    np.testing.assert_array_equal(summary["block_low"][0], block.min(axis=0))

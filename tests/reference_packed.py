@@ -1,0 +1,85 @@
+"""Slow twins of the packed file's decoders: one splat at a time, as docs/FORMAT.md says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from storage.scene import PackedScene
+from storage.schema import CHUNK, CLIPLINE_BITS, GROUP
+
+
+def read_field(words: np.ndarray, first_bit: int, width: int) -> int:
+    """A field of a word stream, by way of one huge number."""
+    return int.from_bytes(words.astype("<u4").tobytes(), "little") >> first_bit & (1 << width) - 1
+
+
+def batch_of(scene: PackedScene, splat: int) -> int:
+    """Inside a chunk the splats stand batch by batch."""
+    counts = scene.arrays["batch_count"][splat // CHUNK].tolist()
+    return [batch for batch, count in enumerate(counts) for _ in range(count)][splat % CHUNK]
+
+
+def splats_before(scene: PackedScene, splat: int) -> list[int]:
+    """Splats whose code stands before this one's in its group: lower batches, then lower splats of its own batch."""
+    first = splat // GROUP * GROUP
+    key = batch_of(scene, splat), splat
+    members = range(first, min(first + GROUP, scene.header.n_splats))
+    return [i for i in members if (batch_of(scene, i), i) < key]
+
+
+def decode_code(scene: PackedScene, splat: int) -> list[tuple[int, int]]:
+    """Atom and weight code of each rank."""
+    header, batches = scene.header, scene.header.batches
+    entry = sum(batches[batch_of(scene, i)].n_atoms for i in splats_before(scene, splat))
+    first_bit = 32 * int(scene.arrays["group_word"][splat // GROUP]) if header.n_dictionary else 0
+    code = []
+    for rank in range(batches[batch_of(scene, splat)].n_atoms):
+        field = read_field(scene.arrays["codes"], first_bit + (entry + rank) * header.entry_bits, header.entry_bits)
+        code.append((field % 2**header.dictionary_bits, field >> header.dictionary_bits))
+    return code
+
+
+def decode_clipline(scene: PackedScene, splat: int) -> list[float] | None:
+    batches = scene.header.batches
+    if not batches[batch_of(scene, splat)].clipline:
+        return None
+    row = sum(batches[batch_of(scene, i)].clipline for i in splats_before(scene, splat))
+    first_bit = 32 * int(scene.arrays["clipline_word"][splat // GROUP]) + CLIPLINE_BITS * row
+    field = read_field(scene.arrays["cliplines"], first_bit, CLIPLINE_BITS)
+    return [(field >> shift & 15) / 7 - 1 for shift in (0, 4, 8)]
+
+
+def decode_position(scene: PackedScene, splat: int) -> list[float]:
+    """Against the origin."""
+    chunk = splat // CHUNK
+    code = int.from_bytes(scene.arrays["position"][splat].tobytes(), "little")
+    position = []
+    for axis in range(3):
+        bits = int(scene.arrays["box_bits"][chunk, axis])
+        low, size = float(scene.arrays["box_low"][chunk, axis]), float(scene.arrays["box_size"][chunk, axis])
+        position.append(low + (code % 2**bits + 0.5) * size / 2**bits)
+        code >>= bits
+    return position
+
+
+def decode_patch(scene: PackedScene, splat: int, size: int = 32) -> np.ndarray:
+    """(size, size, 3) float64, sRGB, not yet clamped to [0, 1]."""
+    arrays = scene.arrays
+    patch = np.tile(arrays["color"][splat] / 255, (size, size, 1))
+    for rank, (atom, weight) in enumerate(decode_code(scene, splat)):
+        amount = float(arrays["weight_levels"][rank, weight]) * float(arrays["atom_scale"][atom])
+        patch += amount * arrays[f"atoms_{size}"][atom].astype(np.float64)
+    return patch
+
+
+def every_normal() -> tuple[np.ndarray, np.ndarray]:
+    """All 65,025 normal codes (m, 2) and the unit normals (m, 3) they stand for, by the paper's real-valued map."""
+    grid = np.arange(-127, 128)
+    code = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+    x, y = code[:, 0] / 127, code[:, 1] / 127
+    z = 1 - np.abs(x) - np.abs(y)
+    sign_x, sign_y = np.where(x >= 0, 1, -1), np.where(y >= 0, 1, -1)
+    below = z < 0
+    folded_x, folded_y = (1 - np.abs(y)) * sign_x, (1 - np.abs(x)) * sign_y
+    point = np.stack([np.where(below, folded_x, x), np.where(below, folded_y, y), z], axis=1)
+    return code.astype(np.int8), point / np.linalg.norm(point, axis=1, keepdims=True)
