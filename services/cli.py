@@ -197,6 +197,12 @@ def _as_lines(found: dict, indent: str = "") -> str:
 # --- arguments -------------------------------------------------------------------------------------------------------
 
 
+def _count(text: str) -> int:
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 on")
+    return int(text)
+
+
 def _size(text: str) -> tuple[int, int]:
     try:
         width, height = (int(part) for part in text.lower().split("x"))
@@ -219,7 +225,7 @@ def _parser() -> argparse.ArgumentParser:
     render.add_argument("packed", metavar="PACKED")
     view = render.add_mutually_exclusive_group(required=True)
     view.add_argument("--camera", metavar="NAME", help="one of the scan's cameras")
-    view.add_argument("--orbit", metavar="N", type=int, help="N pictures around the scan")
+    view.add_argument("--orbit", metavar="N", type=_count, help="N pictures around the scan")
     render.add_argument("--size", type=_size, metavar="WxH", help="default: the camera's own, or 1280x720")
     render.add_argument("--max-atoms", type=int, choices=range(9), default=8, metavar="0..8")
     render.add_argument("--out", required=True, metavar="DIR")
@@ -258,7 +264,7 @@ def _add_compress(commands) -> None:
 
 
 def _add_running(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--workers", type=int, metavar="N", help="worker processes; default: one a core")
+    command.add_argument("--workers", type=_count, metavar="N", help="worker processes; default: one a core")
     command.add_argument("--executor", choices=("dask", "serial"), default="dask")
     command.add_argument("--scheduler", metavar="tcp://...", help="a running Dask scheduler")
     command.add_argument("--no-render", action="store_true", help="no previews: needs no OpenGL")

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import zarr
 
+from storage import zarr_config  # noqa: F401 (for its effect)
+
 BLOCK = 16384  # splats a task: two groups
 
 
@@ -20,7 +22,7 @@ def create(
     chunks = tuple(max(1, min(c, s)) for c, s in zip(chunks or (BLOCK, *shape[1:]), shape))
     return zarr.create_array(
         store=str(folder / f"{name}.zarr"), shape=shape, chunks=chunks, dtype=dtype, compressors=None, overwrite=True,
-        fill_value=0, config={"write_empty_chunks": True},
+        fill_value=0,
     )
 
 
@@ -57,7 +59,7 @@ class Appender:
     def __init__(self, folder: Path, name: str, row_shape: tuple[int, ...], dtype: str, rows: int = BLOCK) -> None:
         self._array = zarr.create_array(
             store=str(folder / f"{name}.zarr"), shape=(0, *row_shape), chunks=(rows, *row_shape), dtype=dtype,
-            compressors=None, overwrite=True, fill_value=0, config={"write_empty_chunks": True},
+            compressors=None, overwrite=True, fill_value=0,
         )
         self._rows, self._waiting, self._n_waiting = rows, [], 0
 

@@ -30,6 +30,7 @@ from storage.layout import (
 from storage.scene import PackedScene, check_tables, streams_of
 from storage.schema import BY_NAME, GROUP, Array, Header, arrays_of
 from storage.seal import UNSEALED, check_seal, is_packed_file, write_seal
+from storage import zarr_config  # noqa: F401 (for its effect)
 
 __all__ = ["GROUPS_PER_ZARR_CHUNK", "SUFFIX", "WORDS_PER_ZARR_CHUNK", "PackedFile", "PackedScene", "begin_packed",
            "create_array", "is_packed_file", "reopen_packed", "seal_packed"]
@@ -37,10 +38,6 @@ __all__ = ["GROUPS_PER_ZARR_CHUNK", "SUFFIX", "WORDS_PER_ZARR_CHUNK", "PackedFil
 SUFFIX = ".splatpress"
 _ZIP_TIME = (1980, 1, 1, 0, 0, 0)
 _UNIX = 3  # zipfile's own default differs between systems
-
-# A missing chunk is damage, never a run of zeros. An array that is opened again forgets how it was created, so only the
-# process's own setting makes zarr write chunks of zeros whoever opens them.
-zarr.config.set({"array.write_empty_chunks": True})
 
 
 # --- writing ---------------------------------------------------------------------------------------------------------

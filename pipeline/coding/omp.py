@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.coding.omp_kernels import add_atoms, pursue
+from pipeline.coding.omp_kernels import add_atoms, pursue, squared_norms
 
 ROWS = 512  # patches a GEMM: 512 x 4096 correlations are 8 MiB, near the second-level cache
 NO_LEVELS = np.empty((0, 0))
@@ -66,7 +66,9 @@ def sparse_encode(
     for start in range(0, n, ROWS):
         part = slice(start, start + ROWS)
         rows = patches[part]
-        energy = np.einsum("ij,ij->i", rows, rows, dtype=np.float64)
+        energy = squared_norms(rows)
+        if not np.isfinite(energy).all():
+            raise ValueError(f"patch {start + int(np.argmin(np.isfinite(energy)))} is not finite")
         weight = np.zeros((len(rows), max_atoms))
         pursue(rows @ dictionary.T, energy, gram, tolerance[part], levels, codes.atom_index[part], weight,
                codes.weight_code[part], codes.n_atoms[part], codes.residual[part])
@@ -92,6 +94,4 @@ def _checked(patches: np.ndarray, dictionary: np.ndarray, max_atoms: int) -> tup
     if not (np.abs(norms - 1) < 1e-3).all():
         worst = int(np.nanargmax(np.where(np.isfinite(norms), np.abs(norms - 1), np.inf)))
         raise ValueError(f"atom {worst} has norm {norms[worst]:g}; every atom must be a unit vector")
-    if not np.isfinite(patches).all():
-        raise ValueError(f"patch {int(np.argmin(np.isfinite(patches).all(axis=1)))} is not finite")
     return patches, dictionary

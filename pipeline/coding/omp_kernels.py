@@ -181,3 +181,22 @@ def add_atoms(rows, dictionary, atom, weight, n_atoms):
             x, texels = weight[i, j], dictionary[atom[i, j]]
             for d in range(row.shape[0]):
                 row[d] += x * texels[d]
+
+
+@numba.njit(cache=True, nogil=True)
+def squared_norms(rows):
+    """The squared norm of each row (n, d) float32, summed in float64, 8 partial sums wide in a fixed order."""
+    norms = np.empty(rows.shape[0])
+    partial = np.empty(8)
+    for i in range(rows.shape[0]):
+        partial[:] = 0.0
+        whole = rows.shape[1] // 8 * 8
+        for d in range(0, whole, 8):
+            for lane in range(8):
+                value = np.float64(rows[i, d + lane])
+                partial[lane] += value * value
+        total = partial.sum()
+        for d in range(whole, rows.shape[1]):
+            total += np.float64(rows[i, d]) ** 2
+        norms[i] = total
+    return norms

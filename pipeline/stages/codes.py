@@ -60,8 +60,7 @@ class Encode:
 
     def _encoder(self):
         if self.quantized is None:
-            nothing = np.zeros((1, PATCH_DIM), np.float32)
-            return lambda patches: (_no_codes(len(patches)), nothing)
+            return lambda patches: (_no_codes(len(patches)), np.zeros_like(patches))
         dictionary, gram = arrays.read(self.quantized, "dictionary"), arrays.read(self.quantized, "gram")
         levels = arrays.read(self.quantized, "weight_levels")
         most = min(self.max_atoms, len(dictionary))

@@ -40,9 +40,11 @@ def make_patches(
     first_splat: int,
 ) -> Patches:
     """Resample a block. A splat without a camera has a patch of its one colour, and so no energy."""
-    texel = np.repeat(color[:, None], PATCH_SIZE * PATCH_SIZE, axis=1).reshape(-1, PATCH_DIM)
+    texel = np.empty((len(camera), PATCH_DIM), np.uint8)
+    blind = camera == NO_CAMERA
+    texel[blind] = np.tile(color[blind], PATCH_SIZE * PATCH_SIZE)
     error, n_probes = 0.0, 0
-    for i in np.unique(camera[camera != NO_CAMERA]):
+    for i in np.unique(camera[~blind]):
         rows = np.flatnonzero(camera == i)
         h = homographies(cameras[i], origin, centre[rows], frame[0][rows], frame[1][rows], radius)
         bounds = window_bounds(project_corners(h), cameras[i].width_px, cameras[i].height_px)

@@ -1,0 +1,30 @@
+"""Small scans for tests of the whole: a wavy photographed plane with some grain, and coloured points without photos."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+
+from tests.pipeline.readers.workspace import write_photo, write_ply, write_workspace
+
+
+def photo_scan(path: Path, n_side: int = 140, grain: int = 40) -> Path:
+    """A COLMAP workspace of n_side^2 points and three photos, two blocks of splats at the default size."""
+    write_workspace(path, n_side=n_side, params=(400.0, 410.0, 160.0, 120.0), size_px=(320, 240))
+    rng = np.random.default_rng(0)
+    for photo in sorted((path / "images").iterdir()):
+        pixels = oiio.ImageBuf(str(photo)).get_pixels(oiio.UINT8).astype(int)
+        grains = np.kron(rng.integers(-grain, grain + 1, (60, 80, 3)), np.ones((4, 4, 1), int))
+        write_photo(photo, np.clip(pixels + grains, 0, 255).astype(np.uint8))
+    return path
+
+
+def point_scan(path: Path, n: int = 3000) -> Path:
+    """A PLY of coloured points on a ball."""
+    rng = np.random.default_rng(1)
+    normal = rng.normal(size=(n, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    write_ply(path, normal * 2, normal, ((normal + 1) * 127).astype(np.uint8))
+    return path

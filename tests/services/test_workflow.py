@@ -1,0 +1,152 @@
+"""From a scan to its packed file: complete, deterministic, resumable, and measured honestly."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.executors import DaskExecutor, SerialExecutor
+from pipeline.settings import settings_for
+from services import workflow
+from services.workflow import compress, report
+from storage.errors import InvalidScan
+from storage.packed import PackedFile
+from tests.services.scans import photo_scan, point_scan
+from tests.pipeline.test_stage import Heard
+
+SETTINGS = settings_for("draft", target_psnr_db=32.0, training_splats=2000, iterations=2)
+REPORT_KEYS = {
+    "sizes": {"geometry_bytes", "codes_bytes", "dictionary_bytes", "gpu_bytes", "file_bytes", "bytes_per_splat",
+              "source_texture_bytes", "compression_factor_total", "compression_factor_texture"},
+    "quality": {"texture_psnr_db", "visible_psnr_db", "resampling_psnr_db", "views"},
+    "atoms": {"histogram", "mean"},
+}
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory) -> Path:
+    return photo_scan(tmp_path_factory.mktemp("scan") / "wavy plane")
+
+
+@pytest.fixture(scope="module")
+def packed_serially(scan, tmp_path_factory) -> tuple[Path, dict]:
+    out = tmp_path_factory.mktemp("out") / "serial"
+    made = compress(scan, out, SETTINGS, SerialExecutor(), Heard(), render=False)
+    return out, made
+
+
+def test_workflow__leaves_packed_file_and_report_and_nothing_else(packed_serially):
+    out, made = packed_serially
+    assert sorted(p.name for p in out.iterdir()) == ["report.html", "report.json", "wavy plane.splatpress"]
+    assert [p.name for p in out.parent.iterdir()] == ["serial"]
+    assert json.loads((out / "report.json").read_text()) == made
+
+
+def test_workflow__the_report_has_its_keys_and_its_figures_agree(packed_serially):
+    out, made = packed_serially
+    for part, keys in REPORT_KEYS.items():
+        assert keys <= made[part].keys()
+    assert made["splats"] == 140 * 140 == sum(made["atoms"]["histogram"])
+    assert made["quality"]["texture_psnr_db"] > 31 and made["quality"]["visible_psnr_db"] > made["quality"]["texture_psnr_db"]
+    assert 0 < made["atoms"]["mean"] < 8 and made["sizes"]["file_bytes"] == (out / "wavy plane.splatpress").stat().st_size
+    assert len(made["learning"]) == 2 and made["learning"][1]["psnr_db"] > made["learning"][0]["psnr_db"]
+    names = [s["name"] for s in made["stages"]]
+    assert names == ["ingest", "partition", "neighbours", "splats", "resample", "training-set", "dictionary-seed",
+                     "ksvd-update", "quantise", "encode", "pack"]
+    assert all(s["seconds"] > 0 and s["peak_rss_bytes"] > 1e7 for s in made["stages"])
+
+
+def test_workflow__geometry_takes_42_bits_and_errs_below_a_thirtieth_of_the_radius(packed_serially):
+    _, made = packed_serially
+    assert made["sizes"]["geometry_bytes"] * 8 / made["splats"] <= 42
+    assert made["quality"]["geometry"]["mean_position_error_in_radii"] < 1 / 30
+
+
+@pytest.mark.parametrize("n_workers", [1, 2, 4])
+def test_workflow__dask_packs_the_same_bytes(scan, packed_serially, tmp_path, n_workers):
+    with DaskExecutor(n_workers) as executor:
+        compress(scan, tmp_path / "out", SETTINGS, executor, Heard(), render=False)
+    name = "wavy plane.splatpress"
+    assert (tmp_path / "out" / name).read_bytes() == (packed_serially[0] / name).read_bytes()
+
+
+def test_workflow__the_packed_file_measures_what_the_coder_said(scan, packed_serially, tmp_path):
+    out, made = packed_serially
+    measured = report(out / "wavy plane.splatpress", scan, tmp_path / "again", SerialExecutor(), Heard(), render=False)
+    for figure in ("texture_psnr_db", "visible_psnr_db"):
+        assert measured["quality"][figure] == pytest.approx(made["quality"][figure], abs=1e-3)
+    assert measured["quality"]["resampling_psnr_db"] == pytest.approx(made["quality"]["resampling_psnr_db"], abs=0.2)
+    assert measured["atoms"] == made["atoms"]
+
+
+def test_workflow__what_a_change_does_not_touch_is_used_again(scan, tmp_path):
+    first, second = Heard(), Heard()
+    compress(scan, tmp_path / "a", SETTINGS, SerialExecutor(), first, render=False, work=tmp_path / "work")
+    other = settings_for("draft", target_psnr_db=32.0, training_splats=2000, iterations=2, weight_bits=8)
+    better = compress(scan, tmp_path / "b", other, SerialExecutor(), second, render=False, work=tmp_path / "work")
+    reused = {s["name"]: s["reused"] for s in better["stages"]}
+    assert reused["resample"] and reused["ksvd-update"] and not reused["quantise"] and not reused["encode"]
+
+
+def test_workflow__another_seed_gives_another_dictionary(scan, packed_serially, tmp_path):
+    other = settings_for("draft", target_psnr_db=32.0, training_splats=2000, iterations=2, seed=1)
+    compress(scan, tmp_path / "out", other, SerialExecutor(), Heard(), render=False)
+    atoms = []
+    for folder in (packed_serially[0], tmp_path / "out"):
+        with PackedFile(folder / "wavy plane.splatpress") as packed:
+            atoms.append(packed.read("atoms_32"))
+    assert not np.array_equal(*atoms)
+
+
+@pytest.mark.parametrize(("dictionary_bits", "weight_bits"), [(8, 8), (12, 4), (16, 8)])
+def test_workflow__every_code_width_packs_and_measures(scan, tmp_path, dictionary_bits, weight_bits):
+    settings = settings_for("draft", target_psnr_db=30.0, training_splats=1500, iterations=1,
+                            dictionary_bits=dictionary_bits, weight_bits=weight_bits)
+    made = compress(scan, tmp_path / "out", settings, SerialExecutor(), Heard(), render=False)
+    measured = report(tmp_path / "out" / "wavy plane.splatpress", scan, tmp_path / "again", SerialExecutor(), Heard(), render=False)
+    assert measured["quality"]["texture_psnr_db"] == pytest.approx(made["quality"]["texture_psnr_db"], abs=1e-3)
+
+
+def test_workflow__without_atoms_only_averages_are_kept(scan, tmp_path):
+    made = compress(scan, tmp_path / "out", settings_for("draft", max_atoms=0), SerialExecutor(), Heard(), render=False)
+    assert made["atoms"]["histogram"][0] == made["splats"] and made["sizes"]["dictionary_bytes"] == 0
+    assert 10 < made["quality"]["texture_psnr_db"] < 32
+
+
+def test_workflow__points_without_photographs_have_colours_and_no_dictionary(tmp_path):
+    scan = point_scan(tmp_path / "ball.ply")
+    made = compress(scan, tmp_path / "out", SETTINGS, SerialExecutor(), Heard(), render=False)
+    assert made["atoms"]["histogram"][0] == 3000 and made["sizes"]["dictionary_bytes"] == 0
+    assert made["quality"]["texture_psnr_db"] is None and made["learning"] == []
+    with PackedFile(tmp_path / "out" / "ball.splatpress") as packed:
+        colors = packed.read("color")
+    assert len(np.unique(colors, axis=0)) > 1000
+
+
+def test_workflow__a_failure_leaves_nothing_behind_and_the_old_output_alone(scan, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "old").write_text("kept")
+
+    def fails(*_, **__):
+        raise InvalidScan("here", "a trap")
+
+    monkeypatch.setattr(workflow, "pack", fails)
+    with pytest.raises(InvalidScan):
+        compress(scan, out, SETTINGS, SerialExecutor(), Heard(), render=False)
+    assert [p.name for p in tmp_path.iterdir()] == ["out"] and (out / "old").read_text() == "kept"
+
+
+def test_workflow__a_report_against_other_photographs_is_refused(packed_serially, tmp_path):
+    other = photo_scan(tmp_path / "other", n_side=20)
+    (other / "images" / "0002.png").rename(other / "images" / "9999.png")
+    import pycolmap
+
+    model = pycolmap.Reconstruction(other / "sparse")
+    model.images[3].name = "9999.png"
+    model.write_binary(str(other / "sparse"))
+    with pytest.raises(InvalidScan, match="9999.png"):
+        report(packed_serially[0] / "wavy plane.splatpress", other, tmp_path / "out", SerialExecutor(), Heard(), render=False)
