@@ -14,7 +14,7 @@ from pipeline.splats.cameras import N_CANDIDATES, rank_candidates
 from storage import arrays
 from storage.errors import InvalidScan
 
-PIECE = 1 << 18  # points a piece: 20 MB with everything that a point may carry
+PIECE = 1 << 16  # points a piece: 5 MB with everything that a point may carry
 PHOTO_TILE = 512
 
 
