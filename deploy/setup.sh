@@ -15,8 +15,10 @@ install_packages() {
         as_root=(sudo -n)
     fi
     log "installing $*"
-    "${as_root[@]}" apt-get update -qq >&2 &&
-        "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >&2
+    local said
+    said=$("${as_root[@]}" apt-get update -qq 2>&1 &&
+        "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" 2>&1) ||
+        { log "$said"; return 1; }
 }
 
 find_python() {

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from pipeline.coding.omp import Codes, reconstruct, sparse_encode
+from pipeline.coding.omp import Pursuit, pursue_patches, reconstruct
 
 BLOCK = 8192  # patches whose sums are made in one go; part of the result, as float sums depend on their order
 WORST = 512  # how many badly represented patches a block offers as replacements
@@ -47,18 +47,19 @@ def initial_dictionary(patches: np.ndarray, n_atoms: int, seed: int) -> np.ndarr
     return _distinct_directions(patches[order], np.empty((0, patches.shape[1]), np.float32), n_atoms)
 
 
-def block_sums(patches: np.ndarray, dictionary: np.ndarray, codes: Codes) -> Sums:
-    """The sums of one block. `patches` (n, d) float32 and their `codes` in `dictionary`."""
+def block_sums(patches: np.ndarray, dictionary: np.ndarray, pursuit: Pursuit) -> Sums:
+    """The sums of one block. `patches` (n, d) float32 and what their pursuit in `dictionary` found."""
+    codes, error = pursuit.codes, pursuit.residual
     n_atoms, dim = dictionary.shape
     moment = np.zeros((n_atoms, dim), np.float32)
     gain, n_users = np.zeros(n_atoms), np.zeros(n_atoms, np.int64)
     residual = patches - reconstruct(codes, dictionary)
     _accumulate(residual, codes.atom_index, codes.weight, codes.n_atoms, moment, gain, n_users)
-    worst = np.argsort(-codes.residual, kind="stable")[:WORST]
+    worst = np.argsort(-error, kind="stable")[:WORST]
     rows = patches[worst].astype(np.float32)
     norms = np.linalg.norm(rows, axis=1, keepdims=True)
-    return Sums(moment.astype(np.float64), gain, n_users, float(codes.residual.sum()), len(patches),
-                codes.residual[worst], rows / np.maximum(norms, np.finfo(np.float32).tiny))
+    return Sums(moment.astype(np.float64), gain, n_users, float(error.sum()), len(patches),
+                error[worst], rows / np.maximum(norms, np.finfo(np.float32).tiny))
 
 
 def merge_sums(a: Sums, b: Sums) -> Sums:
@@ -125,8 +126,8 @@ def learn_dictionary(
         blocks = []
         for start in range(0, len(patches), BLOCK):
             part = patches[start : start + BLOCK]
-            codes = sparse_encode(part, dictionary, max_atoms=most, tolerance=tolerance)
-            blocks.append(block_sums(part, dictionary, codes))
+            pursuit = pursue_patches(part, dictionary, max_atoms=most, tolerance=tolerance)
+            blocks.append(block_sums(part, dictionary, pursuit))
         sums = merge_in_order(blocks.__getitem__, 0, len(blocks))
         on_iteration(iteration, sums.error / sums.n_patches)
         dictionary, _ = updated_dictionary(dictionary, sums)

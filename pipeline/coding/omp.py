@@ -22,8 +22,14 @@ class Codes(NamedTuple):
     atom_index: np.ndarray  # (n, r) int32
     weight: np.ndarray  # (n, r) float32
     n_atoms: np.ndarray  # (n,) int32
-    weight_code: np.ndarray  # (n, r) int32, index into the weight levels; zeros where weights are exact
-    residual: np.ndarray  # (n,) float64 squared norm of what is left
+
+
+class Pursuit(NamedTuple):
+    """Codes, the levels their weights were quantised to, and what is left of the patches."""
+
+    codes: Codes
+    weight_code: np.ndarray  # (n, r) int32, index into the weight levels of the rank; zeros where weights are exact
+    residual: np.ndarray  # (n,) float64 squared norm
 
 
 def sparse_encode(
@@ -33,9 +39,8 @@ def sparse_encode(
     max_atoms: int,
     tolerance: float | np.ndarray = 0.0,
     weight_levels: np.ndarray | None = None,  # (max_atoms or more, n_levels), ascending rows
-    gram: np.ndarray | None = None,  # (n_dictionary, n_dictionary) float32, where it is at hand
 ) -> Codes:
-    """Code each patch by at most `max_atoms` atoms; the first three results are atom_index, weight, n_atoms.
+    """Code each patch by at most `max_atoms` atoms; returns `(atom_index, weight, n_atoms)`.
 
     A patch is done when its squared residual norm is at most `tolerance` (one number, or one a patch; in the units of
     the patches squared, as scikit-learn's `tol` and SPAMS' `eps`). With `weight_levels` every weight of rank j is one
@@ -53,15 +58,28 @@ def sparse_encode(
     >>> codes.atom_index.tolist(), codes.weight.tolist()
     ([[1, 3]], [[3.0, -1.0]])
     """
+    return pursue_patches(
+        patches, dictionary, max_atoms=max_atoms, tolerance=tolerance, weight_levels=weight_levels
+    ).codes
+
+
+def pursue_patches(
+    patches: np.ndarray,
+    dictionary: np.ndarray,
+    *,
+    max_atoms: int,
+    tolerance: float | np.ndarray = 0.0,
+    weight_levels: np.ndarray | None = None,
+    gram: np.ndarray | None = None,  # (n_dictionary, n_dictionary) float32, where it is at hand
+) -> Pursuit:
+    """`sparse_encode`, with all that the pursuit found out."""
     patches, dictionary = _checked(patches, dictionary, max_atoms)
     if gram is None:
         gram = dictionary @ dictionary.T
     levels = NO_LEVELS if weight_levels is None else np.ascontiguousarray(weight_levels, np.float64)
     n = len(patches)
-    codes = Codes(
-        np.zeros((n, max_atoms), np.int32), np.zeros((n, max_atoms), np.float32), np.zeros(n, np.int32),
-        np.zeros((n, max_atoms), np.int32), np.zeros(n),
-    )
+    codes = Codes(np.zeros((n, max_atoms), np.int32), np.zeros((n, max_atoms), np.float32), np.zeros(n, np.int32))
+    weight_code, residual = np.zeros((n, max_atoms), np.int32), np.zeros(n)
     tolerance = np.broadcast_to(np.asarray(tolerance, np.float64), (n,))
     for start in range(0, n, ROWS):
         part = slice(start, start + ROWS)
@@ -71,9 +89,9 @@ def sparse_encode(
             raise ValueError(f"patch {start + int(np.argmin(np.isfinite(energy)))} is not finite")
         weight = np.zeros((len(rows), max_atoms))
         pursue(rows @ dictionary.T, energy, gram, tolerance[part], levels, codes.atom_index[part], weight,
-               codes.weight_code[part], codes.n_atoms[part], codes.residual[part])
+               weight_code[part], codes.n_atoms[part], residual[part])
         codes.weight[part] = weight
-    return codes
+    return Pursuit(codes, weight_code, residual)
 
 
 def reconstruct(codes: Codes, dictionary: np.ndarray) -> np.ndarray:

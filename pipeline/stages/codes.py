@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.accuracy import psnr_db
-from pipeline.coding.omp import Codes, reconstruct, sparse_encode
+from pipeline.coding.omp import Codes, Pursuit, pursue_patches, reconstruct
 from pipeline.texture.patches import centred, patch_errors
 from pipeline.texture.resample import PATCH_DIM, disc_weights
 from storage import arrays, work
@@ -45,9 +45,10 @@ class Encode:
         squared, weighted = 0.0, 0.0
         for at in range(0, stop - start, ROWS):
             rows = slice(at, at + ROWS)
-            codes, decoded = encode(centred(texel[rows], average[rows]))
-            used = codes.atom_index.shape[1]
-            n_atoms[rows], atom[rows, :used], weight_code[rows, :used] = codes[2], codes[0], codes[3]
+            found, decoded = encode(centred(texel[rows], average[rows]))
+            used = found.weight_code.shape[1]
+            n_atoms[rows], atom[rows, :used] = found.codes.n_atoms, found.codes.atom_index
+            weight_code[rows, :used] = found.weight_code
             lost = patch_errors(texel[rows], average[rows], decoded)
             squared, weighted = squared + lost[0], weighted + lost[1]
         for name, values in (("n_atoms", n_atoms), ("atom", atom), ("weight_code", weight_code)):
@@ -65,10 +66,10 @@ class Encode:
         levels = arrays.read(self.quantized, "weight_levels")
         most = min(self.max_atoms, len(dictionary))
 
-        def encode(patches: np.ndarray) -> tuple[Codes, np.ndarray]:
-            codes = sparse_encode(patches, dictionary, max_atoms=most, tolerance=self.tolerance,
-                                  weight_levels=levels, gram=gram)
-            return codes, reconstruct(codes, dictionary)
+        def encode(patches: np.ndarray) -> tuple[Pursuit, np.ndarray]:
+            found = pursue_patches(patches, dictionary, max_atoms=most, tolerance=self.tolerance,
+                                   weight_levels=levels, gram=gram)
+            return found, reconstruct(found.codes, dictionary)
 
         return encode
 
@@ -82,6 +83,6 @@ def coding_quality(results: list[dict]) -> dict:
             "histogram": histogram.tolist(), "mean_atoms": float(histogram @ np.arange(len(histogram)) / n)}
 
 
-def _no_codes(n: int) -> Codes:
-    return Codes(np.zeros((n, 0), np.int32), np.zeros((n, 0), np.float32), np.zeros(n, np.int32),
-                 np.zeros((n, 0), np.int32), np.zeros(n))
+def _no_codes(n: int) -> Pursuit:
+    nothing = Codes(np.zeros((n, 0), np.int32), np.zeros((n, 0), np.float32), np.zeros(n, np.int32))
+    return Pursuit(nothing, np.zeros((n, 0), np.int32), np.zeros(n))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coding.ksvd import Sums, block_sums, initial_dictionary, merge_in_order, updated_dictionary
-from pipeline.coding.omp import sparse_encode
+from pipeline.coding.omp import pursue_patches
 from pipeline.stages.training import training_patches
 from storage import arrays, work
 
@@ -61,10 +61,10 @@ class KsvdUpdate:
         dictionary, gram = arrays.read(self.previous, "dictionary"), arrays.read(self.previous, "gram")
         patches = training_patches(self.training, index)
         most = min(self.max_atoms, len(dictionary))
-        codes = sparse_encode(patches, dictionary, max_atoms=most, tolerance=self.tolerance, gram=gram)
-        sums = block_sums(patches, dictionary, codes)
+        pursuit = pursue_patches(patches, dictionary, max_atoms=most, tolerance=self.tolerance, gram=gram)
+        sums = block_sums(patches, dictionary, pursuit)
         np.savez(folder / f"sums-{index}.npz", **vars(sums))
-        return {"n_splats": len(patches), "n_atoms_used": int(codes.n_atoms.sum())}
+        return {"n_splats": len(patches), "n_atoms_used": int(pursuit.codes.n_atoms.sum())}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         sums = merge_in_order(lambda i: _load_sums(folder, i), 0, len(results))

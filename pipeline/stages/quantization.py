@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coding.omp import sparse_encode
+from pipeline.coding.omp import pursue_patches
 from pipeline.coding.quantize import dequantize_atoms, mip_levels, quantize_atoms, train_weight_levels
 from pipeline.stages.training import training_patches
 from storage import arrays, work
@@ -40,10 +40,10 @@ class Quantization:
 
     def run(self, folder: Path, index: int) -> dict:
         dictionary = arrays.read(folder, "dictionary")
-        codes = sparse_encode(
+        codes = pursue_patches(
             training_patches(self.training, index), dictionary, max_atoms=min(self.max_atoms, len(dictionary)),
             tolerance=self.tolerance, gram=arrays.read(folder, "gram"),
-        )
+        ).codes
         np.savez(folder / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
         return {"n_splats": len(codes.n_atoms)}
 

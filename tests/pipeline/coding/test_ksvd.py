@@ -8,7 +8,7 @@ import pytest
 from pipeline.coding.ksvd import (
     TWIN_COHERENCE, block_sums, initial_dictionary, learn_dictionary, merge_in_order, merge_sums, updated_dictionary,
 )
-from pipeline.coding.omp import sparse_encode
+from pipeline.coding.omp import pursue_patches
 from tests import reference
 from tests.pipeline.coding.test_omp import unit_rows
 
@@ -33,9 +33,9 @@ def test_ksvd__one_update_is_a_power_iteration_of_every_atom():
     rng = np.random.default_rng(0)
     patches, _ = planted(rng, 500, 24, 96)
     dictionary = initial_dictionary(patches, 24, seed=1)
-    codes = sparse_encode(patches, dictionary, max_atoms=3)
+    codes = pursue_patches(patches, dictionary, max_atoms=3)
     updated, n_replaced = updated_dictionary(dictionary, block_sums(patches, dictionary, codes))
-    expected = reference.ksvd_power_iteration(patches, dictionary, dense(codes, 24))
+    expected = reference.ksvd_power_iteration(patches, dictionary, dense(codes.codes, 24))
     assert n_replaced == 0
     np.testing.assert_allclose(np.abs((updated * expected).sum(axis=1)), 1, atol=1e-6)
 
@@ -54,7 +54,7 @@ def test_ksvd__blocks_merge_to_the_whole():
     dictionary = initial_dictionary(patches, 16, seed=0)
 
     def sums(rows):
-        return block_sums(rows, dictionary, sparse_encode(rows, dictionary, max_atoms=3))
+        return block_sums(rows, dictionary, pursue_patches(rows, dictionary, max_atoms=3))
 
     whole, parts = sums(patches), [sums(patches[i : i + 100]) for i in range(0, 700, 100)]
     merged = merge_in_order(parts.__getitem__, 0, len(parts))
@@ -68,7 +68,7 @@ def test_ksvd__the_merge_keeps_the_worst_of_both():
     rng = np.random.default_rng(3)
     patches, _ = planted(rng, 2000, 16, 48)
     dictionary = initial_dictionary(patches, 16, seed=0)
-    a, b = (block_sums(p, dictionary, sparse_encode(p, dictionary, max_atoms=1)) for p in (patches[:1000], patches[1000:]))
+    a, b = (block_sums(p, dictionary, pursue_patches(p, dictionary, max_atoms=1)) for p in (patches[:1000], patches[1000:]))
     merged = merge_sums(a, b)
     everything = np.sort(np.concatenate([a.worst_error, b.worst_error]))[::-1]
     assert (merged.worst_error == everything[: len(merged.worst_error)]).all()
@@ -98,7 +98,7 @@ def test_ksvd__replaces_an_unused_atom_and_a_twin_by_different_inputs():
     patches, _ = planted(rng, 2000, 20, 64)
     dictionary = initial_dictionary(patches, 20, seed=0)
     dictionary[3] = dictionary[4]
-    codes = sparse_encode(patches, dictionary, max_atoms=3)
+    codes = pursue_patches(patches, dictionary, max_atoms=3)
     sums = block_sums(patches, dictionary, codes)
     assert sums.n_users[4] == 0 or sums.n_users[3] == 0
     updated, n_replaced = updated_dictionary(dictionary, sums)
