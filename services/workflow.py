@@ -224,7 +224,7 @@ def _scan_record(prepared: Prepared) -> dict:
         warnings.append(f"{n_bad} of {scan['n_points']} splats have no normal that their neighbourhood defines")
     n_blind = prepared.splats.summary["n_without_camera"]
     if scan["cameras"] and n_blind:
-        warnings.append(f"{n_blind} of {scan['n_points']} splats are seen whole by no camera and have the scan's colour")
+        warnings.append(f"{n_blind} of {scan['n_points']} splats are seen by no camera and have the scan's colour")
     return {"unit": scan["unit"], "n_points": scan["n_read"], "n_cameras": len(scan["cameras"]), "warnings": warnings}
 
 

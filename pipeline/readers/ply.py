@@ -107,7 +107,8 @@ def _columns(vertex: Element) -> dict[str, tuple[str, ...]]:
     for names in reversed(_COLORS):
         if present.issuperset(names):
             columns["color"] = names
-    for name in reversed(_INTENSITY):
+    # Stanford's range scans carry `intensity` beside `confidence`; it is no brightness that one would want to see.
+    for name in reversed(_INTENSITY if "confidence" not in present else ()):
         if name in present:
             columns["intensity"] = (name,)
     return columns

@@ -77,7 +77,8 @@ class Splats:
             np.put_along_axis(seen, np.minimum(candidate, len(cameras)), True, axis=1)
         else:
             for i, camera in enumerate(cameras):
-                seen[:, i] = seen_points(arrays.read(self.depth_maps, f"depth_{i}"), camera, absolute, self.radius)
+                depth_map = arrays.read(self.depth_maps, f"depth_{i}")
+                seen[:, i] = seen_points(depth_map, camera, absolute, normal, self.radius)
         return best_cameras(cameras, absolute, normal, self.radius, seen)
 
     def _viewers(self, scan: dict, absolute: np.ndarray, camera: np.ndarray, start: int, stop: int) -> np.ndarray:

@@ -127,6 +127,21 @@ def test_visibility__a_wall_hides_what_is_behind_it_and_not_what_is_on_it():
     depth_map = empty_map(camera, map_scale(camera, 5.0, radius))
     for part in (behind, front):
         draw_points(depth_map, camera, part, radius)
-    assert seen_points(depth_map, camera, front, radius).mean() > 0.999
-    assert seen_points(depth_map, camera, behind, radius).mean() < 0.01
-    assert not seen_points(depth_map, camera, np.array([[0, 0, -9.0], [50.0, 0, 0]]), radius).any()
+    def seen(points):
+        return seen_points(depth_map, camera, points, np.tile([0.0, 0, -1], (len(points), 1)), radius)
+
+    assert seen(front).mean() > 0.999 and seen(behind).mean() < 0.01
+    assert not seen(np.array([[0, 0, -9.0], [50.0, 0, 0]])).any()
+
+
+@pytest.mark.parametrize("degrees", [60, 80])
+def test_visibility__a_slanted_wall_does_not_hide_itself(degrees):
+    rng = np.random.default_rng(3)
+    slope = np.radians(degrees)
+    flat = rng.uniform(-1, 1, (20000, 2))
+    wall = np.column_stack([flat[:, 0] * np.cos(slope), flat[:, 1], flat[:, 0] * np.sin(slope)])
+    normal = np.tile([-np.sin(slope), 0, np.cos(slope)], (20000, 1))
+    camera, radius = camera_at(0, -5), 0.02
+    depth_map = empty_map(camera, map_scale(camera, 5.0, radius))
+    draw_points(depth_map, camera, wall, radius)
+    assert seen_points(depth_map, camera, wall, normal, radius).mean() > 0.99
