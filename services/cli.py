@@ -9,12 +9,17 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import traceback
 import warnings
 from pathlib import Path
 
 from storage.errors import SplatpressError
 
-OK, ARGUMENTS, INPUT_OUTPUT, INTERNAL, GATE_MISSED = 0, 1, 2, 4, 7
+OK, ARGUMENTS, INPUT_OUTPUT, INTERNAL, GATE_MISSED, INTERRUPTED = 0, 1, 2, 4, 7, 130
+
+
+class WrongArgument(ValueError):
+    """An argument whose value is not allowed; argparse itself cannot tell."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -34,9 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
     except SplatpressError as error:
         print(f"splatpress: {error.kind} error: {error}", file=sys.stderr)
         return error.exit_code
-    except ValueError as error:
-        if not getattr(error, "is_argument", False):
-            raise
+    except WrongArgument as error:
         print(f"splatpress: {error}", file=sys.stderr)
         return ARGUMENTS
     except OSError as error:
@@ -44,13 +47,11 @@ def main(arguments: list[str] | None = None) -> int:
         return INPUT_OUTPUT
     except KeyboardInterrupt:
         print("splatpress: interrupted", file=sys.stderr)
-        return 130
-
-
-def _wrong_argument(message: str) -> ValueError:
-    error = ValueError(message)
-    error.is_argument = True
-    return error
+        return INTERRUPTED
+    except Exception:  # whatever else comes here is ours to mend, and must not look like wrong arguments
+        traceback.print_exc()
+        print("splatpress: internal error: please report the lines above", file=sys.stderr)
+        return INTERNAL
 
 
 # --- commands: heavy imports stand inside, so that --help and inspect answer at once ----------------------------------
@@ -116,8 +117,8 @@ def _settings(options: argparse.Namespace):
     names = ("dictionary_bits", "weight_bits", "max_atoms", "target_psnr_db", "iterations", "training_splats", "radius", "seed")
     try:
         return settings_for(options.preset, **{name: getattr(options, name, None) for name in names})
-    except ValueError as error:
-        raise _wrong_argument(str(error)) from error
+    except WrongArgument as error:
+        raise WrongArgument(str(error)) from error
 
 
 def _executor(options: argparse.Namespace):
@@ -143,7 +144,7 @@ def _scan_path(text: str) -> Path:
 
 def _refuse_to_overwrite(out: Path, overwrite: bool) -> None:
     if out.exists() and not overwrite and (not out.is_dir() or any(out.iterdir())):
-        raise _wrong_argument(f"--out {out} exists and is not empty; choose another, or say --overwrite")
+        raise WrongArgument(f"--out {out} exists and is not empty; choose another, or say --overwrite")
 
 
 def _show_report(report: dict, out: Path, options: argparse.Namespace) -> int:

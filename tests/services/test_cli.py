@@ -117,3 +117,12 @@ def test_cli__report_has_views_beside_the_photographs(scan, compressed, tmp_path
     assert code == 0 and len(views) == 3 and (tmp_path / "r" / "report.html").exists()
     assert all(v["psnr_vs_baseline_db"] > 25 and v["ssim_vs_baseline"] > 0.8 for v in views)
     assert all(abs(v["psnr_vs_photo_db"] - v["baseline_psnr_vs_photo_db"]) < 3 for v in views)
+
+
+def test_cli__a_mistake_of_ours_does_not_look_like_wrong_arguments(scan, tmp_path, capsys, monkeypatch):
+    def fails(*_, **__):
+        raise IndexError("ours")
+
+    monkeypatch.setattr("services.workflow.compress", fails)
+    code, _, err = run(capsys, "compress", scan, "--out", tmp_path / "o", "--executor", "serial")
+    assert code == 4 and "IndexError: ours" in err and "please report" in err
