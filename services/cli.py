@@ -117,7 +117,7 @@ def _settings(options: argparse.Namespace):
     names = ("dictionary_bits", "weight_bits", "max_atoms", "target_psnr_db", "iterations", "training_splats", "radius", "seed")
     try:
         return settings_for(options.preset, **{name: getattr(options, name, None) for name in names})
-    except WrongArgument as error:
+    except ValueError as error:
         raise WrongArgument(str(error)) from error
 
 
