@@ -222,6 +222,8 @@ def _scan_record(prepared: Prepared) -> dict:
     n_bad = prepared.neighbours.summary["n_degenerate"]
     if n_bad:
         warnings.append(f"{n_bad} of {scan['n_points']} splats have no normal that their neighbourhood defines")
+    if not (scan["has_colors"] or scan["cameras"]):
+        warnings.append("the scan has neither colours nor intensity nor photographs; its splats are grey, shaded by their normals")
     n_blind = prepared.splats.summary["n_without_camera"]
     if scan["cameras"] and n_blind:
         warnings.append(f"{n_blind} of {scan['n_points']} splats are seen by no camera and have the scan's colour")

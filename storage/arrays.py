@@ -1,6 +1,6 @@
 """Arrays of a stage's folder: zarr v3, one chunk a block of splats, written whole by one task.
 
-Uncompressed: they are read back within minutes, and on the machines this was measured on a disk cache outruns zstd.
+Uncompressed: they are read back within minutes, mostly from the disk cache.
 """
 
 from __future__ import annotations

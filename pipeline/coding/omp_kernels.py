@@ -10,7 +10,7 @@ import numba
 import numpy as np
 
 # A squared pivot below this says that the atom lies in the span of the support, as far as float32 can tell: twins of
-# coherence 1 - 1e-7 have pivots near 2e-7, while the patches of real scans stay above 1e-3.
+# coherence 1 - 1e-7 have pivots near 2e-7, while 4,000 patches of fountain_p11 with 8 of 256 atoms stay above 0.16.
 SMALLEST_PIVOT = 1e-5
 # A correlation below this share of the patch's norm is float32 rounding of a GEMM over 3072 terms, not signal.
 SMALLEST_CORRELATION = 1e-6
@@ -91,7 +91,7 @@ def _quantize_weights(levels, target, gram_support, weight, code, t):
     """Replace least-squares weights by levels, then let each in turn take up what the others' rounding left.
 
     A sweep never raises the error: each weight moves to the level nearest to its optimum given the others. Two sweeps
-    settle supports of 8 (on real patches a third changes 1 weight in 1,000).
+    settle supports of 8 (on 4,000 patches of fountain_p11 a third changes 1.3 weights in 1,000).
     """
     for j in range(t):
         code[j] = nearest_level(levels[j], weight[j])

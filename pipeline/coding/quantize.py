@@ -55,8 +55,8 @@ def train_weight_levels(weights: list[np.ndarray], n_levels: int, rounds: int = 
 def _lloyd(ordered: np.ndarray, n_levels: int, rounds: int) -> np.ndarray:
     if not len(ordered):
         return np.linspace(-1, 1, n_levels)
-    # Quantiles of the cube root of density are where the optimum lies for many levels (Panter and Dite 1951); plain
-    # quantiles starve the tails, an even grid the middle: the mean of both starts Lloyd within 2 % of its end.
+    # Plain quantiles starve the tails and an even grid the middle; from the mean of both, 40 rounds come within 1e-5 of
+    # what 300 reach (first weights of 4,000 patches of fountain_p11, 16 and 256 levels).
     share = (np.arange(n_levels) + 0.5) / n_levels
     level = (np.quantile(ordered, share) + np.linspace(ordered[0], ordered[-1], n_levels)) / 2
     total = np.concatenate([[0], np.cumsum(ordered)])

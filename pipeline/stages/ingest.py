@@ -57,7 +57,8 @@ class Ingest:
             "format": source.format, "unit": source.unit, "n_points": points["n_splats"], "n_read": points["n_read"],
             "n_dropped": points["n_dropped"], "low": points["low"], "high": points["high"],
             "intensity_range": points["intensity_range"], "cameras": [asdict(c) for c in source.cameras],
-            "stations": source.stations, "has_visibility": source.has_visibility, "warnings": warnings,
+            "stations": source.stations, "has_visibility": source.has_visibility,
+            "has_colors": source.has_colors or source.has_intensity, "warnings": warnings,
         }
 
 

@@ -15,7 +15,10 @@ from pipeline.splats.visibility import seen_points
 from storage import arrays, work
 from storage.schema import CHUNK, NO_CAMERA, Camera
 
-GREY = 0.5  # of a scan with neither colour nor intensity
+# A scan with neither colour nor intensity is shown as grey plaster under a lamp above and to the side: a flat grey
+# would show its outline only.
+LAMP = np.array([0.42, 0.28, 0.86])
+DARKEST, BRIGHTEST = 0.15, 0.85
 
 
 @dataclass(frozen=True)
@@ -46,10 +49,10 @@ class Splats:
         absolute = position + points["origin"]
         normal = arrays.read(self.neighbours, "normal", start, stop).astype(np.float64)
         camera = self._cameras(scan, absolute, normal, start, stop)
-        normal = turned_to(normal, self._viewers(scan, absolute, camera, start, stop) - absolute)
+        normal = turned_to(normal, self._towards_viewer(scan, absolute, normal, camera, start, stop))
         boxes, code, normal_code = fit_boxes(position), None, encode_normals(normal)
         code = encode_positions(position, boxes)
-        self._write(folder, start, code, normal_code, camera, self._colors(scan, start, stop), boxes)
+        self._write(folder, start, code, normal_code, camera, self._colors(scan, normal, start, stop), boxes)
         off = np.linalg.norm(decode_positions(code, boxes) - position, axis=1)
         cosine = np.clip((decode_normals(normal_code) * normal).sum(axis=1), -1, 1)
         return {"n_splats": stop - start, "n_without_camera": int((camera == NO_CAMERA).sum()),
@@ -81,30 +84,34 @@ class Splats:
                 seen[:, i] = seen_points(depth_map, camera, absolute, normal, self.radius)
         return best_cameras(cameras, absolute, normal, self.radius, seen)
 
-    def _viewers(self, scan: dict, absolute: np.ndarray, camera: np.ndarray, start: int, stop: int) -> np.ndarray:
-        """Where each splat was seen from, (n, 3): its camera, else its station, else above (airborne), else outside."""
-        middle = (np.array(scan["low"]) + scan["high"]) / 2
-        if scan["format"] == "las":
-            viewer = absolute + [0.0, 0.0, 1.0]
+    def _towards_viewer(
+        self, scan: dict, absolute: np.ndarray, normal: np.ndarray, camera: np.ndarray, start: int, stop: int
+    ) -> np.ndarray:
+        """The directions (n, 3) that normals are turned to: the splat's camera, else its station; else normals that
+        the scan brought stay as they are, and others look up (airborne scans) or away from the middle."""
+        if arrays.exists(self.partition, "normal"):
+            towards = normal.copy()
+        elif scan["format"] == "las":
+            towards = np.tile([0.0, 0.0, 1.0], (len(absolute), 1))
         else:
-            viewer = 2 * absolute - middle
+            towards = absolute - (np.array(scan["low"]) + scan["high"]) / 2
         if arrays.exists(self.partition, "station"):
-            viewer = np.array(scan["stations"])[arrays.read(self.partition, "station", start, stop)]
+            towards = np.array(scan["stations"])[arrays.read(self.partition, "station", start, stop)] - absolute
         if scan["cameras"]:
-            centres = np.array([c["centre"] for c in scan["cameras"]])
             has = camera != NO_CAMERA
-            viewer[has] = centres[camera[has]]
-        return viewer
+            towards[has] = np.array([c["centre"] for c in scan["cameras"]])[camera[has]] - absolute[has]
+        return towards
 
-    def _colors(self, scan: dict, start: int, stop: int) -> np.ndarray:
-        """The scan's own colour, else grey from its intensity, else grey."""
+    def _colors(self, scan: dict, normal: np.ndarray, start: int, stop: int) -> np.ndarray:
+        """The scan's own colour, else grey from its intensity, else grey from its normals."""
         if arrays.exists(self.partition, "color"):
             return arrays.read(self.partition, "color", start, stop)
-        grey = np.full(stop - start, GREY)
         if arrays.exists(self.partition, "intensity"):
             low, high = scan["intensity_range"]
             intensity = arrays.read(self.partition, "intensity", start, stop).astype(np.float64)
             grey = np.clip(np.nan_to_num((intensity - low) / max(high - low, np.finfo(float).tiny)), 0, 1)
+        else:
+            grey = DARKEST + (BRIGHTEST - DARKEST) * (1 + normal @ LAMP / np.linalg.norm(LAMP)) / 2
         return np.repeat(np.round(grey * 255).astype(np.uint8)[:, None], 3, axis=1)
 
 

@@ -92,7 +92,7 @@ def _lookup(flat, stride, x, y, channel_sum):
     """Add the bilinear lookup at array position (x, y) to channel_sum (4,).
 
     `flat` is `_padded` pixels, `stride` a row of it. Unsigned indices spare numba's test for negative ones: this
-    loop is most of the resampling, and 4 times slower with the tests.
+    loop is most of the resampling, and 3 times slower with the tests.
     """
     x0, y0 = np.uint64(np.int64(x)), np.uint64(np.int64(y))
     fx, fy = np.float32(x - np.float64(x0)), np.float32(y - np.float64(y0))
