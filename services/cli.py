@@ -1,4 +1,4 @@
-"""The command line: splatpress compress | inspect | render | report | demo.
+"""The command line: splatpress compress | inspect | check | render | report | demo.
 
 Exit codes: 0 ok, 1 arguments, 2 I/O or resources, 3 invalid input, 4 a mistake of ours, 5 unsupported, 7 a quality
 gate missed.
@@ -14,7 +14,7 @@ from pathlib import Path
 
 from storage.errors import SplatpressError
 
-OK, ARGUMENTS, INPUT_OUTPUT, INTERNAL, GATE_MISSED = 0, 1, 2, 4, 7
+OK, ARGUMENTS, INPUT_OUTPUT, INVALID_INPUT, INTERNAL, GATE_MISSED = 0, 1, 2, 3, 4, 7
 
 
 class _Parser(argparse.ArgumentParser):
@@ -74,6 +74,18 @@ def _inspect(options: argparse.Namespace) -> int:
     found = inspect(_scan_path(options.path))
     print(json.dumps(found) if options.json else _as_lines(found))
     return OK
+
+
+def _check(options: argparse.Namespace) -> int:
+    from services.inspection import check
+
+    found = check(_scan_path(options.path))
+    if options.json:
+        print(json.dumps(found))
+    else:
+        for finding in found["findings"]:
+            print(f"{finding['severity']}: {finding['text']}")
+    return OK if found["ok"] else INVALID_INPUT
 
 
 def _render(options: argparse.Namespace) -> int:
@@ -221,6 +233,10 @@ def _parser() -> argparse.ArgumentParser:
     inspect.add_argument("path", metavar="SCAN-or-PACKED")
     inspect.add_argument("--json", action="store_true")
     inspect.set_defaults(command=_inspect)
+    check = commands.add_parser("check", help="what is wrong with a scan, from one pass over its points; exit 0 or 3")
+    check.add_argument("path", metavar="SCAN")
+    check.add_argument("--json", action="store_true")
+    check.set_defaults(command=_check)
     render = commands.add_parser("render", help="pictures of a packed file")
     render.add_argument("packed", metavar="PACKED")
     view = render.add_mutually_exclusive_group(required=True)

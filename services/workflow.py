@@ -76,6 +76,7 @@ class Coded:
     quantized: StageRecord | None
     learning: list[dict]
     n_dictionary: int
+    safeguard_steps: int  # dictionaries that did worse than one before them and were taken back
 
 
 def fingerprint(scan: Path) -> str:
@@ -108,16 +109,17 @@ def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
                               up_axis_of(scan.summary["cameras"])))
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
     training = run.do(TrainingSet(patches.folder, tolerance, settings.training_splats, settings.seed))
-    quantized, learning = None, []
+    quantized, learning, n_taken_back = None, [], 0
     if settings.max_atoms and training.summary["n_patches"]:
-        learned, learning = _learn(run, patches, training, settings, tolerance)
-        quantized = run.do(Quantization(training.folder, learned, settings.max_atoms, tolerance, settings.weight_bits))
+        learned, learning = _learn(run, training, settings, tolerance)
+        quantized, n_taken_back = _quantize_best(run, training, learned, settings, tolerance)
+        n_taken_back += sum(not row["accepted"] for row in learning)
     codes = run.do(Encode(patches.folder, quantized.folder if quantized else None, settings.max_atoms, tolerance))
-    return Coded(patches, codes, quantized, learning, quantized.summary["n_atoms"] if quantized else 0)
+    return Coded(patches, codes, quantized, learning, quantized.summary["n_atoms"] if quantized else 0, n_taken_back)
 
 
-def _learn(run: Run, patches: StageRecord, training: StageRecord, settings: Settings, tolerance: float):
-    """The folder of the learned dictionary, and the learning curve as estimates for the whole scan."""
+def _learn(run: Run, training: StageRecord, settings: Settings, tolerance: float) -> tuple[StageRecord, list[dict]]:
+    """The last iteration, and the learning curve as estimates for the whole scan: of the best dictionary so far."""
     begun = time.perf_counter()
     n_atoms = max(1, min(2**settings.dictionary_bits, training.summary["n_patches"] // PATCHES_AN_ATOM))
     learned = run.do(DictionarySeed(training.folder, n_atoms, settings.seed)).folder
@@ -127,8 +129,23 @@ def _learn(run: Run, patches: StageRecord, training: StageRecord, settings: Sett
         learned, found = record.folder, record.summary
         error = found["squared_error"] / found["n_patches"] * training.summary["n_active"] + training.summary["settled_energy"]
         curve.append({"seconds": time.perf_counter() - begun, "replaced_atoms": found["n_replaced"],
-                      "psnr_db": psnr_db(error, training.summary["n_splats"] * PATCH_DIM)})
-    return learned, curve
+                      "accepted": found["accepted"], "psnr_db": psnr_db(error, training.summary["n_splats"] * PATCH_DIM)})
+    return record, curve
+
+
+def _quantize_best(run: Run, training: StageRecord, learned: StageRecord, settings: Settings, tolerance: float):
+    """The better of the last dictionary and the best before it, in bytes, and whether (0 or 1) the last was taken back.
+
+    Quantising codes the training set once more, so the last dictionary, which no iteration has measured, is measured
+    there. The one before it is quantised too only where the last looks worse.
+    """
+    stages = (Quantization(training.folder, learned.folder, settings.max_atoms, tolerance, settings.weight_bits, name)
+              for name in ("dictionary", "best"))
+    last = run.do(next(stages))
+    if last.summary["squared_error"] <= learned.summary["squared_error"]:
+        return last, 0
+    best = run.do(next(stages))
+    return (best, 1) if best.summary["squared_error"] < last.summary["squared_error"] else (last, 0)
 
 
 def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, name: str, path: Path) -> StageRecord:
@@ -180,7 +197,7 @@ def finish(run: Run, path: Path, prepared: Prepared, coded: Coded | None, settin
     """Previews and report of a packed file just made."""
     record = {
         "scan": _scan_record(prepared), "quality": _quality(prepared, coded),
-        "learning": coded.learning if coded else [], "settings": asdict(settings),
+        "learning": coded.learning if coded else [], "numerics": _numerics(prepared, coded), "settings": asdict(settings),
     }
     return write_outputs(run, path, prepared.scan.folder, record, out, render)
 
@@ -228,6 +245,16 @@ def _scan_record(prepared: Prepared) -> dict:
     return {"unit": scan["unit"], "n_points": scan["n_read"], "n_cameras": len(scan["cameras"]), "warnings": warnings}
 
 
+def _numerics(prepared: Prepared, coded: Coded | None) -> dict:
+    """The hard cases that were met, counted."""
+    scan = prepared.scan.summary
+    blind = prepared.splats.summary["n_without_camera"] if scan["cameras"] else 0
+    return {"dropped_points": scan["n_dropped"], "degenerate_normals": prepared.neighbours.summary["n_degenerate"],
+            "flagged_projections": coded.patches.summary["n_flagged"] if coded else blind,
+            "replaced_atoms": sum(row["replaced_atoms"] for row in coded.learning) if coded else 0,
+            "safeguard_steps": coded.safeguard_steps if coded else 0}
+
+
 def _quality(prepared: Prepared, coded: Coded | None) -> dict:
     splats = prepared.splats.summary
     geometry = {"mean_position_error": splats["mean_position_error"],
@@ -263,15 +290,17 @@ def report(packed: Path, scan: Path, out: Path, executor: Executor, progress: Pr
     with PackedFile(packed) as opened, tempfile.TemporaryDirectory(prefix=".work.", dir=out) as work:
         run = Run(Path(work), executor, progress)
         header = opened.header
-        quality: dict = {}
+        quality, numerics = {}, {}
         ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
         if not ingest_fits(ingest.folder, [c.name for c in header.cameras]):
             raise InvalidScan(str(scan), f"photographs {[c['name'] for c in ingest.summary['cameras']][:3]}...",
                               f"those that {packed.name} was made from, {[c.name for c in header.cameras][:3]}...")
         if header.cameras:
             measured = run.do(Measure(ingest.folder, packed.resolve(), fingerprint(packed))).summary
+            numerics = {"flagged_projections": measured["n_flagged"]}
             quality = {k: measured[k] for k in ("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db")}
-        record = {"scan": {"n_cameras": len(header.cameras), "warnings": ingest.summary["warnings"]}, "quality": quality}
+        record = {"scan": {"n_cameras": len(header.cameras), "warnings": ingest.summary["warnings"]}, "quality": quality,
+                  "numerics": numerics | {"dropped_points": ingest.summary["n_dropped"]}}
         return write_outputs(run, packed, ingest.folder, record, out, render)
 
 

@@ -27,10 +27,11 @@ class Quantization:
     max_atoms: int
     tolerance: float
     weight_bits: int
+    learned_array: str = "dictionary"
     name = "quantise"
 
     def init(self, folder: Path) -> int:
-        texels, scale = quantize_atoms(arrays.read(self.learned, "dictionary"))
+        texels, scale = quantize_atoms(arrays.read(self.learned, self.learned_array))
         decoded = dequantize_atoms(texels, scale)
         contents = {"atom_scale": scale, "dictionary": decoded, "gram": decoded @ decoded.T}
         contents |= {f"atoms_{s}": level for s, level in zip(MIP_SIZES, mip_levels(texels))}
@@ -40,12 +41,13 @@ class Quantization:
 
     def run(self, folder: Path, index: int) -> dict:
         dictionary = arrays.read(folder, "dictionary")
-        codes = pursue_patches(
+        found = pursue_patches(
             training_patches(self.training, index), dictionary, max_atoms=min(self.max_atoms, len(dictionary)),
             tolerance=self.tolerance, gram=arrays.read(folder, "gram"),
-        ).codes
+        )
+        codes = found.codes
         np.savez(folder / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
-        return {"n_splats": len(codes.n_atoms)}
+        return {"n_splats": len(codes.n_atoms), "squared_error": float(found.residual.sum())}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         samples: list[list[np.ndarray]] = [[] for _ in range(MAX_ATOMS)]
@@ -56,4 +58,5 @@ class Quantization:
         ranks = [np.concatenate(s) if s else np.empty(0, np.float32) for s in samples]
         levels = train_weight_levels(ranks, 2**self.weight_bits)
         arrays.create(folder, "weight_levels", levels.shape, "float32")[:] = levels
-        return {"n_atoms": arrays.opened(folder, "atom_scale").shape[0]}
+        return {"n_atoms": arrays.opened(folder, "atom_scale").shape[0],
+                "squared_error": sum(r["squared_error"] for r in results)}
