@@ -119,7 +119,7 @@ NUMERICS = {  # key: what was met, one and many; what was done about it
     "flagged_projections": ("splat is", "splats are", "not seen whole by any one photograph",
                             "coloured by the scan, or by the photograph's edge repeated"),
     "replaced_atoms": ("atom was", "atoms were", "hardly used, or the twin of another", "replaced by badly represented textures"),
-    "safeguard_steps": ("dictionary did", "dictionaries did", "worse than the one before", "taken back, and atoms moved half as far"),
+    "safeguard_steps": ("dictionary did", "dictionaries did", "worse than the best before", "the best was kept"),
 }
 
 

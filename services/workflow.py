@@ -76,7 +76,7 @@ class Coded:
     quantized: StageRecord | None
     learning: list[dict]
     n_dictionary: int
-    safeguard_steps: int  # dictionaries that did worse than one before them and were taken back
+    safeguard_steps: int  # dictionaries that did worse than the best before them
 
 
 def fingerprint(scan: Path) -> str:

@@ -141,7 +141,7 @@ def pursue(initial, energy, gram, tolerance, levels, atom, weight, code, n_atoms
         while t < most and error > tolerance[i]:
             largest = _subtract_rows(correlation, initial[i], gram, atom[i], weight[i], t)
             pivot = 0.0
-            while largest * largest > SMALLEST_CORRELATION**2 * energy[i]:
+            while np.float64(largest) ** 2 > SMALLEST_CORRELATION**2 * energy[i]:
                 candidate = _first_of_magnitude(correlation, largest)
                 for j in range(t):
                     gram_support[t, j] = gram[candidate, atom[i, j]]

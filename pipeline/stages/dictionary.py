@@ -68,8 +68,9 @@ class KsvdUpdate:
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         sums = merge_in_order(lambda i: _load_sums(folder / f"sums-{i}.npz"), 0, len(results))
-        best, accepted = judge(_best_of(self.previous), arrays.read(self.previous, "dictionary"), sums)
-        trial, n_replaced = next_trial(best, accepted)
+        measured = arrays.read(self.previous, "dictionary")
+        best, accepted = judge(_best_of(self.previous), measured, sums)
+        trial, n_replaced = next_trial(best, measured, sums)
         _store_dictionary(folder, trial)
         arrays.create(folder, "best", best.dictionary.shape, "float32", (4096, best.dictionary.shape[1]))[:] = best.dictionary
         _store_sums(folder / "best-sums.npz", best.sums)
