@@ -132,3 +132,37 @@ def rounded_octahedral(normal: np.ndarray) -> np.ndarray:
     sign = np.where(flat[:, :2] >= 0, 1, -1)
     folded = (1 - np.abs(flat[:, 1::-1])) * sign
     return np.round(np.where(flat[:, 2:] < 0, folded, flat[:, :2]) * 127).astype(np.int8)
+
+
+def texel_points(camera, centre: np.ndarray, u: np.ndarray, v: np.ndarray, n: int = 32) -> tuple[np.ndarray, np.ndarray]:
+    """Photo coordinates (n, n) of the middles of a splat's n x n cells, by way of points in space."""
+    at = (np.arange(n) + 0.5) * 2 / n - 1
+    point = centre + at[None, :, None] * u + at[:, None, None] * v  # (row, column, 3)
+    local = (point - np.asarray(camera.centre)) @ np.asarray(camera.rotation).T
+    return (camera.fx_px * local[..., 0] / local[..., 2] + camera.cx_px,
+            camera.fy_px * local[..., 1] / local[..., 2] + camera.cy_px)
+
+
+def cast_patch(camera, centre: np.ndarray, u: np.ndarray, v: np.ndarray, seen_color, finer: int = 16) -> np.ndarray:
+    """A patch (32, 32, 3) in 0..255 of an analytic photo: the mean of finer x finer rays a texel."""
+    color = seen_color(*texel_points(camera, centre, u, v, 32 * finer))
+    return color.reshape(32, finer, 32, finer, 3).mean(axis=(1, 3))
+
+
+def float32_homography(camera, centre, u, v, radius, eye) -> np.ndarray:
+    """The homography (3, 3) of absolute coordinates in float32."""
+    calibration = np.array([[camera.fx_px, 0, camera.cx_px], [0, camera.fy_px, camera.cy_px], [0, 0, 1]], np.float32)
+    away = np.asarray(centre, np.float32) - np.asarray(eye, np.float32)
+    return calibration @ np.asarray(camera.rotation, np.float32) @ np.stack([radius * u, radius * v, away], axis=1).astype(np.float32)
+
+
+def half_float_mean(color: np.ndarray, weight: np.ndarray) -> float:
+    """A weighted mean whose two sums are rounded to half floats at every step."""
+    total, weights = np.float16(0), np.float16(0)
+    for c, w in zip(color, weight):
+        total, weights = np.float16(total + c * w), np.float16(weights + w)
+    return float(total) / float(weights)
+
+
+def srgb(linear: float) -> float:
+    return float(np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055))
