@@ -51,8 +51,13 @@ def shorten(dictionary: np.ndarray, components: int | None = None) -> ShortDicti
         rest[rows] = np.sqrt(squared_norms(dictionary[rows] - short[rows] @ basis.T)) + 1e-5
     if components is None and np.median(rest) > MOST_REST:
         return None
+    return split_by(dictionary, basis, short, rest)
+
+
+def split_by(dictionary: np.ndarray, basis: np.ndarray, short: np.ndarray, rest: np.ndarray) -> ShortDictionary:
+    """A dictionary that has been split before."""
     return ShortDictionary(
-        dictionary, basis, short, rest, short @ short.T if n_atoms <= MOST_WITH_GRAM else _none())
+        dictionary, basis, short, rest, short @ short.T if len(dictionary) <= MOST_WITH_GRAM else _none())
 
 
 def unshortened(dictionary: np.ndarray) -> ShortDictionary:
