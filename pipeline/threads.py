@@ -26,3 +26,8 @@ def run_all(work: Callable[[int], None], items: range, n_threads: int) -> None:
     with threadpoolctl.threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(min(n_threads, len(items))) as pool:
         for done in [pool.submit(work, item) for item in items]:
             done.result()
+
+
+def one_blas_thread():
+    """A context in which BLAS keeps to one thread: factors of thin matrices take longer with more on a busy machine."""
+    return threadpoolctl.threadpool_limits(1, user_api="blas")

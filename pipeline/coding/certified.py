@@ -14,6 +14,7 @@ import numpy as np
 
 from pipeline.coding.certified_kernels import advance, pursue_certified
 from pipeline.coding.omp_kernels import squared_norms
+from pipeline.threads import one_blas_thread
 
 # Up to here the rows of a k x k Gram matrix of short products follow the residual: 1 GiB. Beyond, every step takes a
 # GEMM of its own, and memory grows with k alone.
@@ -44,7 +45,8 @@ def shorten(dictionary: np.ndarray, components: int | None = None) -> ShortDicti
     n_atoms, dim = dictionary.shape
     if components is None and (n_atoms < FEWEST_ATOMS or dim < 4 * COMPONENTS):
         return None
-    basis = principal_components(dictionary[:: -(-n_atoms // SAMPLE)], components or COMPONENTS)
+    with one_blas_thread():
+        basis = principal_components(dictionary[:: -(-n_atoms // SAMPLE)], components or COMPONENTS)
     short, rest = dictionary @ basis, np.empty(n_atoms, np.float32)
     for start in range(0, n_atoms, 1024):
         rows = slice(start, start + 1024)
