@@ -7,10 +7,9 @@ import os
 import shutil
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-
-import numpy as np
 
 from pipeline.accuracy import psnr_db, squared_error_at
 from pipeline.settings import Settings
@@ -28,12 +27,11 @@ from pipeline.stages.quantization import Quantization
 from pipeline.stages.splats import Splats
 from pipeline.stages.training import TrainingSet
 from pipeline.texture.resample import PATCH_DIM
-from renderer.previews import make_previews
 from renderer.report import build_report, write_report
 from renderer.report_page import write_page
-from storage import arrays
+from services.rendering import previews_of
 from storage.errors import InvalidScan
-from storage.packed import SUFFIX, PackedFile, PackedScene
+from storage.packed import SUFFIX, PackedFile
 from storage.schema import MAX_ATOMS, NO_CAMERA, Batch, Camera, Header
 
 # Splats this far behind the nearest surface still blend. The paper takes 1 to 2.5 radii (2 to 5 cm at 2 cm).
@@ -41,17 +39,26 @@ DEPTH_MARGIN_RADII = 2.0
 PATCHES_AN_ATOM = 4  # a dictionary that a scan can fill: fewer training patches an atom would only be stored
 
 
+def _at_once(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
+    return do()
+
+
 @dataclass
 class Run:
-    """One job under way: its stages run into one work folder, and what they cost is kept for the report."""
+    """One job under way: its stages run into one work folder, and what they cost is kept for the report.
+
+    `step` decides how a stage is brought about (the service makes it a durable step), `draw` where previews are drawn.
+    """
 
     work: Path
     executor: Executor
     progress: Progress
+    step: Callable[[Stage, Callable[[], StageRecord]], StageRecord] = _at_once
+    draw: Callable[[Path, Path, Path, Callable[[int, int], None]], list[dict]] = previews_of
     records: list[StageRecord] = field(default_factory=list)
 
     def do(self, stage: Stage) -> StageRecord:
-        record = run_stage(stage, self.work, self.executor, self.progress)
+        record = self.step(stage, lambda: run_stage(stage, self.work, self.executor, self.progress))
         self.records.append(record)
         return record
 
@@ -125,10 +132,15 @@ def _learn(run: Run, patches: StageRecord, training: StageRecord, settings: Sett
     for iteration in range(settings.iterations):
         record = run.do(KsvdUpdate(training.folder, learned, settings.max_atoms, tolerance, iteration))
         learned, found = record.folder, record.summary
-        error = found["squared_error"] / found["n_patches"] * training.summary["n_active"] + training.summary["settled_energy"]
         curve.append({"seconds": time.perf_counter() - begun, "replaced_atoms": found["n_replaced"],
-                      "psnr_db": psnr_db(error, training.summary["n_splats"] * PATCH_DIM)})
+                      "psnr_db": estimated_psnr_db(training.summary, found)})
     return learned, curve
+
+
+def estimated_psnr_db(training: dict, update: dict) -> float:
+    """PSNR of the whole scan as far as an iteration's error over the training set tells; both are summaries."""
+    error = update["squared_error"] / update["n_patches"] * training["n_active"] + training["settled_energy"]
+    return psnr_db(error, training["n_splats"] * PATCH_DIM)
 
 
 def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, name: str, path: Path) -> StageRecord:
@@ -161,19 +173,24 @@ def compress(scan: Path, out: Path, settings: Settings, executor: Executor, prog
     made = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
     try:
         run = Run(work or made / "work", executor, progress)
-        name = scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem
-        path = made / (name + SUFFIX)
-        prepared = prepare(run, scan, settings.radius)
-        textured = prepared.splats.summary["n_without_camera"] < prepared.scan.summary["n_points"]
-        coded = code(run, prepared, settings) if textured else None
-        pack(run, prepared, coded, settings, name, path)
-        report = finish(run, path, prepared, coded, settings, made, render)
+        report = make(run, scan, settings, made, render)
         if work is None:
             shutil.rmtree(made / "work")
         _put_in_place(made, out)
         return report
     finally:
         shutil.rmtree(made, ignore_errors=True)
+
+
+def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = True) -> dict:
+    """All of a job, into the folder `out`, which is there. Returns the report."""
+    name = scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem
+    path = out / (name + SUFFIX)
+    prepared = prepare(run, scan, settings.radius)
+    textured = prepared.splats.summary["n_without_camera"] < prepared.scan.summary["n_points"]
+    coded = code(run, prepared, settings) if textured else None
+    pack(run, prepared, coded, settings, name, path)
+    return finish(run, path, prepared, coded, settings, out, render)
 
 
 def finish(run: Run, path: Path, prepared: Prepared, coded: Coded | None, settings: Settings, out: Path, render: bool) -> dict:
@@ -189,7 +206,7 @@ def write_outputs(run: Run, path: Path, ingest: Path, record: dict, out: Path, r
     """previews/, report.json and report.html beside each other in `out`. Returns the report."""
     with PackedFile(path) as packed:
         scene = packed.load()
-    views = _views(run, scene, ingest, out) if render else []
+    views = _views(run, path, ingest, out) if render else []
     record = record | {"stages": [stage_row(r) for r in merged(run.records)]}
     report = build_report(scene, path.stat().st_size, record, views)
     write_report(out, report)
@@ -197,19 +214,19 @@ def write_outputs(run: Run, path: Path, ingest: Path, record: dict, out: Path, r
     return report
 
 
-def _views(run: Run, scene: PackedScene, ingest: Path, out: Path) -> list[dict]:
+def _views(run: Run, path: Path, ingest: Path, out: Path) -> list[dict]:
     begun = time.perf_counter()
-    run.progress.begin("render", 1)
     done = 0
 
     def on_view(n_done: int, n_views: int) -> None:
         nonlocal done
-        run.progress.begin("render", n_views) if done == 0 else None
+        if done == 0:
+            run.progress.begin("render", n_views)
         run.progress.advance("render", n_done - done, 0)
         done = n_done
 
-    read_photo = (lambda i: np.asarray(arrays.opened(ingest, f"photo_{i}")[:])) if scene.header.cameras else None
-    views = make_previews(scene, out, read_photo, progress=on_view)
+    run.progress.begin("render", 1)
+    views = run.draw(path, ingest, out, on_view)
     record = StageRecord("render", out, {}, time.perf_counter() - begun, 0, len(views), 0, False)
     run.records.append(record)
     run.progress.end(record)
