@@ -1,4 +1,4 @@
-"""The command line: splatpress compress | inspect | render | report | demo.
+"""The command line: splatpress compress | inspect | render | report | demo, and the service's verbs.
 
 Exit codes: 0 ok, 1 arguments, 2 I/O or resources, 3 invalid input, 4 a mistake of ours, 5 unsupported, 7 a quality
 gate missed.
@@ -12,6 +12,7 @@ import sys
 import warnings
 from pathlib import Path
 
+from services.service_cli import add_service_verbs
 from storage.errors import SplatpressError
 
 OK, ARGUMENTS, INPUT_OUTPUT, INTERNAL, GATE_MISSED = 0, 1, 2, 4, 7
@@ -41,6 +42,11 @@ def main(arguments: list[str] | None = None) -> int:
         return ARGUMENTS
     except OSError as error:
         print(f"splatpress: {error}", file=sys.stderr)
+        return INPUT_OUTPUT
+    except Exception as error:
+        if not type(error).__module__.startswith("httpx"):
+            raise
+        print(f"splatpress: no answer from the service: {error}", file=sys.stderr)
         return INPUT_OUTPUT
     except KeyboardInterrupt:
         print("splatpress: interrupted", file=sys.stderr)
@@ -242,6 +248,7 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
     _add_running(demo)
     demo.set_defaults(command=_demo)
+    add_service_verbs(commands)
     return parser
 
 

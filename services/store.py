@@ -54,6 +54,8 @@ class Store:
     def add_scan(self, scan: dict, owner: str) -> bool:
         """Whether the scan is new. The owner has it from here on either way."""
         new = self._insert_new(SCANS, {**scan, "created": time.time()})
+        if not new:  # its time starts anew
+            self._write(SCANS.update().where(SCANS.c.id == scan["id"]).values(created=time.time()))
         self._insert_new(SCAN_OWNERS, {"scan": scan["id"], "owner": owner})
         return new
 
@@ -235,7 +237,7 @@ class Store:
     # --- uploads
 
     def add_upload(self, upload: dict) -> dict:
-        row = {"id": secrets.token_hex(16), **upload}
+        row = {"id": secrets.token_hex(16), "scan": None, "problem": None, **upload}
         self._write(UPLOADS.insert().values(row))
         return row
 
