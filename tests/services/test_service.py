@@ -1,0 +1,175 @@
+"""The embedded service as real processes: whole jobs over HTTP, and what happens when a part of it is killed."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from base64 import b64encode
+from pathlib import Path
+
+import httpx
+import pytest
+
+from pipeline.executors import SerialExecutor
+from pipeline.settings import settings_for
+from services.client import Client, zip_folder
+from services.workflow import compress
+from tests.pipeline.test_stage import Heard
+from tests.services.scans import photo_scan
+from tests.services.service_process import service, until
+
+OPTIONS = {"target_psnr_db": 32.0, "training_splats": 2000, "iterations": 2}
+LONG = {**OPTIONS, "iterations": 400}
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory) -> Path:
+    return photo_scan(tmp_path_factory.mktemp("scan") / "plane", n_side=60)
+
+
+@pytest.fixture(scope="module")
+def expected(scan, tmp_path_factory) -> bytes:
+    """What `splatpress compress` packs."""
+    out = tmp_path_factory.mktemp("expected") / "out"
+    compress(scan, out, settings_for("draft", **OPTIONS), SerialExecutor(), Heard(), render=False)
+    return (out / "plane.splatpress").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    with service(tmp_path_factory.mktemp("service") / "data") as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def uploaded(served, scan) -> str:
+    return served.client.upload(scan)["id"]
+
+
+def packed(served, job: str, out: Path) -> bytes:
+    served.client.fetch(job, out, ["plane.splatpress"])
+    return (out / "plane.splatpress").read_bytes()
+
+
+def test_service__a_job_over_http_packs_the_bytes_of_compress_and_makes_every_artifact(served, uploaded, expected, tmp_path):
+    events = []
+    job = served.client.submit(uploaded, preset="draft", options=OPTIONS)
+    ended = served.client.watch(job["jobID"], events.append)
+    assert ended["status"] == "successful" and ended["progress"] == 100 and ended["expires_at"] > ended["finished"]
+    assert packed(served, job["jobID"], tmp_path) == expected
+    names = {a["name"] for a in served.client.artifacts(job["jobID"])}
+    assert {"plane.splatpress", "report.html", "report.json", "learning.json", "dask-performance.html",
+            "previews/0000.packed.png", "previews/0000.baseline.png"} <= names
+    percents = [e["data"]["progress"] for e in events if e["kind"] == "progress"]
+    assert percents == sorted(percents) and percents[-1] > 90
+    assert [e["data"]["status"] for e in events if e["kind"] == "status"] == ["accepted", "running", "successful"]
+    learned = [e["data"]["psnr_db"] for e in events if e["kind"] == "learning"]
+    assert len(learned) == 2 and learned == [p["psnr_db"] for p in json.loads(served.client.fetch(job["jobID"], tmp_path, ["learning.json"])[0].read_text())]
+    assert {"ksvd-update", "render"} <= {e["data"]["stage"] for e in events if e["kind"] == "progress"}
+
+
+def test_service__events_are_replayed_from_the_last_id_that_was_heard(served, uploaded):
+    job = served.client.ls(status="successful")[0]["jobID"]
+    everything: list[dict] = []
+    served.client.watch(job, everything.append)
+    middle = everything[len(everything) // 2]["id"]
+    answer = httpx.get(f"{served.url}/v1/jobs/{job}/events", headers={"Last-Event-ID": middle})
+    ids = [line[4:] for line in answer.text.splitlines() if line.startswith("id: ")]
+    assert ids == [e["id"] for e in everything if int(e["id"]) > int(middle)] and len(ids) > 3
+
+
+def test_service__artifacts_come_in_ranges(served):
+    job = served.client.ls(status="successful")[0]["jobID"]
+    found = next(a for a in served.client.artifacts(job) if a["name"] == "plane.splatpress")
+    whole = httpx.get(served.url + found["href"]).content
+    part = httpx.get(served.url + found["href"], headers={"Range": "bytes=100-199"})
+    assert part.status_code == 206 and part.content == whole[100:200] and part.headers["content-range"] == f"bytes 100-199/{len(whole)}"
+
+
+def test_service__the_same_job_submitted_ten_times_at_once_is_one_and_ends_once(served, uploaded, expected, tmp_path):
+    found = []
+
+    def submit():
+        with Client(served.url) as client:
+            found.append(client.submit(uploaded, key="ten at once".replace(" ", "-"), preset="draft", options=OPTIONS)["jobID"])
+
+    threads = [threading.Thread(target=submit) for _ in range(10)]
+    [t.start() for t in threads]
+    [t.join() for t in threads]
+    assert len(found) == 10 and len(set(found)) == 1
+    events = []
+    assert served.client.watch(found[0], events.append)["status"] == "successful"
+    assert [e["data"]["status"] for e in events if e["kind"] == "status"] == ["accepted", "running", "successful"]
+    assert packed(served, found[0], tmp_path) == expected
+
+
+def test_service__a_dismissed_job_stops_within_ten_seconds_and_keeps_what_it_made(served, uploaded):
+    job = served.client.submit(uploaded, preset="draft", options={**LONG, "target_psnr_db": 33.0})["jobID"]
+    served.event(job, "learning", lambda data: data["iteration"] == 2)
+    assert served.client.cancel(job)["status"] == "dismissed"
+    until(lambda: "what it made so far stays" in served.log_of(job), 10)
+    before = [w.cpu_times().user for w in served.workers()]
+    time.sleep(2)
+    assert sum(w.cpu_times().user for w in served.workers()) - sum(before) < 1.0
+    assert "learning.json" in {a["name"] for a in served.client.artifacts(job)}
+    with pytest.raises(Exception) as again:
+        served.client.cancel(job)
+    assert again.value.status == 410 and served.client.status(job)["status"] == "dismissed"
+
+
+def test_service__a_killed_worker_costs_a_job_nothing_but_time(served, uploaded, scan, tmp_path):
+    options = {**OPTIONS, "iterations": 12, "target_psnr_db": 31.0}
+    job = served.client.submit(uploaded, preset="draft", options=options)["jobID"]
+    served.event(job, "learning", lambda data: data["iteration"] == 1)
+    served.kill(max(served.workers(), key=lambda w: w.cpu_percent(0.3)))
+    ended = served.client.watch(job, lambda event: None)
+    assert ended["status"] == "successful", ended["problem"]
+    compress(scan, tmp_path / "out", settings_for("draft", **options), SerialExecutor(), Heard(), render=False)
+    assert packed(served, job, tmp_path) == (tmp_path / "out" / "plane.splatpress").read_bytes()
+
+
+def test_service__a_killed_runner_is_started_anew_and_the_job_goes_on(served, uploaded, scan, tmp_path):
+    options = {**OPTIONS, "iterations": 12, "target_psnr_db": 30.0}
+    job = served.client.submit(uploaded, preset="draft", options=options)["jobID"]
+    served.event(job, "learning", lambda data: data["iteration"] == 2)
+    served.kill(served.part("runner"))
+    events = []
+    ended = served.client.watch(job, events.append)
+    assert ended["status"] == "successful", ended["problem"]
+    log = served.log_of(job)
+    assert "the runner was started anew and goes on" in log
+    assert log.count("resample: ") == 1 and log.count("ksvd-update: ") <= 13  # what was done was not done again
+    assert [e["data"]["status"] for e in events if e["kind"] == "status"] == ["accepted", "running", "successful"]
+    compress(scan, tmp_path / "out", settings_for("draft", **options), SerialExecutor(), Heard(), render=False)
+    assert packed(served, job, tmp_path) == (tmp_path / "out" / "plane.splatpress").read_bytes()
+
+
+def test_service__an_upload_goes_on_where_a_killed_api_left_it(served, scan, tmp_path):
+    path = tmp_path / "again.zip"
+    zip_folder(scan, path)
+    with open(path, "ab") as stream:
+        stream.write(b"")
+    content = path.read_bytes()
+    tus = {"Tus-Resumable": "1.0.0"}
+    made = httpx.post(served.url + "/v1/uploads", headers={
+        **tus, "Upload-Length": str(len(content)), "Upload-Metadata": "filename " + b64encode(b"again.zip").decode()})
+    where = served.url + made.headers["Location"]
+    half = len(content) // 2
+
+    def dripping():
+        yield content[:half]
+        served.kill(served.part("api"))
+        yield content[half : half + 1]
+        time.sleep(1)
+        yield content[half + 1 :]
+
+    patch = {**tus, "Content-Type": "application/offset+octet-stream"}
+    with pytest.raises(httpx.TransportError):
+        httpx.patch(where, content=dripping(), headers={**patch, "Upload-Offset": "0"}, timeout=30)
+    until(served.is_ready)
+    offset = int(httpx.head(where, headers=tus).headers["Upload-Offset"])
+    assert 0 < offset <= half + 1
+    done = httpx.patch(where, content=content[offset:], headers={**patch, "Upload-Offset": str(offset)}, timeout=60)
+    assert done.status_code == 204 and len(done.headers["Splatpress-Scan"]) == 64
+    assert not list((served.data / "uploads").iterdir())
