@@ -27,6 +27,7 @@ from services.webhooks import deliver_due
 
 APPLICATION_VERSION = "1"  # raised when the steps of a job change; workflows of another version are not resumed
 EXECUTOR_ID = "runner"
+UNDER_WAY = ("PENDING", "ENQUEUED", "DELAYED")
 POLL_S = 0.3
 TIDY_EVERY_S = 60.0
 
@@ -89,7 +90,7 @@ def _serve(settings: ServiceSettings, store: Store, stop: threading.Event) -> No
     beside = threading.Thread(target=_beside, args=(settings, store, stop), daemon=True)
     beside.start()
     under_way = {status.workflow_id: DBOS.retrieve_workflow(status.workflow_id) for status in
-                 DBOS.list_workflows(status="PENDING", app_version=APPLICATION_VERSION, load_input=False)}
+                 DBOS.list_workflows(status=list(UNDER_WAY), app_version=APPLICATION_VERSION, load_input=False)}
     for job in store.running_jobs():
         store.log(job["id"], "warning", f"attempt {job['attempt']}: the runner was started anew and goes on")
         if (id := _workflow_id(job)) not in under_way:  # it died between the workflow's end and the job's
@@ -114,7 +115,7 @@ def _start(job: dict, again: bool = False):
 
 
 def _is_under_way(handle) -> bool:
-    return handle.get_status().status in ("PENDING", "ENQUEUED")
+    return handle.get_status().status in UNDER_WAY
 
 
 def _beside(settings: ServiceSettings, store: Store, stop: threading.Event) -> None:

@@ -13,9 +13,13 @@ import warnings
 import zipfile
 from pathlib import Path
 
+import numpy as np
+
 from services.problems import Problem
 from services.settings import ServiceSettings
 
+PIECE = 1 << 16
+MAX_POINTS_READ = 1 << 20  # about a second
 _CRASHED = "a scan that crashed its reader"
 
 
@@ -62,6 +66,7 @@ def _answer(path: Path, limits: dict) -> dict:
             _check_archive(path, limits)
         header = inspect_scan(str(path))
         _check_photos(header, limits)
+        _check_points(path, header)
         return {"header": header}
     except Problem as problem:
         return {"problem": _as_json(problem)}
@@ -92,6 +97,22 @@ def _check_archive(path: Path, limits: dict) -> None:
     ):
         if found > allowed:
             raise Problem(422, "archive-too-large", f"{path.name}: {found:,.0f} {what}; allowed: at most {allowed:,.0f}")
+
+
+def _check_points(path: Path, header: dict) -> None:
+    """Look at the first points too: a scan without one finite position would fail hours later."""
+    from pipeline.readers import open_scan
+
+    n_read = n_bad = 0
+    for piece in open_scan(str(path)).pieces(PIECE):
+        n_read += len(piece.position)
+        n_bad += int((~np.isfinite(piece.position).all(axis=1)).sum())
+        if n_read >= MAX_POINTS_READ:
+            break
+    if n_bad == n_read:
+        raise Problem(422, "bad-scan", f"{path.name}: none of its first {n_read:,} points has a finite position; allowed: at least one")
+    if n_bad:
+        header["warnings"].append(f"{n_bad:,} of the first {n_read:,} points have a position that is not finite and will be dropped")
 
 
 def _check_photos(header: dict, limits: dict) -> None:
