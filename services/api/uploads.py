@@ -26,7 +26,7 @@ from pipeline.readers.detect import handled_suffixes
 from services.api.context import Database, JobID, Owner, Settings
 from services.api.documents import upload_document
 from services.problems import Problem
-from services.scans import BLOCK_BYTES, accept_scan, safe_name
+from services.scans import accept_scan, safe_name
 from services.settings import ServiceSettings
 
 TUS = {"Tus-Resumable": "1.0.0"}
@@ -125,7 +125,7 @@ async def _append(path: Path, request: Request, length: int, offset: int, checks
     """A piece with a checksum counts whole or not at all; without one, every byte that arrived."""
     digest = hashlib.new(checksum[0]) if checksum else None
     whole = False
-    with open(path, "r+b") as stream:
+    with open(path, "r+b", buffering=0) as stream:
         stream.seek(offset)
         try:
             async for block in request.stream():
@@ -133,8 +133,7 @@ async def _append(path: Path, request: Request, length: int, offset: int, checks
                     raise Problem(413, "too-large", f"more bytes than Upload-Length, {length:,}", headers=TUS)
                 if digest:
                     digest.update(block)
-                for begin in range(0, len(block), BLOCK_BYTES):
-                    stream.write(block[begin : begin + BLOCK_BYTES])
+                stream.write(block)
             whole = True
         except ClientDisconnect:
             pass
