@@ -145,7 +145,7 @@ class JobRunner:
                 with DaskExecutor(scheduler=self.scheduler(), job=job["id"], resources=CPU, watch=check) as executor:
                     return what(executor)
             except (OSError, TimeoutError, CancelledError) as error:
-                if isinstance(error, OSError) and error.errno is not None:
+                if isinstance(error, OSError) and error.errno is not None and not isinstance(error, ConnectionError):
                     raise  # a disk's, not a connection's
                 deadline = deadline or time.monotonic() + RECONNECT_S
                 if time.monotonic() > deadline:

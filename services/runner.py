@@ -61,7 +61,9 @@ def run_forever(settings: ServiceSettings, stop: threading.Event | None = None) 
             _serve(settings, store, stop)
         finally:
             show_gone(settings.data)
-    os._exit(0)  # the threads of jobs under way would be waited for; their steps are on disk
+        # Not further: jobs under way would see their workers go, one by one, and count it as failure. As after a kill,
+        # the next start goes on with them; the workers end with this process.
+        os._exit(0)
 
 
 def dbos_config(settings: ServiceSettings) -> dict:

@@ -64,7 +64,7 @@ class Composed:
             return self._database
         text = text.replace("tcp://scheduler", "tcp://127.0.0.1").replace(":8787", ":0")
         text = re.sub(r"\b(8000|8786)\b", lambda m: self.ports[m[0]], text)
-        return re.sub(r"/(data|tmp)\b", lambda m: str(self.data if m[1] == "data" else self._tmp), text)
+        return re.sub(r"/(data|tmp|scratch)\b", lambda m: str(self.data if m[1] == "data" else self._tmp), text)
 
     def environment(self, name: str) -> dict[str, str]:
         given = {key: self.here(str(value)) for key, value in COMPOSE["services"][name]["environment"].items()}

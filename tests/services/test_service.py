@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 import time
+import tomllib
 import zipfile
 from base64 import b64encode
 from pathlib import Path
@@ -14,6 +16,7 @@ import pytest
 
 from pipeline.executors import SerialExecutor
 from pipeline.settings import settings_for
+from services.cli import main
 from services.client import Client, zip_folder
 from services.workflow import compress
 from tests.pipeline.test_stage import Heard
@@ -198,3 +201,45 @@ def test_service__the_page_uploads_runs_and_shows_a_job(served, scan, tmp_path):
         page.until("/POST \\/v1\\/jobs/.test(document.body.innerText)")
     finally:
         page.close()
+
+
+def test_service__the_command_line_does_it_all(served, scan, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("SPLATPRESS_URL", served.url)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+
+    def run(*arguments) -> tuple[int, str]:
+        code = main([str(a) for a in arguments])
+        return code, capsys.readouterr().out.strip()
+
+    assert run("login", "--url", served.url, "--token", "")[0] == 0
+    code, id = run("upload", scan)
+    assert code == 0 and len(id) == 64
+    options = [f"--option={name}={value}" for name, value in OPTIONS.items()]
+    code, last = run("submit", id, "--preset", "draft", *options, "--watch")
+    job, status = last.split()
+    assert code == 0 and status == "successful"
+    assert "progress: 100" in run("status", job)[1] and "encode: " in run("logs", job)[1] and job in run("ls")[1]
+    assert run("fetch", job, "report.json", "--out", tmp_path / "got")[1] == str(tmp_path / "got" / "report.json")
+    assert run("fetch", job, "nothing", "--out", tmp_path / "got")[0] == 2 and run("status", "0" * 32)[0] == 3
+    assert run("retry", job)[0] == 3 and run("cancel", job) == (0, f"{job} dismissed")
+    assert run("submit", id, "--option", "iterations=0")[0] == 3 and run("submit", id, "--option", "iterations")[0] == 1
+
+
+def test_service__regress_updates_a_list_holds_it_and_exits_with_7_on_a_miss(served, scan, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("SPLATPRESS_URL", served.url)
+    jobs = tmp_path / "jobs.toml"
+    jobs.write_text(f"""# kept
+[[job]]
+name = "plane"
+scan = "{scan}"
+preset = "draft"
+options = {{ target_psnr_db = 32.0, training_splats = 2000, iterations = 2 }}
+""")
+    assert main(["regress", str(jobs), "--update"]) == 0
+    assert jobs.read_text().startswith("# kept") and tomllib.loads(jobs.read_text())["job"][0]["expected"]["file_bytes"] > 1000
+    figures = tomllib.loads(jobs.read_text())["job"][0]["expected"]
+    jobs.write_text(re.sub(r"seconds = [0-9.]+", "seconds = 9999.0", jobs.read_text()))
+    assert main(["regress", str(jobs)]) == 0
+    jobs.write_text(jobs.read_text().replace(f"psnr_db = {figures['texture_psnr_db']}", "psnr_db = 70.0"))
+    assert main(["regress", str(jobs)]) == 7
+    assert "MISSED" in capsys.readouterr().out
