@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -30,6 +31,7 @@ def run_api(settings: ServiceSettings) -> None:
 
 def serve(settings: ServiceSettings) -> int:
     """Until SIGTERM or SIGINT."""
+    _check_port(settings)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
@@ -45,6 +47,12 @@ def serve(settings: ServiceSettings) -> int:
                 running[part] = _start(part, environment)
     _stop(list(running.values()))
     return 0
+
+
+def _check_port(settings: ServiceSettings) -> None:
+    """Raises OSError where another service has it: starting the API again and again would not help."""
+    with socket.create_server((settings.host, settings.port), family=socket.AF_INET6 if ":" in settings.host else socket.AF_INET):
+        pass
 
 
 def _start(part: str, environment: dict[str, str]) -> subprocess.Popen:

@@ -84,6 +84,12 @@ def test_service__events_are_replayed_from_the_last_id_that_was_heard(served, up
     assert ids == [e["id"] for e in everything if int(e["id"]) > int(middle)] and len(ids) > 3
 
 
+def test_service__a_port_in_use_is_said_and_not_tried_again(served, tmp_path, capsys):
+    port = served.url.rpartition(":")[2]
+    assert main(["serve", "--data", str(tmp_path / "data"), "--port", port]) == 2
+    assert "already in use" in capsys.readouterr().err
+
+
 def test_service__artifacts_come_in_ranges(served):
     job = served.client.ls(status="successful")[0]["jobID"]
     found = next(a for a in served.client.artifacts(job) if a["name"] == "plane.splatpress")
