@@ -54,7 +54,7 @@ def make_previews(
     `progress` is told after every view how many of them are done.
 
     Each row has `camera`, `width_px`, `height_px`, `coverage`, the FIGURES (None where there is nothing to compare
-    with), `device` (what drew it), `seconds` and `baseline_seconds` by render pass (None without a baseline), and
+    with), `device` (what drew it), `accumulation` (see renderer/targets.py), `seconds` and `baseline_seconds` by render pass (None without a baseline), and
     `pictures` by kind, as paths relative to `folder`.
 
     Guarantees: names of pictures are plain and differ from each other, whatever the cameras are called; a picture
@@ -154,6 +154,7 @@ def _row(view: Camera, packed: Picture, baseline: Picture | None, photo: np.ndar
         figures["baseline_psnr_vs_photo_db"] = psnr_db(baseline.rgb, photo, covered)
     return {"camera": view.name, "width_px": view.width_px, "height_px": view.height_px} | figures | {
         "coverage": float(covered.mean()),
+        "accumulation": packed.accumulation,
         "seconds": packed.pass_seconds,
         "baseline_seconds": baseline.pass_seconds if baseline is not None else None,
     }

@@ -9,7 +9,7 @@ a batch in all groups; the base vertex of a draw names its group.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -22,7 +22,7 @@ from renderer.context import gl_context
 from renderer.programs import Programs, set_uniforms
 from renderer.projection import checked_view, view_block
 from renderer.scene import DRAWS, GpuScene
-from renderer.targets import Targets, make_targets
+from renderer.targets import NARROW, WIDE, Targets, make_targets
 from storage.schema import MAX_ATOMS, Camera
 
 _INVOCATIONS = 64  # local size of cull.comp.glsl
@@ -37,6 +37,7 @@ class Picture:
     coverage: np.ndarray  # (height, width) bool: where splats were seen
     pass_seconds: dict[str, float]  # by pass, in the order they ran; waits for the GPU after each
     programs: tuple[str, ...]  # those that drew it
+    accumulation: str  # what the colours were added up in: RGBA16F, or RGBA32F where overdraw called for it
 
 
 @dataclass
@@ -50,7 +51,8 @@ class Renderer:
     """Draws packed scenes into pictures. Of one context, and so of one thread.
 
     Guarantees: no NaN and no Inf reaches a picture; splats behind the camera, at its plane and around the eye are
-    drawn as far as they are in front of it; a splat smaller than a pixel still covers one.
+    drawn as far as they are in front of it; a splat smaller than a pixel still covers one; however many splats lie on
+    top of each other, a picture is within 1/255 of exact sums.
     """
 
     def __init__(self, context: moderngl.Context | None = None) -> None:
@@ -65,30 +67,41 @@ class Renderer:
 
         Raises: InvalidScan for a view that is not finite, ResourceExhausted for one too large.
         """
-        with self.context:
-            frame = self._begin(gpu_scene, view)
-            with self._pass(frame, "visibility"):
-                self._draw_depth(frame, gpu_scene)
-            with self._pass(frame, "attribute"):
-                self._draw_attributes(frame, gpu_scene, max_atoms)
-            return self._finish(frame)
+        return self._drawn(gpu_scene, view, lambda frame: self._draw_attributes(frame, gpu_scene, max_atoms))
 
     def render_baseline(self, photos: PhotoSplats, view: Camera) -> Picture:
         """The same splats from `view`, textured from the photographs themselves: what compression is compared with."""
-        with self.context:
-            frame = self._begin(photos.gpu_scene, view)
-            with self._pass(frame, "visibility"):
-                self._draw_depth(frame, photos.gpu_scene)
-            with self._pass(frame, "attribute"):
-                self._begin_attributes(frame)
-                frame.programs += photos.draw(self._programs, view)
-            return self._finish(frame)
+
+        def draw(frame: _Frame) -> None:
+            self._begin_attributes(frame)
+            frame.programs += photos.draw(self._programs, view)
+
+        return self._drawn(photos.gpu_scene, view, draw)
 
     # --- passes ------------------------------------------------------------------------------------------------------
 
+    def _drawn(self, gpu_scene: GpuScene, view: Camera, draw_attributes: Callable[[_Frame], None]) -> Picture:
+        """A picture whose sums are as wide as the scene's overdraw calls for; a scene that once did keeps wide ones."""
+        with self.context:
+            picture, overdrawn = self._pass_by_pass(gpu_scene, view, draw_attributes)
+            if overdrawn and picture.accumulation == NARROW:
+                gpu_scene.accumulation = WIDE
+                picture, _ = self._pass_by_pass(gpu_scene, view, draw_attributes)
+        return picture
+
+    def _pass_by_pass(
+        self, gpu_scene: GpuScene, view: Camera, draw_attributes: Callable[[_Frame], None]
+    ) -> tuple[Picture, bool]:
+        frame = self._begin(gpu_scene, view)
+        with self._pass(frame, "visibility"):
+            self._draw_depth(frame, gpu_scene)
+        with self._pass(frame, "attribute"):
+            draw_attributes(frame)
+        return self._finish(frame)
+
     def _begin(self, gpu_scene: GpuScene, view: Camera) -> _Frame:
         checked_view(view)
-        frame = _Frame(self._targets_of((view.width_px, view.height_px)))
+        frame = _Frame(self._targets_of((view.width_px, view.height_px), gpu_scene.accumulation))
         self._view.write(view_block(view, gpu_scene.scene.header))
         self._view.bind_to_uniform_block(0)
         gpu_scene.bind()
@@ -124,7 +137,8 @@ class Renderer:
         self.context.depth_func = ">="
         self.context.blend_func = moderngl.ONE, moderngl.ONE
 
-    def _finish(self, frame: _Frame) -> Picture:
+    def _finish(self, frame: _Frame) -> tuple[Picture, bool]:
+        """The picture, and whether any of its pixels is overdrawn."""
         with self._pass(frame, "resolve"):
             frame.targets.resolve.use()
             self.context.enable_only(moderngl.NOTHING)
@@ -135,7 +149,9 @@ class Renderer:
         width, height = frame.targets.size
         pixels = np.frombuffer(frame.targets.resolve.read(components=4), np.uint8).reshape(height, width, 4)
         programs = tuple(dict.fromkeys(frame.programs))
-        return Picture(pixels[..., :3].copy(), pixels[..., 3] > 0, frame.pass_seconds, programs)
+        covered = pixels[..., 3]
+        picture = Picture(pixels[..., :3].copy(), covered > 0, frame.pass_seconds, programs, frame.targets.accumulation)
+        return picture, bool(((covered > 0) & (covered < 255)).any())
 
     # --- helpers -----------------------------------------------------------------------------------------------------
 
@@ -158,10 +174,10 @@ class Renderer:
         self.context.finish()
         frame.pass_seconds[name] = perf_counter() - started
 
-    def _targets_of(self, size: tuple[int, int]) -> Targets:
-        if self._targets is None or self._targets.size != size:
+    def _targets_of(self, size: tuple[int, int], accumulation: str) -> Targets:
+        if self._targets is None or (self._targets.size, self._targets.accumulation) != (size, accumulation):
             if self._targets is not None:
                 self._targets.release()
                 self._targets = None
-            self._targets = make_targets(self.context, size)
+            self._targets = make_targets(self.context, size, accumulation)
         return self._targets

@@ -9,6 +9,8 @@ is all there is:
                           mean_normal_error_degrees}}
     learning  [{seconds, psnr_db, replaced_atoms}], one a k-SVD pass, seconds since learning began
     stages    [{name, seconds, peak_rss_bytes, splats_per_second, tasks}] in order of running
+    numerics  {dropped_points, degenerate_normals, flagged_projections, replaced_atoms, safeguard_steps}: counts of the
+              hard cases that were met, see docs/NUMERICS.md
     settings  {name: value}
 """
 
@@ -25,6 +27,7 @@ from storage.schema import BY_NAME, MAX_ATOMS, Camera
 
 REPORT_NAME = "report.json"
 GPU_PARTS = ("geometry", "codes", "colors", "dictionary")
+NUMERICS = ("dropped_points", "degenerate_normals", "flagged_projections", "replaced_atoms", "safeguard_steps")
 SOURCE_BYTES_PER_PIXEL = 4  # three channels, times 4/3 for the mip levels
 
 
@@ -34,7 +37,7 @@ def build_report(scene: PackedScene, file_bytes: int, record: dict | None = None
     `file_bytes` is the length of the packed file on disk, `record` the run record (above), `views` what
     `renderer.previews` returned.
 
-    Guarantees: the keys scan, splats, sizes, quality, atoms, learning, stages, settings and warnings are always there;
+    Guarantees: the keys scan, splats, sizes, quality, atoms, learning, numerics, stages, settings and warnings are always there;
     what was not measured is None or an empty list, never a guess; nothing is NaN or infinite.
     """
     header, record = scene.header, record or {}
@@ -49,10 +52,20 @@ def build_report(scene: PackedScene, file_bytes: int, record: dict | None = None
         "quality": quality | (record.get("quality") or {}) | {"views": list(views)},
         "atoms": atoms_of(scene),
         "learning": [{"seconds": None, "psnr_db": None} | entry for entry in record.get("learning") or ()],
+        "numerics": dict.fromkeys(NUMERICS) | (record.get("numerics") or {}) | {"accumulation": accumulation_of(views)},
         "stages": [{"name": None, "seconds": None, "peak_rss_bytes": None} | stage for stage in record.get("stages") or ()],
         "settings": record.get("settings") or header.settings,
         "warnings": list(scan.get("warnings") or ()),
     })
+
+
+def accumulation_of(views: Sequence[dict]) -> str | None:
+    """What the colours of the pictures were added up in: the widest that any of them called for.
+
+    >>> accumulation_of([{"accumulation": "RGBA16F"}, {"accumulation": "RGBA32F"}]), accumulation_of([])
+    ('RGBA32F', None)
+    """
+    return max((view["accumulation"] for view in views if view.get("accumulation")), default=None)
 
 
 def sizes_of(scene: PackedScene, file_bytes: int) -> dict:

@@ -112,6 +112,34 @@ def mean_pass_seconds(views: list[dict], key: str) -> dict[str, float]:
     return {name: sum(seconds[name] for seconds in timed) / len(timed) for name in (timed[0] if timed else ())}
 
 
+NUMERICS = {  # key: what was met, one and many; what was done about it
+    "dropped_points": ("point has", "points have", "a position that is not finite", "dropped"),
+    "degenerate_normals": ("splat has", "splats have", "a neighbourhood that defines no normal, or a given normal that is zero",
+                           "given a normal at right angles to what there is"),
+    "flagged_projections": ("splat is", "splats are", "not seen whole by any one photograph",
+                            "coloured by the scan, or by the photograph's edge repeated"),
+    "replaced_atoms": ("atom was", "atoms were", "hardly used, or the twin of another", "replaced by badly represented textures"),
+    "safeguard_steps": ("dictionary did", "dictionaries did", "worse than the best before", "the best was kept"),
+}
+
+
+def numerics(figures: dict) -> list[str]:
+    """What hard cases were met and what was done about them, a sentence each.
+
+    >>> numerics({"dropped_points": 1, "replaced_atoms": 0, "accumulation": "RGBA32F"})[0]
+    '1 point has a position that is not finite: dropped.'
+    """
+    met = [(NUMERICS[key], figures[key]) for key in NUMERICS if figures.get(key)]
+    said = [f"{number(n)} {one if n == 1 else many} {what}: {done}." for (one, many, what, done), n in met]
+    if figures.get("accumulation") == "RGBA32F":
+        said.append("So many splats lie on top of each other that 16-bit sums of their colours would show: added up in 32 bits.")
+    elif figures.get("accumulation"):
+        said.append("Colours were added up in 16 bits a channel; no pixel has so many splats that this would show.")
+    if not met and any(figures.get(key) is not None for key in NUMERICS):
+        said.insert(0, "No point, normal, projection or atom called for special care.")
+    return said
+
+
 def summary(report: dict) -> str:
     """The report in two sentences."""
     scan, sizes = report["scan"], report["sizes"]

@@ -13,6 +13,7 @@ import moderngl
 import numpy as np
 
 from renderer.atlas import atlas_layout, upload_atlas
+from renderer.targets import NARROW
 from storage.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.errors import ResourceExhausted
 from storage.packed import PackedScene
@@ -103,6 +104,7 @@ class GpuScene:
     uniforms: moderngl.Buffer | None = None
     atlas: moderngl.Texture | None = None
     bytes_by_part: dict[str, int] = field(default_factory=dict)
+    accumulation: str = NARROW  # what its colours are added up in; the renderer widens it where overdraw calls for it
 
     def __post_init__(self) -> None:
         header, arrays = self.scene.header, self.scene.arrays

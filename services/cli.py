@@ -1,4 +1,4 @@
-"""The command line: splatpress compress | inspect | render | report | demo.
+"""The command line: splatpress compress | inspect | check | render | report | demo, and the service's verbs.
 
 Exit codes: 0 ok, 1 arguments, 2 I/O or resources, 3 invalid input, 4 a mistake of ours, 5 unsupported, 7 a quality
 gate missed.
@@ -13,13 +13,11 @@ import traceback
 import warnings
 from pathlib import Path
 
+from services.arguments import WrongArgument
+from services.service_cli import add_service_verbs
 from storage.errors import SplatpressError
 
-OK, ARGUMENTS, INPUT_OUTPUT, INTERNAL, GATE_MISSED, INTERRUPTED = 0, 1, 2, 4, 7, 130
-
-
-class WrongArgument(ValueError):
-    """An argument whose value is not allowed; argparse itself cannot tell."""
+OK, ARGUMENTS, INPUT_OUTPUT, INVALID_INPUT, INTERNAL, GATE_MISSED, INTERRUPTED = 0, 1, 2, 3, 4, 7, 130
 
 
 class _Parser(argparse.ArgumentParser):
@@ -48,7 +46,11 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("splatpress: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except Exception:  # whatever else comes here is ours to mend, and must not look like wrong arguments
+    except Exception as error:
+        if type(error).__module__.startswith("httpx"):
+            print(f"splatpress: no answer from the service: {error}", file=sys.stderr)
+            return INPUT_OUTPUT
+        # Whatever else comes here is ours to mend, and must not look like wrong arguments.
         traceback.print_exc()
         print("splatpress: internal error: please report the lines above", file=sys.stderr)
         return INTERNAL
@@ -75,6 +77,18 @@ def _inspect(options: argparse.Namespace) -> int:
     found = inspect(_scan_path(options.path))
     print(json.dumps(found) if options.json else _as_lines(found))
     return OK
+
+
+def _check(options: argparse.Namespace) -> int:
+    from services.inspection import check
+
+    found = check(_scan_path(options.path))
+    if options.json:
+        print(json.dumps(found))
+    else:
+        for finding in found["findings"]:
+            print(f"{finding['severity']}: {finding['text']}")
+    return OK if found["ok"] else INVALID_INPUT
 
 
 def _render(options: argparse.Namespace) -> int:
@@ -222,6 +236,10 @@ def _parser() -> argparse.ArgumentParser:
     inspect.add_argument("path", metavar="SCAN-or-PACKED")
     inspect.add_argument("--json", action="store_true")
     inspect.set_defaults(command=_inspect)
+    check = commands.add_parser("check", help="what is wrong with a scan, from one pass over its points; exit 0 or 3")
+    check.add_argument("path", metavar="SCAN")
+    check.add_argument("--json", action="store_true")
+    check.set_defaults(command=_check)
     render = commands.add_parser("render", help="pictures of a packed file")
     render.add_argument("packed", metavar="PACKED")
     view = render.add_mutually_exclusive_group(required=True)
@@ -243,6 +261,7 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
     _add_running(demo)
     demo.set_defaults(command=_demo)
+    add_service_verbs(commands)
     return parser
 
 

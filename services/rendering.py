@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from renderer.pictures import save_picture
-from renderer.previews import safe_names
+from renderer.previews import make_previews, safe_names
 from renderer.renderer import Renderer
 from renderer.scene import GpuScene
 from renderer.views import orbit_views, view_of
+from storage import arrays
 from storage.errors import InvalidScan
 from storage.packed import PackedFile
 from storage.schema import Camera, Header
@@ -33,6 +37,14 @@ def render_views(packed: Path, out: Path, *, camera: str | None = None, n_orbit:
         paths[-1].parent.mkdir(parents=True, exist_ok=True)
         save_picture(paths[-1], renderer.render(gpu_scene, view, max_atoms).rgb)
     return paths
+
+
+def previews_of(packed: Path, ingest: Path, out: Path, on_view: Callable[[int, int], None] = lambda done, total: None) -> list[dict]:
+    """Previews of a packed file into `out`, beside the photographs that the ingest stage decoded; their rows."""
+    with PackedFile(packed) as opened:
+        scene = opened.load()
+    read_photo = (lambda i: np.asarray(arrays.opened(ingest, f"photo_{i}")[:])) if scene.header.cameras else None
+    return make_previews(scene, out, read_photo, progress=on_view)
 
 
 def _camera_named(header: Header, name: str, packed: Path) -> Camera:

@@ -7,10 +7,9 @@ import os
 import shutil
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-
-import numpy as np
 
 from pipeline.accuracy import psnr_db, squared_error_at
 from pipeline.settings import Settings
@@ -28,12 +27,11 @@ from pipeline.stages.quantization import Quantization
 from pipeline.stages.splats import Splats
 from pipeline.stages.training import TrainingSet
 from pipeline.texture.resample import PATCH_DIM
-from renderer.previews import make_previews
 from renderer.report import build_report, write_report
 from renderer.report_page import write_page
-from storage import arrays
+from services.rendering import previews_of
 from storage.errors import InvalidScan
-from storage.packed import SUFFIX, PackedFile, PackedScene
+from storage.packed import SUFFIX, PackedFile
 from storage.schema import MAX_ATOMS, NO_CAMERA, Batch, Camera, Header
 
 # Splats this far behind the nearest surface still blend. The paper takes 1 to 2.5 radii (2 to 5 cm at 2 cm).
@@ -41,17 +39,26 @@ DEPTH_MARGIN_RADII = 2.0
 PATCHES_AN_ATOM = 4  # a dictionary that a scan can fill: fewer training patches an atom would only be stored
 
 
+def _at_once(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
+    return do()
+
+
 @dataclass
 class Run:
-    """One job under way: its stages run into one work folder, and what they cost is kept for the report."""
+    """One job under way: its stages run into one work folder, and what they cost is kept for the report.
+
+    `step` decides how a stage is brought about (the service makes it a durable step), `draw` where previews are drawn.
+    """
 
     work: Path
     executor: Executor
     progress: Progress
+    step: Callable[[Stage, Callable[[], StageRecord]], StageRecord] = _at_once
+    draw: Callable[[Path, Path, Path, Callable[[int, int], None]], list[dict]] = previews_of
     records: list[StageRecord] = field(default_factory=list)
 
     def do(self, stage: Stage) -> StageRecord:
-        record = run_stage(stage, self.work, self.executor, self.progress)
+        record = self.step(stage, lambda: run_stage(stage, self.work, self.executor, self.progress))
         self.records.append(record)
         return record
 
@@ -76,6 +83,7 @@ class Coded:
     quantized: StageRecord | None
     learning: list[dict]
     n_dictionary: int
+    safeguard_steps: int  # dictionaries that did worse than the best before them
 
 
 def fingerprint(scan: Path) -> str:
@@ -108,16 +116,17 @@ def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
                               up_axis_of(scan.summary["cameras"])))
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
     training = run.do(TrainingSet(patches.folder, tolerance, settings.training_splats, settings.seed))
-    quantized, learning = None, []
+    quantized, learning, n_taken_back = None, [], 0
     if settings.max_atoms and training.summary["n_patches"]:
-        learned, learning = _learn(run, patches, training, settings, tolerance)
-        quantized = run.do(Quantization(training.folder, learned, settings.max_atoms, tolerance, settings.weight_bits))
+        learned, learning = _learn(run, training, settings, tolerance)
+        quantized, n_taken_back = _quantize_best(run, training, learned, settings, tolerance)
+        n_taken_back += sum(not row["accepted"] for row in learning)
     codes = run.do(Encode(patches.folder, quantized.folder if quantized else None, settings.max_atoms, tolerance))
-    return Coded(patches, codes, quantized, learning, quantized.summary["n_atoms"] if quantized else 0)
+    return Coded(patches, codes, quantized, learning, quantized.summary["n_atoms"] if quantized else 0, n_taken_back)
 
 
-def _learn(run: Run, patches: StageRecord, training: StageRecord, settings: Settings, tolerance: float):
-    """The folder of the learned dictionary, and the learning curve as estimates for the whole scan."""
+def _learn(run: Run, training: StageRecord, settings: Settings, tolerance: float) -> tuple[StageRecord, list[dict]]:
+    """The last iteration, and the learning curve as estimates for the whole scan: of the best dictionary so far."""
     begun = time.perf_counter()
     n_atoms = max(1, min(2**settings.dictionary_bits, training.summary["n_patches"] // PATCHES_AN_ATOM))
     learned = run.do(DictionarySeed(training.folder, n_atoms, settings.seed)).folder
@@ -125,10 +134,30 @@ def _learn(run: Run, patches: StageRecord, training: StageRecord, settings: Sett
     for iteration in range(settings.iterations):
         record = run.do(KsvdUpdate(training.folder, learned, settings.max_atoms, tolerance, iteration))
         learned, found = record.folder, record.summary
-        error = found["squared_error"] / found["n_patches"] * training.summary["n_active"] + training.summary["settled_energy"]
         curve.append({"seconds": time.perf_counter() - begun, "replaced_atoms": found["n_replaced"],
-                      "psnr_db": psnr_db(error, training.summary["n_splats"] * PATCH_DIM)})
-    return learned, curve
+                      "accepted": found["accepted"], "psnr_db": estimated_psnr_db(training.summary, found)})
+    return record, curve
+
+
+def _quantize_best(run: Run, training: StageRecord, learned: StageRecord, settings: Settings, tolerance: float):
+    """The better of the last dictionary and the best before it, in bytes, and whether (0 or 1) the last was taken back.
+
+    Quantising codes the training set once more, so the last dictionary, which no iteration has measured, is measured
+    there. The one before it is quantised too only where the last looks worse.
+    """
+    stages = (Quantization(training.folder, learned.folder, settings.max_atoms, tolerance, settings.weight_bits, name)
+              for name in ("dictionary", "best"))
+    last = run.do(next(stages))
+    if last.summary["squared_error"] <= learned.summary["squared_error"]:
+        return last, 0
+    best = run.do(next(stages))
+    return (best, 1) if best.summary["squared_error"] < last.summary["squared_error"] else (last, 0)
+
+
+def estimated_psnr_db(training: dict, update: dict) -> float:
+    """PSNR of the whole scan as far as an iteration's error over the training set tells; both are summaries."""
+    error = update["squared_error"] / update["n_patches"] * training["n_active"] + training["settled_energy"]
+    return psnr_db(error, training["n_splats"] * PATCH_DIM)
 
 
 def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, name: str, path: Path) -> StageRecord:
@@ -161,13 +190,7 @@ def compress(scan: Path, out: Path, settings: Settings, executor: Executor, prog
     made = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
     try:
         run = Run(work or made / "work", executor, progress)
-        name = scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem
-        path = made / (name + SUFFIX)
-        prepared = prepare(run, scan, settings.radius)
-        textured = prepared.splats.summary["n_without_camera"] < prepared.scan.summary["n_points"]
-        coded = code(run, prepared, settings) if textured else None
-        pack(run, prepared, coded, settings, name, path)
-        report = finish(run, path, prepared, coded, settings, made, render)
+        report = make(run, scan, settings, made, render)
         if work is None:
             shutil.rmtree(made / "work")
         _put_in_place(made, out)
@@ -176,11 +199,22 @@ def compress(scan: Path, out: Path, settings: Settings, executor: Executor, prog
         shutil.rmtree(made, ignore_errors=True)
 
 
+def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = True) -> dict:
+    """All of a job, into the folder `out`, which is there. Returns the report."""
+    name = scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem
+    path = out / (name + SUFFIX)
+    prepared = prepare(run, scan, settings.radius)
+    textured = prepared.splats.summary["n_without_camera"] < prepared.scan.summary["n_points"]
+    coded = code(run, prepared, settings) if textured else None
+    pack(run, prepared, coded, settings, name, path)
+    return finish(run, path, prepared, coded, settings, out, render)
+
+
 def finish(run: Run, path: Path, prepared: Prepared, coded: Coded | None, settings: Settings, out: Path, render: bool) -> dict:
     """Previews and report of a packed file just made."""
     record = {
         "scan": _scan_record(prepared), "quality": _quality(prepared, coded),
-        "learning": coded.learning if coded else [], "settings": asdict(settings),
+        "learning": coded.learning if coded else [], "numerics": _numerics(prepared, coded), "settings": asdict(settings),
     }
     return write_outputs(run, path, prepared.scan.folder, record, out, render)
 
@@ -189,7 +223,7 @@ def write_outputs(run: Run, path: Path, ingest: Path, record: dict, out: Path, r
     """previews/, report.json and report.html beside each other in `out`. Returns the report."""
     with PackedFile(path) as packed:
         scene = packed.load()
-    views = _views(run, scene, ingest, out) if render else []
+    views = _views(run, path, ingest, out) if render else []
     record = record | {"stages": [stage_row(r) for r in merged(run.records)]}
     report = build_report(scene, path.stat().st_size, record, views)
     write_report(out, report)
@@ -197,19 +231,19 @@ def write_outputs(run: Run, path: Path, ingest: Path, record: dict, out: Path, r
     return report
 
 
-def _views(run: Run, scene: PackedScene, ingest: Path, out: Path) -> list[dict]:
+def _views(run: Run, path: Path, ingest: Path, out: Path) -> list[dict]:
     begun = time.perf_counter()
-    run.progress.begin("render", 1)
     done = 0
 
     def on_view(n_done: int, n_views: int) -> None:
         nonlocal done
-        run.progress.begin("render", n_views) if done == 0 else None
+        if done == 0:
+            run.progress.begin("render", n_views)
         run.progress.advance("render", n_done - done, 0)
         done = n_done
 
-    read_photo = (lambda i: np.asarray(arrays.opened(ingest, f"photo_{i}")[:])) if scene.header.cameras else None
-    views = make_previews(scene, out, read_photo, progress=on_view)
+    run.progress.begin("render", 1)
+    views = run.draw(path, ingest, out, on_view)
     record = StageRecord("render", out, {}, time.perf_counter() - begun, 0, len(views), 0, False)
     run.records.append(record)
     run.progress.end(record)
@@ -228,6 +262,16 @@ def _scan_record(prepared: Prepared) -> dict:
     if scan["cameras"] and n_blind:
         warnings.append(f"{n_blind} of {scan['n_points']} splats are seen by no camera and have the scan's colour")
     return {"unit": scan["unit"], "n_points": scan["n_read"], "n_cameras": len(scan["cameras"]), "warnings": warnings}
+
+
+def _numerics(prepared: Prepared, coded: Coded | None) -> dict:
+    """The hard cases that were met, counted."""
+    scan = prepared.scan.summary
+    blind = prepared.splats.summary["n_without_camera"] if scan["cameras"] else 0
+    return {"dropped_points": scan["n_dropped"], "degenerate_normals": prepared.neighbours.summary["n_degenerate"],
+            "flagged_projections": coded.patches.summary["n_flagged"] if coded else blind,
+            "replaced_atoms": sum(row["replaced_atoms"] for row in coded.learning) if coded else 0,
+            "safeguard_steps": coded.safeguard_steps if coded else 0}
 
 
 def _quality(prepared: Prepared, coded: Coded | None) -> dict:
@@ -265,15 +309,17 @@ def report(packed: Path, scan: Path, out: Path, executor: Executor, progress: Pr
     with PackedFile(packed) as opened, tempfile.TemporaryDirectory(prefix=".work.", dir=out) as work:
         run = Run(Path(work), executor, progress)
         header = opened.header
-        quality: dict = {}
+        quality, numerics = {}, {}
         ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
         if not ingest_fits(ingest.folder, [c.name for c in header.cameras]):
             raise InvalidScan(str(scan), f"photographs {[c['name'] for c in ingest.summary['cameras']][:3]}...",
                               f"those that {packed.name} was made from, {[c.name for c in header.cameras][:3]}...")
         if header.cameras:
             measured = run.do(Measure(ingest.folder, packed.resolve(), fingerprint(packed))).summary
+            numerics = {"flagged_projections": measured["n_flagged"]}
             quality = {k: measured[k] for k in ("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db")}
-        record = {"scan": {"n_cameras": len(header.cameras), "warnings": ingest.summary["warnings"]}, "quality": quality}
+        record = {"scan": {"n_cameras": len(header.cameras), "warnings": ingest.summary["warnings"]}, "quality": quality,
+                  "numerics": numerics | {"dropped_points": ingest.summary["n_dropped"]}}
         return write_outputs(run, packed, ingest.folder, record, out, render)
 
 

@@ -15,7 +15,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-LAYOUT_VERSION = 1  # raised when a stage's output changes for equal inputs
+LAYOUT_VERSION = 2  # raised when a stage's output changes for equal inputs
 
 
 def write_json(path: Path, data: Any) -> None:

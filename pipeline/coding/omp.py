@@ -10,10 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pipeline.coding.certified import (
+    MOST_WITH_GRAM, ShortDictionary, pursue_rows, rows_at_a_time, shorten, unshortened,
+)
 from pipeline.coding.omp_kernels import add_atoms, pursue, squared_norms
+from pipeline.threads import available_cores, run_all
 
 ROWS = 512  # patches a GEMM: 512 x 4096 correlations are 8 MiB, near the second-level cache
 NO_LEVELS = np.empty((0, 0))
+SEARCHES = ("exact", "certified", "approximate")
 
 
 class Codes(NamedTuple):
@@ -39,6 +44,8 @@ def sparse_encode(
     max_atoms: int,
     tolerance: float | np.ndarray = 0.0,
     weight_levels: np.ndarray | None = None,  # (max_atoms or more, n_levels), ascending rows
+    search: str = "exact",
+    n_threads: int | None = None,
 ) -> Codes:
     """Code each patch by at most `max_atoms` atoms; returns `(atom_index, weight, n_atoms)`.
 
@@ -46,12 +53,19 @@ def sparse_encode(
     the patches squared, as scikit-learn's `tol` and SPAMS' `eps`). With `weight_levels` every weight of rank j is one
     of row j, chosen inside the loop: the next atom sees what the rounding left.
 
+    `search` is how the atom of largest correlation is found: "exact" by all products; "certified" by short products
+    that prove most atoms smaller, and products of full width with the few others: the same atoms, but where two
+    correlations differ by less than float32's rounding; "approximate" by short products alone: an atom may be taken
+    whose correlation is below the largest by twice the share of the residual outside the components times that of the
+    atom, while weights stay those of the full patches. `n_threads` None takes all cores.
+
     Guarantees: no atom twice in a support; the residual never rises with an atom; exact weights are the least squares
     of their support; scaling a patch (and its tolerance, by the square) scales its weights; the result of a patch
-    does not depend on the other patches. Inputs may be read-only, strided or float64.
+    does not depend on the other patches or on threads. Inputs may be read-only, strided or float64. Beyond 16,384
+    atoms no k x k matrix is made.
 
     Raises ValueError: shapes that do not fit, more atoms asked than exist, rows that are not unit vectors, values that
-    are not finite.
+    are not finite, a search there is not.
 
     >>> atoms = np.eye(4, dtype=np.float32)
     >>> codes = sparse_encode(np.array([[0, 3, 0, -1]]), atoms, max_atoms=2)
@@ -59,38 +73,58 @@ def sparse_encode(
     ([[1, 3]], [[3.0, -1.0]])
     """
     return pursue_patches(
-        patches, dictionary, max_atoms=max_atoms, tolerance=tolerance, weight_levels=weight_levels
+        patches, dictionary, max_atoms=max_atoms, tolerance=tolerance, weight_levels=weight_levels, search=search,
+        n_threads=available_cores() if n_threads is None else n_threads,
     ).codes
 
 
 def pursue_patches(
     patches: np.ndarray,
-    dictionary: np.ndarray,
+    dictionary: np.ndarray | ShortDictionary,  # split already, where many calls share one
     *,
     max_atoms: int,
     tolerance: float | np.ndarray = 0.0,
     weight_levels: np.ndarray | None = None,
     gram: np.ndarray | None = None,  # (n_dictionary, n_dictionary) float32, where it is at hand
+    search: str = "exact",
+    n_threads: int = 1,
 ) -> Pursuit:
     """`sparse_encode`, with all that the pursuit found out."""
-    patches, dictionary = _checked(patches, dictionary, max_atoms)
-    if gram is None:
+    if search not in SEARCHES:
+        raise ValueError(f"search is {search!r}; allowed: {', '.join(SEARCHES)}")
+    split = dictionary if isinstance(dictionary, ShortDictionary) else None
+    patches, dictionary = _checked(patches, split.dictionary if split else dictionary, max_atoms)
+    if search == "exact":
+        split = None
+    elif split is None:
+        split = shorten(dictionary)
+    if split is None and len(dictionary) > MOST_WITH_GRAM:
+        split = unshortened(dictionary)
+    certify = search == "certified" and split is not None and len(split.basis) > 0
+    if split is None and gram is None:
         gram = dictionary @ dictionary.T
     levels = NO_LEVELS if weight_levels is None else np.ascontiguousarray(weight_levels, np.float64)
     n = len(patches)
     codes = Codes(np.zeros((n, max_atoms), np.int32), np.zeros((n, max_atoms), np.float32), np.zeros(n, np.int32))
     weight_code, residual = np.zeros((n, max_atoms), np.int32), np.zeros(n)
     tolerance = np.broadcast_to(np.asarray(tolerance, np.float64), (n,))
-    for start in range(0, n, ROWS):
-        part = slice(start, start + ROWS)
+    step = ROWS if split is None else rows_at_a_time(split)
+
+    def pursue_block(start: int) -> None:
+        part = slice(start, start + step)
         rows = patches[part]
         energy = squared_norms(rows)
         if not np.isfinite(energy).all():
             raise ValueError(f"patch {start + int(np.argmin(np.isfinite(energy)))} is not finite")
         weight = np.zeros((len(rows), max_atoms))
-        pursue(rows @ dictionary.T, energy, gram, tolerance[part], levels, codes.atom_index[part], weight,
-               weight_code[part], codes.n_atoms[part], residual[part])
+        found = codes.atom_index[part], weight, weight_code[part], codes.n_atoms[part], residual[part]
+        if split is None:
+            pursue(rows @ dictionary.T, energy, gram, tolerance[part], levels, *found)
+        else:
+            pursue_rows(rows, energy, split, certify, tolerance[part], levels, *found)
         codes.weight[part] = weight
+
+    run_all(pursue_block, range(0, n, step), n_threads)
     return Pursuit(codes, weight_code, residual)
 
 
@@ -108,7 +142,7 @@ def _checked(patches: np.ndarray, dictionary: np.ndarray, max_atoms: int) -> tup
         raise ValueError(f"patches {patches.shape} and dictionary {dictionary.shape} must be (n, d) and (k, d)")
     if not 1 <= max_atoms <= len(dictionary):
         raise ValueError(f"max_atoms is {max_atoms}; the dictionary allows 1 to {len(dictionary)}")
-    norms = np.linalg.norm(dictionary, axis=1)
+    norms = np.sqrt(squared_norms(dictionary))
     if not (np.abs(norms - 1) < 1e-3).all():
         worst = int(np.nanargmax(np.where(np.isfinite(norms), np.abs(norms - 1), np.inf)))
         raise ValueError(f"atom {worst} has norm {norms[worst]:g}; every atom must be a unit vector")

@@ -28,11 +28,12 @@ def mip_levels(texels: np.ndarray) -> list[np.ndarray]:
     """The atoms at every size of MIP_SIZES, (k, s, s, 3) int8 each: means of the texels below, same scale."""
     size = MIP_SIZES[0]
     full = texels.reshape(-1, size, size, 3)
-    levels = []
-    for s in MIP_SIZES:
-        factor = size // s
-        mean = full.reshape(-1, s, factor, s, factor, 3).mean(axis=(2, 4))
-        levels.append(np.round(mean).astype(np.int8))
+    levels = [np.empty((len(full), s, s, 3), np.int8) for s in MIP_SIZES]
+    for start in range(0, len(full), 1024):  # means are float64: 16 times the bytes of the texels
+        rows = slice(start, start + 1024)
+        for level, s in zip(levels, MIP_SIZES):
+            factor = size // s
+            level[rows] = np.round(full[rows].reshape(-1, s, factor, s, factor, 3).mean(axis=(2, 4)))
     return levels
 
 

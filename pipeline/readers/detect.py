@@ -28,6 +28,11 @@ _HINTS = {
 }
 
 
+def handled_suffixes() -> tuple[str, ...]:
+    """Of the files that some reader takes."""
+    return tuple(_READERS)
+
+
 def _reader(path: Path) -> Callable[[str], ScanSource]:
     suffix = path.suffix.lower()
     if path.is_dir():

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.accuracy import psnr_db
-from pipeline.coding.omp import Codes, Pursuit, pursue_patches, reconstruct
+from pipeline.coding.omp import Codes, Pursuit, reconstruct
+from pipeline.stages.atoms import load_atoms
 from pipeline.texture.patches import centred, patch_errors
 from pipeline.texture.resample import PATCH_DIM, disc_weights
 from storage import arrays, work
@@ -62,14 +63,11 @@ class Encode:
     def _encoder(self):
         if self.quantized is None:
             return lambda patches: (_no_codes(len(patches)), np.zeros_like(patches))
-        dictionary, gram = arrays.read(self.quantized, "dictionary"), arrays.read(self.quantized, "gram")
-        levels = arrays.read(self.quantized, "weight_levels")
-        most = min(self.max_atoms, len(dictionary))
+        atoms, levels = load_atoms(self.quantized), arrays.read(self.quantized, "weight_levels")
 
         def encode(patches: np.ndarray) -> tuple[Pursuit, np.ndarray]:
-            found = pursue_patches(patches, dictionary, max_atoms=most, tolerance=self.tolerance,
-                                   weight_levels=levels, gram=gram)
-            return found, reconstruct(found.codes, dictionary)
+            found = atoms.pursue(patches, self.max_atoms, self.tolerance, levels)
+            return found, reconstruct(found.codes, atoms.dictionary)
 
         return encode
 

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coding.ksvd import Sums, block_sums, initial_dictionary, merge_in_order, updated_dictionary
-from pipeline.coding.omp import pursue_patches
+from pipeline.coding.ksvd import Best, Sums, block_sums, initial_dictionary, judge, merge_in_order, next_trial
+from pipeline.stages.atoms import load_atoms, store_atoms
 from pipeline.stages.training import training_patches
 from storage import arrays, work
 
 
 @dataclass(frozen=True)
 class DictionarySeed:
-    """One task. Arrays: dictionary (k, d) float32 unit rows, gram (k, k) float32."""
+    """One task. Arrays: those of `atoms`."""
 
     training: Path
     n_atoms: int
@@ -33,7 +33,7 @@ class DictionarySeed:
             patches = training_patches(self.training, task)
             pool.append(patches[np.random.default_rng([self.seed, task]).permutation(len(patches))[:share]])
         dictionary = initial_dictionary(np.concatenate(pool), self.n_atoms, self.seed)
-        _store_dictionary(folder, dictionary)
+        store_atoms(folder, dictionary)
         return {"n_atoms": len(dictionary)}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
@@ -42,9 +42,9 @@ class DictionarySeed:
 
 @dataclass(frozen=True)
 class KsvdUpdate:
-    """One iteration: a task codes one part of the training set and sums it; finalise merges and updates.
+    """One iteration: a task codes one part of the training set and sums it; finalise merges, judges and updates.
 
-    Arrays: dictionary and gram, as those of `previous`.
+    Arrays: those of `atoms`, the next trial; best (k, d), the best of all measured so far.
     """
 
     training: Path
@@ -58,30 +58,41 @@ class KsvdUpdate:
         return work.summary(self.training)["n_tasks"]
 
     def run(self, folder: Path, index: int) -> dict:
-        dictionary, gram = arrays.read(self.previous, "dictionary"), arrays.read(self.previous, "gram")
+        atoms = load_atoms(self.previous)
         patches = training_patches(self.training, index)
-        most = min(self.max_atoms, len(dictionary))
-        pursuit = pursue_patches(patches, dictionary, max_atoms=most, tolerance=self.tolerance, gram=gram)
-        sums = block_sums(patches, dictionary, pursuit)
-        np.savez(folder / f"sums-{index}.npz", **vars(sums))
+        pursuit = atoms.pursue(patches, self.max_atoms, self.tolerance)
+        sums = block_sums(patches, atoms.dictionary, pursuit)
+        _store_sums(folder / f"sums-{index}.npz", sums)
         return {"n_splats": len(patches), "n_atoms_used": int(pursuit.codes.n_atoms.sum())}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
-        sums = merge_in_order(lambda i: _load_sums(folder, i), 0, len(results))
-        dictionary, n_replaced = updated_dictionary(arrays.read(self.previous, "dictionary"), sums)
-        _store_dictionary(folder, dictionary)
+        sums = merge_in_order(lambda i: _load_sums(folder / f"sums-{i}.npz"), 0, len(results))
+        measured = arrays.read(self.previous, "dictionary")
+        best, accepted = judge(_best_of(self.previous), measured, sums)
+        trial, n_replaced = next_trial(best, measured, sums)
+        store_atoms(folder, trial)
+        arrays.create(folder, "best", best.dictionary.shape, "float32", (4096, best.dictionary.shape[1]))[:] = best.dictionary
+        _store_sums(folder / "best-sums.npz", best.sums)
         for i in range(len(results)):
             (folder / f"sums-{i}.npz").unlink()
-        return {"squared_error": sums.error, "n_patches": sums.n_patches, "n_replaced": n_replaced,
+        return {"squared_error": best.sums.error, "measured_error": sums.error, "accepted": accepted, "step": best.step,
+                "n_patches": sums.n_patches, "n_replaced": n_replaced,
                 "n_atoms_used": sum(r["n_atoms_used"] for r in results)}
 
 
-def _load_sums(folder: Path, index: int) -> Sums:
-    with np.load(folder / f"sums-{index}.npz") as stored:
+def _best_of(previous: Path) -> Best | None:
+    """What the iteration before judged best; None where it was the seed."""
+    if not arrays.exists(previous, "best"):
+        return None
+    sums = _load_sums(previous / "best-sums.npz")
+    return Best(arrays.read(previous, "best"), sums, work.summary(previous)["step"])
+
+
+def _store_sums(path: Path, sums: Sums) -> None:
+    np.savez(path, **vars(sums))
+
+
+def _load_sums(path: Path) -> Sums:
+    with np.load(path) as stored:
         fields = {name: stored[name] for name in stored.files}
     return Sums(**{**fields, "error": float(fields["error"]), "n_patches": int(fields["n_patches"])})
-
-
-def _store_dictionary(folder: Path, dictionary: np.ndarray) -> None:
-    for name, rows in (("dictionary", dictionary), ("gram", dictionary @ dictionary.T)):
-        arrays.create(folder, name, rows.shape, "float32", (4096, rows.shape[1]))[:] = rows

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.limits import check_bounds
 from pipeline.readers import open_scan
 from pipeline.scan import Piece, ScanSource
 from pipeline.splats.cameras import N_CANDIDATES, rank_candidates
@@ -86,12 +87,15 @@ def _store_points(source: ScanSource, folder: Path) -> dict:
                 writers[name] = arrays.Appender(folder, name, rows.shape[1:], str(rows.dtype))
             writers[name].append(rows)
         if "intensity" in columns:
-            intensities.append(np.quantile(columns["intensity"], (0.01, 0.99)))
+            known = columns["intensity"][np.isfinite(columns["intensity"])].astype(np.float64)
+            if len(known):
+                intensities.append(np.quantile(known, (0.01, 0.99)))
     for name, writer in writers.items():
         if writer.close() != n_kept:
             raise InvalidScan(source.path, f"only some of the points have {name}", "all points or none")
     if not n_kept:
         raise InvalidScan(source.path, f"none of its {n_read} points has a finite position", "at least one point")
+    check_bounds(source.path, low, high)
     return {
         "n_splats": n_kept, "n_read": n_read, "n_dropped": n_read - n_kept, "low": low.tolist(), "high": high.tolist(),
         "intensity_range": _intensity_range(intensities),
@@ -115,6 +119,6 @@ def _columns(piece: Piece, keep: np.ndarray, source: ScanSource) -> dict[str, np
 def _intensity_range(quantiles: list[np.ndarray]) -> list[float] | None:
     """What black and white stand for: the widest 1 % and 99 % of any piece."""
     if not quantiles:
-        return None
+        return None  # no point has one, or none that is finite
     spread = np.array(quantiles, np.float64)
     return [float(spread[:, 0].min()), float(spread[:, 1].max())]

@@ -13,7 +13,7 @@ from pipeline.geometry.frame import tangent_frames
 from pipeline.geometry.positions import Boxes, decode_positions
 from pipeline.coding.omp_kernels import add_atoms
 from pipeline.stages.codes import ROWS, coding_quality
-from pipeline.texture.patches import make_patches, patch_errors
+from pipeline.texture.patches import Patches, make_patches, patch_errors
 from pipeline.texture.resample import PATCH_DIM
 from storage import arrays, work
 from storage.packed import PackedFile, PackedScene
@@ -39,7 +39,8 @@ class Measure:
             scene = packed.group(index)
             atoms = decoded_atoms(packed) if packed.header.n_dictionary else np.zeros((1, PATCH_DIM), np.float32)
             levels = packed.read("weight_levels") if packed.header.n_dictionary else np.zeros((MAX_ATOMS, 1), np.float32)
-        texel, resampling_error, n_probes = self._resample(scene, index * GROUP)
+        patches = self._resample(scene, index * GROUP)
+        texel = patches.texel
         squared, weighted = 0.0, 0.0
         for at in range(0, len(texel), ROWS):
             rows = slice(at, min(at + ROWS, len(texel)))
@@ -47,21 +48,21 @@ class Measure:
             squared, weighted = squared + lost[0], weighted + lost[1]
         return {"n_splats": len(texel), "squared_error": squared, "weighted_error": weighted,
                 "histogram": np.bincount(scene.n_atoms, minlength=MAX_ATOMS + 1).tolist(),
-                "resampling_error": resampling_error, "n_probes": n_probes}
+                "resampling_error": patches.resampling_error, "n_probes": patches.n_probes, "n_flagged": patches.n_flagged}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         error, n_probes = (sum(r[k] for r in results) for k in ("resampling_error", "n_probes"))
-        return coding_quality(results) | {"resampling_psnr_db": psnr_db(error, n_probes)}
+        return coding_quality(results) | {"resampling_psnr_db": psnr_db(error, n_probes),
+                                          "n_flagged": sum(r["n_flagged"] for r in results)}
 
-    def _resample(self, scene: PackedScene, first_splat: int) -> tuple[np.ndarray, float, int]:
+    def _resample(self, scene: PackedScene, first_splat: int) -> Patches:
         header, a = scene.header, scene.arrays
         position = a["position"].astype(np.uint32)
         code = position[:, 0] | position[:, 1] << 8 | position[:, 2] << 16
         centre = decode_positions(code, Boxes(a["box_low"], a["box_size"], a["box_bits"]))
         u, v, _ = tangent_frames(a["normal"], header.up_axis)
-        patches = make_patches(header.cameras, self._read_window, header.origin, centre, (u, v), header.radius,
-                               a["camera"], a["color"], first_splat)
-        return patches.texel, patches.resampling_error, patches.n_probes
+        return make_patches(header.cameras, self._read_window, header.origin, centre, (u, v), header.radius,
+                            a["camera"], a["color"], first_splat)
 
     def _read_window(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
         return np.asarray(arrays.opened(self.ingest, f"photo_{camera}")[top:bottom, left:right])

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.limits import check_radius
 from pipeline.splats.neighbours import find_neighbours
 from pipeline.splats.normals import NEIGHBOURS, estimate_normals, usable_normals
 from storage import arrays, work
@@ -64,9 +65,9 @@ class Neighbourhoods:
 
 def radius_of(neighbours: dict, asked: float | None, scan: str) -> float:
     """The splat radius: what was asked for, else the median spacing (about 4 splats then cover a surface point)."""
-    if asked is not None:
-        return asked
-    if not neighbours["median_spacing"]:
+    radius = neighbours["median_spacing"] if asked is None else asked
+    if not radius:
         raise InvalidScan(scan, "too few different positions to tell a splat radius from",
                           f"more than {SPACING_RANK} different positions", "give one with --radius")
-    return neighbours["median_spacing"]
+    check_radius(scan, radius)
+    return radius

@@ -47,11 +47,13 @@ class Resample:
         arrays.write(folder, "average", start, patches.average)
         arrays.write(folder, "energy", start, patches.energy)
         return {"n_splats": stop - start, "resampling_error": patches.resampling_error, "n_probes": patches.n_probes,
+                "n_flagged": patches.n_flagged,
                 "energy": float(patches.energy.sum(dtype=np.float64))}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         error, n_probes = (sum(r[k] for r in results) for k in ("resampling_error", "n_probes"))
-        return {"resampling_psnr_db": psnr_db(error, n_probes), "energy": sum(r["energy"] for r in results)}
+        return {"resampling_psnr_db": psnr_db(error, n_probes), "energy": sum(r["energy"] for r in results),
+                "n_flagged": sum(r["n_flagged"] for r in results)}
 
     def _read_window(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
         return np.asarray(arrays.opened(self.ingest, f"photo_{camera}")[top:bottom, left:right])

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coding.omp import pursue_patches
 from pipeline.coding.quantize import dequantize_atoms, mip_levels, quantize_atoms, train_weight_levels
+from pipeline.stages.atoms import load_atoms, store_atoms
 from pipeline.stages.training import training_patches
 from storage import arrays, work
 from storage.schema import MAX_ATOMS, MIP_SIZES
@@ -18,8 +18,8 @@ from storage.schema import MAX_ATOMS, MIP_SIZES
 class Quantization:
     """A task a part of the training set: it is coded with exact weights by the atoms as they will be decoded.
 
-    Arrays: those of the packed file's dictionary (atoms_<s>, atom_scale, weight_levels), and of the decoded atoms
-    dictionary and gram.
+    Arrays: those of the packed file's dictionary (atoms_<s>, atom_scale, weight_levels), and those of `atoms` for the
+    decoded atoms.
     """
 
     training: Path
@@ -27,25 +27,23 @@ class Quantization:
     max_atoms: int
     tolerance: float
     weight_bits: int
+    learned_array: str = "dictionary"
     name = "quantise"
 
     def init(self, folder: Path) -> int:
-        texels, scale = quantize_atoms(arrays.read(self.learned, "dictionary"))
-        decoded = dequantize_atoms(texels, scale)
-        contents = {"atom_scale": scale, "dictionary": decoded, "gram": decoded @ decoded.T}
+        texels, scale = quantize_atoms(arrays.read(self.learned, self.learned_array))
+        store_atoms(folder, dequantize_atoms(texels, scale))
+        contents = {"atom_scale": scale}
         contents |= {f"atoms_{s}": level for s, level in zip(MIP_SIZES, mip_levels(texels))}
         for name, rows in contents.items():
             arrays.create(folder, name, rows.shape, str(rows.dtype), (4096, *rows.shape[1:]))[:] = rows
         return work.summary(self.training)["n_tasks"]
 
     def run(self, folder: Path, index: int) -> dict:
-        dictionary = arrays.read(folder, "dictionary")
-        codes = pursue_patches(
-            training_patches(self.training, index), dictionary, max_atoms=min(self.max_atoms, len(dictionary)),
-            tolerance=self.tolerance, gram=arrays.read(folder, "gram"),
-        ).codes
+        found = load_atoms(folder).pursue(training_patches(self.training, index), self.max_atoms, self.tolerance)
+        codes = found.codes
         np.savez(folder / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
-        return {"n_splats": len(codes.n_atoms)}
+        return {"n_splats": len(codes.n_atoms), "squared_error": float(found.residual.sum())}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         samples: list[list[np.ndarray]] = [[] for _ in range(MAX_ATOMS)]
@@ -56,4 +54,5 @@ class Quantization:
         ranks = [np.concatenate(s) if s else np.empty(0, np.float32) for s in samples]
         levels = train_weight_levels(ranks, 2**self.weight_bits)
         arrays.create(folder, "weight_levels", levels.shape, "float32")[:] = levels
-        return {"n_atoms": arrays.opened(folder, "atom_scale").shape[0]}
+        return {"n_atoms": arrays.opened(folder, "atom_scale").shape[0],
+                "squared_error": sum(r["squared_error"] for r in results)}

@@ -106,7 +106,7 @@ class Splats:
         """The scan's own colour, else grey from its intensity, else grey from its normals."""
         if arrays.exists(self.partition, "color"):
             return arrays.read(self.partition, "color", start, stop)
-        if arrays.exists(self.partition, "intensity"):
+        if scan["intensity_range"] is not None:
             low, high = scan["intensity_range"]
             intensity = arrays.read(self.partition, "intensity", start, stop).astype(np.float64)
             grey = np.clip(np.nan_to_num((intensity - low) / max(high - low, np.finfo(float).tiny)), 0, 1)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from pipeline.texture.projection import homographies, project_corners
+from pipeline.texture.projection import homographies, is_in_front, is_whole, project_corners
 from pipeline.texture.resample import (
     PATCH_DIM, PROBES, Window, disc_weights, resample_patches, resampling_error, window_bounds,
 )
@@ -26,6 +26,7 @@ class Patches:
     energy: np.ndarray  # (n,) float32: squared norm of texel / 255 - average / 255
     resampling_error: float  # sum of squared differences over all probes
     n_probes: int  # values it is summed over
+    n_flagged: int  # patches that are not wholly what a photograph shows: without a camera, or beyond its edge
 
 
 def make_patches(
@@ -39,14 +40,20 @@ def make_patches(
     color: np.ndarray,  # (n, 3) uint8: of splats without a camera
     first_splat: int,
 ) -> Patches:
-    """Resample a block. A splat without a camera has a patch of its one colour, and so no energy."""
-    texel = np.empty((len(camera), PATCH_DIM), np.uint8)
+    """Resample a block. A splat without a camera has a patch of its one colour, and so no energy; so has one whose
+    square, once its geometry is quantised, reaches behind its camera. Both are flagged, as are those that reach beyond
+    their photo's edge, where texels repeat the edge."""
+    texel = np.tile(color, PATCH_SIZE * PATCH_SIZE)
     blind = camera == NO_CAMERA
-    texel[blind] = np.tile(color[blind], PATCH_SIZE * PATCH_SIZE)
-    error, n_probes = 0.0, 0
+    error, n_probes, n_flagged = 0.0, 0, int(blind.sum())
     for i in np.unique(camera[~blind]):
         rows = np.flatnonzero(camera == i)
         h = homographies(cameras[i], origin, centre[rows], frame[0][rows], frame[1][rows], radius)
+        n_flagged += int((~is_whole(h, cameras[i].width_px, cameras[i].height_px)).sum())
+        in_front = is_in_front(h)
+        rows, h = rows[in_front], h[in_front]
+        if not len(rows):
+            continue
         bounds = window_bounds(project_corners(h), cameras[i].width_px, cameras[i].height_px)
         window = Window(read_window(int(i), *bounds), bounds[0], bounds[1])
         texel[rows] = resample_patches(window, h)
@@ -54,7 +61,7 @@ def make_patches(
         n_probes += 3 * PROBES * len(rows)
     average, energy = np.empty((len(texel), 3), np.uint8), np.empty(len(texel), np.float32)
     _measure(texel.reshape(len(texel), -1, 3), average, energy)
-    return Patches(texel, average, energy, error, n_probes)
+    return Patches(texel, average, energy, error, n_probes, n_flagged)
 
 
 def centred(texel: np.ndarray, average: np.ndarray) -> np.ndarray:

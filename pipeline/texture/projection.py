@@ -12,6 +12,9 @@ from storage.schema import Camera
 # A corner nearer to the camera plane than this share of the splat's centre distance cannot be textured: its
 # projection moves by more than a splat for every rounding of the plane.
 NEAREST_SHARE = 0.05
+# A homography whose determinant is below this share of its largest entry cubed is singular as far as float64 can
+# tell: its columns, one of them the eye's distance, are then known to fewer digits than the determinant has left.
+FLATTEST_SHARE = 1e-15
 
 
 def homographies(
@@ -43,6 +46,18 @@ def corner_depths(homography: np.ndarray) -> np.ndarray:
 def is_in_front(homography: np.ndarray) -> np.ndarray:
     """(n,) bool: the whole square lies well in front of the camera."""
     return corner_depths(homography).min(axis=1) > NEAREST_SHARE * np.abs(homography[:, 2, 2])
+
+
+def is_whole(homography: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
+    """(n,) bool: the camera sees the whole square: in front of it, inside the photo, and as a square, not a line.
+
+    False too for what is not finite, as a camera with a singular matrix makes it.
+    """
+    corners = project_corners(homography)
+    with np.errstate(invalid="ignore"):
+        inside = ((corners >= 0) & (corners <= [width_px, height_px])).all(axis=(1, 2))
+    flat = np.abs(np.linalg.det(homography)) <= FLATTEST_SHARE * np.abs(homography).max(axis=(1, 2)) ** 3
+    return inside & is_in_front(homography) & ~flat
 
 
 def project_corners(homography: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ more than a photo pixel, it is the mean of as many bilinear lookups as it covers
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -27,6 +28,11 @@ class Window:
     left: int
     top: int
 
+    @cached_property
+    def padded(self) -> np.ndarray:
+        """The pixels as lookups want them; made once for all that look at the window."""
+        return _padded(self.pixels)
+
 
 def window_bounds(corners: np.ndarray, width_px: int, height_px: int) -> tuple[int, int, int, int]:
     """Left, top, right, bottom of the pixels that bilinear lookups between `corners` (n, 4, 2) can touch."""
@@ -43,7 +49,7 @@ def resample_patches(window: Window, homography: np.ndarray) -> np.ndarray:
     The whole square must lie in front of the camera (`is_in_front`). Lookups outside the photo take its edge.
     """
     patches = np.empty((len(homography), PATCH_SIZE, PATCH_SIZE, 3), np.uint8)
-    _resample(_padded(window.pixels), window.left, window.top, homography, patches)
+    _resample(window.padded, window.left, window.top, homography, patches)
     return patches.reshape(len(homography), PATCH_DIM)
 
 
@@ -54,7 +60,7 @@ def resampling_error(window: Window, homography: np.ndarray, patches: np.ndarray
     """
     error = np.empty(len(homography))
     shaped = patches.reshape(-1, PATCH_SIZE, PATCH_SIZE, 3)
-    _probe(_padded(window.pixels), window.left, window.top, homography, shaped, seed.astype(np.uint64), error)
+    _probe(window.padded, window.left, window.top, homography, shaped, seed.astype(np.uint64), error)
     return error
 
 

@@ -1,0 +1,85 @@
+"""Patches of a real scan for the benchmarks, and ratios of medians of what runs in turns."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.coding.ksvd import initial_dictionary
+from pipeline.executors import SerialExecutor
+from pipeline.settings import settings_for
+from pipeline.texture.patches import centred
+from services.workflow import compress
+from storage import arrays
+
+
+class Silent:
+    def begin(self, name, n_tasks): ...
+
+    def advance(self, name, n_tasks, n_splats): ...
+
+    def end(self, record): ...
+
+
+def arguments(about: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scan", type=Path, help="a scan with photographs, or a work folder of `compress --work`")
+    parser.add_argument("--atoms", type=int, nargs="+", default=[256, 4096])
+    parser.add_argument("--patches", type=int, default=2048, help="how many are coded")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--json", action="store_true")
+    return parser
+
+
+def textured_patches(scan: Path, n: int) -> np.ndarray:
+    """n patches (n, d) float32 less their averages, spread over the scan, of those that their average does not settle
+    at 40 dB. Compresses the scan first where it is none of our work folders, into a folder beside it that stays."""
+    found = sorted(scan.glob("resample-*"))
+    if not found:
+        work = Path(f"{scan.name}-work")
+        compress(scan, Path(f"{scan.name}-out"), settings_for("draft", max_atoms=0), SerialExecutor(), Silent(),
+                 render=False, work=work)
+        found = sorted(work.glob("resample-*"))
+    energy = arrays.read(found[-1], "energy")
+    active = np.flatnonzero(energy > energy.dtype.type(0.3072))
+    if len(active) < n:
+        raise SystemExit(f"{scan} has {len(active)} patches with texture; {n} are needed")
+    chosen = np.sort(np.random.default_rng(0).choice(active, n, replace=False))
+    rows = []
+    for block in range(arrays.n_blocks(len(energy))):
+        start, stop = arrays.block_range(block, len(energy))
+        here = chosen[(chosen >= start) & (chosen < stop)] - start
+        rows.append(centred(arrays.read(found[-1], "texel", start, stop)[here],
+                            arrays.read(found[-1], "average", start, stop)[here]))
+    patches = np.concatenate(rows)
+    np.random.default_rng(1).shuffle(patches)
+    return patches
+
+
+def seconds(work: Callable[[], object]) -> float:
+    begun = time.perf_counter()
+    work()
+    return time.perf_counter() - begun
+
+
+def in_turns(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
+    """Median seconds of each, run in turns so that a busy machine hits all alike; one round before counts not."""
+    taken: dict[str, list[float]] = {name: [] for name in works}
+    for round_ in range(rounds + 1):
+        for name, work in works.items():
+            taken[name].append(seconds(work)) if round_ else work()
+    return {name: float(np.median(times)) for name, times in taken.items()}
+
+
+def some_dictionary(patches: np.ndarray, n_atoms: int) -> np.ndarray:
+    """Patches as atoms after one k-SVD update: near enough to a learned dictionary to time with, and soon made."""
+    from pipeline.coding.ksvd import block_sums, updated_dictionary
+    from pipeline.coding.omp import pursue_patches
+
+    dictionary = initial_dictionary(patches, n_atoms, seed=0)
+    found = pursue_patches(patches, dictionary, max_atoms=4, search="certified")
+    return updated_dictionary(dictionary, block_sums(patches, dictionary, found))[0]

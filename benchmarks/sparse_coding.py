@@ -1,0 +1,82 @@
+"""How fast is OMP, against other libraries and against the one GEMM Y D^T?
+
+    python -m benchmarks.sparse_coding SCAN [--atoms 256 4096] [--patches 2048] [--json]
+
+Patches of 3,072 float32 values, 8 atoms, no cut-off, all cores. All run in turns in this process; what is printed are
+medians and the ratios of them. SPAMS (`pip install spams-bin`) and scikit-learn are timed where they are installed;
+scikit-learn on 32 of the patches at most.
+"""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from benchmarks.patches import arguments, in_turns, some_dictionary, textured_patches
+from pipeline.coding.omp import pursue_patches, sparse_encode
+from pipeline.threads import available_cores
+
+N_ATOMS = 8
+
+
+def peers(patches: np.ndarray, dictionary: np.ndarray) -> tuple[dict, dict[str, int], list[str]]:
+    """What to time, how many patches each codes, and what is missing."""
+    works, counts, missing = {}, {}, []
+    try:
+        import spams
+
+        y, d = np.asfortranarray(patches.T), np.asfortranarray(dictionary.T)
+        works["SPAMS omp"] = lambda: spams.omp(y, d, L=N_ATOMS, eps=0.0, numThreads=-1)
+        counts["SPAMS omp"] = len(patches)
+    except ImportError:
+        missing.append("SPAMS is not installed (pip install spams-bin)")
+    try:
+        from sklearn.linear_model import orthogonal_mp_gram
+
+        few = patches[: min(32, len(patches) // 8)]
+        works["scikit-learn orthogonal_mp_gram"] = lambda: orthogonal_mp_gram(
+            dictionary @ dictionary.T, dictionary @ few.T, n_nonzero_coefs=N_ATOMS)
+        counts["scikit-learn orthogonal_mp_gram"] = len(few)
+    except ImportError:
+        missing.append("scikit-learn is not installed (pip install scikit-learn)")
+    return works, counts, missing
+
+
+def measure(patches: np.ndarray, dictionary: np.ndarray, rounds: int) -> dict:
+    works = {"GEMM Y D^T": lambda: patches @ dictionary.T}
+    for search in ("exact", "certified", "approximate"):
+        works[search] = lambda search=search: sparse_encode(patches, dictionary, max_atoms=N_ATOMS, search=search)
+    others, counts, missing = peers(patches, dictionary)
+    taken = in_turns(works | others, rounds)
+    rate = {name: counts.get(name, len(patches)) / s for name, s in taken.items()}
+    error = {s: float(pursue_patches(patches, dictionary, max_atoms=N_ATOMS, search=s).residual.sum())
+             for s in ("exact", "certified", "approximate")}
+    return {"atoms": len(dictionary), "patches": len(patches), "splats_per_second": rate,
+            "certified_times": {name: rate["certified"] / r for name, r in rate.items()},
+            "psnr_below_exact_db": {s: 10 * float(np.log10(e / error["exact"])) for s, e in error.items()},
+            "missing": missing}
+
+
+def main() -> None:
+    options = arguments(__doc__).parse_args()
+    every = textured_patches(options.scan, options.patches + 5 * max(options.atoms))
+    rows = []
+    for n_atoms in options.atoms:
+        dictionary = some_dictionary(every[options.patches :][: 5 * n_atoms], n_atoms)
+        rows.append(measure(every[: options.patches], dictionary, options.rounds))
+    if options.json:
+        print(json.dumps({"cores": available_cores(), "rows": rows}))
+        return
+    for row in rows:
+        print(f"{row['atoms']} atoms, {row['patches']} patches, {available_cores()} cores")
+        for name, rate in row["splats_per_second"].items():
+            lost = row["psnr_below_exact_db"].get(name)
+            print(f"  {name:<32} {rate:10,.0f} splats/s   certified is {row['certified_times'][name]:6.2f} times as fast"
+                  + (f"   {lost:+.4f} dB below exact" if lost is not None else ""))
+        for line in row["missing"]:
+            print(f"  {line}")
+
+
+if __name__ == "__main__":
+    main()

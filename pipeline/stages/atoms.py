@@ -1,0 +1,50 @@
+"""A dictionary in a stage's folder, with what its search needs: made once, read by every task.
+
+Arrays: dictionary (k, d) float32 unit rows; where it is searched by short products basis (d, p), short (k, p) and rest
+(k,), else gram (k, k), all float32. Beyond 16,384 atoms there is no k x k array, here or in a task.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.coding.certified import MOST_WITH_GRAM, ShortDictionary, shorten, split_by
+from pipeline.coding.omp import Pursuit, pursue_patches
+from storage import arrays
+
+
+@dataclass(frozen=True)
+class Atoms:
+    """A dictionary as its stage left it."""
+
+    dictionary: np.ndarray  # (k, d) float32
+    split: ShortDictionary | None
+    gram: np.ndarray | None
+
+    def pursue(self, patches: np.ndarray, max_atoms: int, tolerance: float, levels: np.ndarray | None = None) -> Pursuit:
+        """The pursuit of patches (n, d) on one thread, with the atoms that exact search takes."""
+        most = min(max_atoms, len(self.dictionary))
+        search = "exact" if self.split is None else "certified"
+        return pursue_patches(patches, self.split or self.dictionary, max_atoms=most, tolerance=tolerance,
+                              weight_levels=levels, gram=self.gram, search=search)
+
+
+def store_atoms(folder: Path, dictionary: np.ndarray) -> None:
+    split = shorten(dictionary)
+    stored = {"dictionary": dictionary}
+    if split is not None:
+        stored |= {"basis": split.basis, "short": split.short, "rest": split.rest}
+    elif len(dictionary) <= MOST_WITH_GRAM:
+        stored["gram"] = dictionary @ dictionary.T
+    for name, rows in stored.items():
+        arrays.create(folder, name, rows.shape, "float32", (4096, *rows.shape[1:]))[:] = rows
+
+
+def load_atoms(folder: Path) -> Atoms:
+    dictionary = arrays.read(folder, "dictionary")
+    if arrays.exists(folder, "basis"):
+        return Atoms(dictionary, split_by(dictionary, *(arrays.read(folder, n) for n in ("basis", "short", "rest"))), None)
+    return Atoms(dictionary, None, arrays.read(folder, "gram") if arrays.exists(folder, "gram") else None)

@@ -1,0 +1,33 @@
+"""Work shared by the threads of one process, for callers outside the pipeline's tasks (those hold to one thread)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import threadpoolctl
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_all(work: Callable[[int], None], items: range, n_threads: int) -> None:
+    """Call `work` with every item. BLAS has one thread in each of `n_threads`; with one, it is left as it is.
+
+    Re-raises what the first item that failed raised.
+    """
+    if n_threads <= 1 or len(items) <= 1:
+        for item in items:
+            work(item)
+        return
+    with threadpoolctl.threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(min(n_threads, len(items))) as pool:
+        for done in [pool.submit(work, item) for item in items]:
+            done.result()
+
+
+def one_blas_thread():
+    """A context in which BLAS keeps to one thread: factors of thin matrices take longer with more on a busy machine."""
+    return threadpoolctl.threadpool_limits(1, user_api="blas")

@@ -1,0 +1,87 @@
+"""The web application: routes under /v1, health, metrics, and the job page."""
+
+from __future__ import annotations
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from sqlalchemy.exc import OperationalError
+from starlette.exceptions import HTTPException
+
+from services.api import artifacts, events, health, jobs, page, scans, uploads, words
+from services.api.limits import MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyCap
+from services.problems import INTERNAL, RESOURCE, Problem
+from services.settings import ServiceSettings
+from services.store import Store
+
+PROBLEM_JSON = "application/problem+json"
+_PROBLEM = {"description": "RFC 9457 problem details", "content": {PROBLEM_JSON: {"schema": {
+    "type": "object", "required": ["type", "title", "status", "detail", "class", "retryable"],
+    "properties": {"type": {"type": "string"}, "title": {"type": "string"}, "status": {"type": "integer"},
+                   "detail": {"type": "string"}, "class": {"enum": ["data", "resource", "internal"]},
+                   "retryable": {"type": "boolean"}, "hint": {"type": "string"}}}}}}
+_SECURITY = {
+    "x-content-type-options": "nosniff", "referrer-policy": "no-referrer", "x-frame-options": "DENY",
+    "content-security-policy": "default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'",
+}
+
+
+def create_app(settings: ServiceSettings) -> FastAPI:
+    app = FastAPI(
+        title="splatpress", version="1", docs_url=None, redoc_url=None, openapi_url="/v1/openapi.json",
+        description="Turns textured scans into small packed files that a GPU renders directly.",
+        responses={"4XX": _PROBLEM},
+    )
+    app.state.settings, app.state.store = settings, Store(settings.database_url)
+    for module in (scans, uploads, jobs, events, artifacts, words):
+        app.include_router(module.router, prefix="/v1")
+    app.include_router(health.router)
+    app.include_router(page.router)
+    app.add_exception_handler(Problem, _problem)
+    app.add_exception_handler(RequestValidationError, _invalid)
+    app.add_exception_handler(HTTPException, _http)
+    app.add_exception_handler(OperationalError, _database)
+    app.add_exception_handler(Exception, _mistake)
+    app.add_middleware(BodyCap, limit=lambda method, path: _allowed_body(settings, method, path))
+    app.middleware("http")(_secured)
+    return app
+
+
+def _allowed_body(settings: ServiceSettings, method: str, path: str) -> int | None:
+    if method == "PATCH" and path.startswith("/v1/uploads/"):
+        return None
+    return settings.max_multipart_bytes + MULTIPART_OVERHEAD if path == "/v1/scans" else MAX_JSON_BYTES
+
+
+async def _secured(request: Request, call_next):
+    response = await call_next(request)
+    for name, value in _SECURITY.items():
+        response.headers.setdefault(name, value)
+    return response
+
+
+def _answer(problem: Problem) -> JSONResponse:
+    return JSONResponse(problem.body(), problem.status, problem.headers, PROBLEM_JSON)
+
+
+async def _problem(_: Request, problem: Problem) -> JSONResponse:
+    return _answer(problem)
+
+
+async def _invalid(_: Request, error: RequestValidationError) -> JSONResponse:
+    found = "; ".join(f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']}" for e in error.errors()[:5])
+    return _answer(Problem(422, "invalid-request", found))
+
+
+async def _http(_: Request, error: HTTPException) -> JSONResponse:
+    slug = {404: "not-found", 405: "method-not-allowed", 400: "bad-request"}.get(error.status_code, "http-error")
+    return _answer(Problem(error.status_code, slug, str(error.detail), headers=dict(error.headers or {})))
+
+
+async def _database(_: Request, error: OperationalError) -> JSONResponse:
+    return _answer(Problem(503, "database-away", "the database does not answer", kind=RESOURCE, retryable=True,
+                           headers={"Retry-After": "5"}))
+
+
+async def _mistake(_: Request, error: Exception) -> JSONResponse:
+    return _answer(Problem(500, "internal-error", "a mistake of ours", kind=INTERNAL, retryable=True))

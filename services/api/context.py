@@ -1,0 +1,74 @@
+"""What every endpoint needs: settings, store, and who is asking."""
+
+from __future__ import annotations
+
+import ipaddress
+from typing import Annotated
+
+from fastapi import Depends, Path, Request
+
+from services.problems import Problem
+from services.settings import LOOPBACK, ServiceSettings
+from services.store import Store
+
+LOCAL_OWNER = "local"
+
+
+def settings_of(request: Request) -> ServiceSettings:
+    return request.app.state.settings
+
+
+def store_of(request: Request) -> Store:
+    return request.app.state.store
+
+
+def owner_of(request: Request) -> str:
+    """The owner of the bearer token; on a service bound to loopback, of no token too.
+
+    Without a token the Host must name loopback, else any web page could have a browser send requests here under a name
+    of its own that it lets point to 127.0.0.1.
+    """
+    scheme, _, token = request.headers.get("authorization", "").partition(" ")
+    if token:
+        owner = store_of(request).owner_of(token.strip()) if scheme.lower() == "bearer" else None
+        if owner is None:
+            raise _unauthorised("the token is not known")
+        return owner
+    if settings_of(request).needs_tokens:
+        raise _unauthorised("no token")
+    if not _is_loopback(request.url.hostname or ""):
+        raise Problem(403, "foreign-host", "without a token, only requests to a loopback name are answered")
+    site = request.headers.get("sec-fetch-site", "none")
+    if request.method not in ("GET", "HEAD", "OPTIONS") and site not in ("none", "same-origin"):
+        raise Problem(403, "foreign-site", "without a token, only this service's own page may change anything")
+    return LOCAL_OWNER
+
+
+def _unauthorised(detail: str) -> Problem:
+    return Problem(401, "no-token", detail, hint="send Authorization: Bearer TOKEN; `splatpress token OWNER` makes one",
+                   headers={"WWW-Authenticate": "Bearer"})
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return host in LOOPBACK or ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+Settings = Annotated[ServiceSettings, Depends(settings_of)]
+Database = Annotated[Store, Depends(store_of)]
+Owner = Annotated[str, Depends(owner_of)]
+Hash = Annotated[str, Path(pattern="^[0-9a-f]{64}$")]
+JobID = Annotated[str, Path(pattern="^[0-9a-f]{32}$")]
+
+
+def job_of(id: JobID, owner: Owner, store: Database) -> dict:
+    """A job of one's own; another's is as unknown as none."""
+    job = store.job(id, owner)
+    if job is None:
+        raise Problem(404, "no-such-job", f"no job {id}")
+    return job
+
+
+Job = Annotated[dict, Depends(job_of)]

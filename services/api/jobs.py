@@ -1,0 +1,146 @@
+"""/v1/jobs: submit, list, look, dismiss, try again, pin, read the log."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Header, Query, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipeline.settings import settings_for
+from services.api.context import Database, Job, Owner, Settings
+from services.api.documents import job_document, timestamp
+from services.jobs import dismissal_token
+from services.problems import RESOURCE, Problem
+from services.store import DISMISSED, LEVELS, STATES, KeyReused, TooManyJobs
+from services.webhooks import RefusedAddress, check_url
+
+router = APIRouter(tags=["jobs"])
+Offset = Annotated[int, Query(ge=0, le=1 << 31)]
+
+
+class JobOptions(BaseModel):
+    """What a preset is changed by; `GET /v1/options` says what each allows."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    dictionary_bits: int | None = None
+    weight_bits: int | None = None
+    max_atoms: int | None = None
+    target_psnr_db: float | None = None
+    iterations: int | None = None
+    training_splats: int | None = None
+    radius: float | None = None
+
+
+class JobRequest(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    scan: str = Field(pattern="^[0-9a-f]{64}$")
+    preset: Literal["draft", "balanced", "high"] = "balanced"
+    options: JobOptions = JobOptions()
+    seed: int = Field(0, ge=0, lt=2**63)
+    name: str = Field("", max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")
+    webhook: str | None = Field(None, max_length=2000, pattern=r"^[\x21-\x7e]+$")
+
+
+class JobChange(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    pinned: bool
+
+
+@router.post("/jobs", status_code=201)
+def post_job(request: JobRequest, response: Response, owner: Owner, settings: Settings, store: Database,
+             idempotency_key: Annotated[str | None, Header(pattern=r"^[\x21-\x7e]{1,255}$")] = None) -> dict:
+    """Submit a job. The same Idempotency-Key with the same request gives the same job, with another request 422."""
+    scan = store.scan(request.scan, owner)
+    if scan is None:
+        raise Problem(422, "no-such-scan", f"no scan {request.scan}", hint="upload it first; its id is the answer's `id`")
+    row = {
+        "owner": owner, "scan": scan["id"], "name": request.name or Path(scan["file"]).stem, "settings": _settings(request),
+        "webhook": _webhook(request, settings), "request_key": idempotency_key, "request_hash": _hash(request),
+    }
+    try:
+        job, new = store.add_job(row, settings.max_jobs_in_flight)
+    except KeyReused:
+        raise Problem(422, "key-reused", "this Idempotency-Key came before with another request") from None
+    except TooManyJobs:
+        raise Problem(429, "too-many-jobs", f"{settings.max_jobs_in_flight} jobs in flight already", kind=RESOURCE,
+                      retryable=True, headers={"Retry-After": "60"}) from None
+    response.headers["Location"] = f"/v1/jobs/{job['id']}"
+    if not new:
+        response.headers["Idempotent-Replayed"] = "true"
+    return job_document(job, settings)
+
+
+def _settings(request: JobRequest) -> dict:
+    try:
+        return asdict(settings_for(request.preset, **request.options.model_dump(), seed=request.seed))
+    except ValueError as error:
+        raise Problem(422, "invalid-option", str(error)) from None
+
+
+def _webhook(request: JobRequest, settings) -> str | None:
+    try:
+        if request.webhook is not None:
+            check_url(request.webhook, settings.webhook_private)
+    except (RefusedAddress, ValueError) as error:
+        raise Problem(422, "refused-webhook", str(error)) from None
+    return request.webhook
+
+
+def _hash(request: JobRequest) -> str:
+    return hashlib.sha256(json.dumps(request.model_dump(), sort_keys=True).encode()).hexdigest()
+
+
+@router.get("/jobs")
+def get_jobs(owner: Owner, settings: Settings, store: Database, status: Literal[*STATES] | None = None,
+             scan: Annotated[str | None, Query(pattern="^[0-9a-f]{64}$")] = None,
+             limit: Annotated[int, Query(ge=1, le=1000)] = 100, offset: Offset = 0) -> dict:
+    rows, n_matched = store.jobs(owner, limit, offset, status, scan)
+    return {"jobs": [job_document(row, settings) for row in rows], "numberMatched": n_matched, "numberReturned": len(rows)}
+
+
+@router.get("/jobs/{id}")
+def get_job(job: Job, settings: Settings) -> dict:
+    return job_document(job, settings)
+
+
+@router.patch("/jobs/{id}")
+def patch_job(job: Job, change: JobChange, settings: Settings, store: Database) -> dict:
+    """Pin a job, and its artifacts do not expire."""
+    store.pin(job["id"], change.pinned)
+    return job_document(store.job(job["id"]), settings)
+
+
+@router.delete("/jobs/{id}")
+def delete_job(job: Job, settings: Settings, store: Database) -> dict:
+    """Dismiss a job: it stops, and what it made so far stays until it expires. Again: 410."""
+    if not store.dismiss(job["id"]):
+        raise Problem(410, "dismissed", f"job {job['id']} was dismissed before")
+    token = dismissal_token(settings, job["id"], job["attempt"])
+    token.parent.mkdir(parents=True, exist_ok=True)
+    token.touch()
+    return job_document(store.job(job["id"]), settings)
+
+
+@router.post("/jobs/{id}/retry", status_code=202)
+def post_retry(job: Job, settings: Settings, store: Database) -> dict:
+    """Go on from the stage that failed or was dismissed; log and creation date stay."""
+    if not store.retry(job["id"]):
+        raise Problem(409, "not-ended", f"job {job['id']} is {store.job(job['id'])['status']}; allowed: failed, {DISMISSED}")
+    return job_document(store.job(job["id"]), settings)
+
+
+@router.get("/jobs/{id}/logs")
+def get_logs(job: Job, store: Database, offset: Offset = 0, level: Literal[*LEVELS] = "info",
+             limit: Annotated[int, Query(ge=1, le=1000)] = 200) -> dict:
+    """Lines of `level` and above, oldest first."""
+    rows = store.logs(job["id"], offset, limit, level)
+    return {"logs": [{"id": row["id"], "time": timestamp(row["time"]), "level": row["level"],
+                      "message": row["data"]["message"]} for row in rows], "next_offset": offset + len(rows)}

@@ -1,0 +1,39 @@
+"""The job page at `/`: plain files, served as they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fastapi import APIRouter
+from fastapi.responses import FileResponse
+
+from services.api.context import Owner, Settings
+from services.problems import Problem
+from services.runner_sign import dashboard
+
+router = APIRouter(include_in_schema=False)
+_FOLDER = Path(__file__).parent.parent / "web"
+_FILES = ("page.js", "page.css", "docs.html", "docs.js")
+
+
+@router.get("/")
+def get_page() -> FileResponse:
+    return FileResponse(_FOLDER / "index.html")
+
+
+@router.get("/docs")
+def get_docs() -> FileResponse:
+    return FileResponse(_FOLDER / "docs.html")
+
+
+@router.get("/web/{name}")
+def get_file(name: str) -> FileResponse:
+    if name not in _FILES:
+        raise Problem(404, "not-found", f"no file {name!r}")
+    return FileResponse(_FOLDER / name)
+
+
+@router.get("/web-state")
+def get_state(owner: Owner, settings: Settings) -> dict:
+    """What the page shows beside the API's own answers."""
+    return {"owner": owner, "dashboard": settings.dashboard_url or dashboard(settings.data)}

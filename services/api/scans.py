@@ -1,0 +1,51 @@
+"""/v1/scans: small scans in one request, and what is known of a scan."""
+
+from __future__ import annotations
+
+import shutil
+from typing import Annotated
+
+from fastapi import APIRouter, File, Query, Response, UploadFile
+from fastapi.concurrency import run_in_threadpool
+
+from services.api.context import Database, Hash, Owner, Settings
+from services.api.documents import scan_document
+from services.problems import Problem
+from services.scans import BLOCK_BYTES, accept_scan, incoming_folder, safe_name
+
+router = APIRouter(tags=["scans"])
+
+
+@router.post("/scans", status_code=201)
+async def post_scan(file: Annotated[UploadFile, File()], response: Response, owner: Owner, settings: Settings, store: Database) -> dict:
+    """Take in a scan of one file. 201 if it is new to the service, 200 if its content is known already."""
+    scan, new = await run_in_threadpool(_take_in, file, owner, settings, store)
+    response.status_code = 201 if new else 200
+    response.headers["Location"] = f"/v1/scans/{scan['id']}"
+    return scan_document(scan, settings)
+
+
+def _take_in(file: UploadFile, owner: str, settings, store) -> tuple[dict, bool]:
+    folder = incoming_folder(settings)
+    try:
+        path = folder / safe_name(file.filename or "")
+        with open(path, "wb") as stream:
+            shutil.copyfileobj(file.file, stream, BLOCK_BYTES)
+        return accept_scan(path, owner, settings, store)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@router.get("/scans")
+def get_scans(owner: Owner, settings: Settings, store: Database, limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+              offset: Annotated[int, Query(ge=0, le=1 << 31)] = 0) -> dict:
+    return {"scans": [scan_document(scan, settings) for scan in store.scans(owner, limit, offset)]}
+
+
+@router.get("/scans/{id}")
+def get_scan(id: Hash, owner: Owner, settings: Settings, store: Database) -> dict:
+    """Counts, cameras, bounds, warnings, and what the scan calls for."""
+    scan = store.scan(id, owner)
+    if scan is None:
+        raise Problem(404, "no-such-scan", f"no scan {id}")
+    return scan_document(scan, settings)

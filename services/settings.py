@@ -1,0 +1,81 @@
+"""What the service may be told, each by an environment variable: SPLATPRESS_ and the field's name in capitals."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+PREFIX = "SPLATPRESS_"
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+DAY_S = 86_400
+
+
+@dataclass(frozen=True)
+class ServiceSettings:
+    data: Path = Path("splatpress-data")  # scans, uploads, work folders, results; shared by API, runner and workers
+    database: str = ""  # SQLAlchemy's URL; empty: SQLite in the data folder
+    host: str = "127.0.0.1"
+    port: int = 8000
+    scheduler: str = ""  # of Dask; empty: the runner starts workers of its own
+    workers: int = 0  # that it starts; 0: one a core
+    dashboard_url: str = ""  # shown on the job page
+    jobs_at_once: int = 2  # run side by side; the others wait in order
+    max_upload_bytes: int = 50 << 30
+    max_multipart_bytes: int = 1 << 30
+    max_unpacked_bytes: int = 200 << 30
+    max_archive_files: int = 100_000
+    max_archive_ratio: float = 100.0  # unpacked to packed; workspaces stay below 10, bombs start at 1000
+    max_photo_pixels: int = 200_000_000
+    max_jobs_in_flight: int = 500  # accepted or running, of one owner
+    validation_s: float = 300.0  # a scan whose headers take longer is refused
+    validation_memory_bytes: int = 8 << 30
+    upload_expires_s: float = DAY_S
+    retention_s: float = 30 * DAY_S  # after a job's end; pinned jobs stay
+    reserve_bytes: int = 1 << 30  # no stage begins with less disk than this
+    webhook_private: bool = False  # whether webhooks may go to private addresses
+
+    @property
+    def database_url(self) -> str:
+        return self.database or f"sqlite:///{self.data.resolve() / 'splatpress.sqlite'}"
+
+    @property
+    def needs_tokens(self) -> bool:
+        return self.host not in LOOPBACK
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, (int, float)) and not isinstance(value, bool) and value < 0:
+                raise ValueError(f"{PREFIX}{field.name.upper()} is {value}; allowed: 0 or more")
+
+
+def settings_from(environment: dict[str, str] | None = None, **changes) -> ServiceSettings:
+    """Settings from the environment, with changes; a change of None leaves what is there.
+
+    Raises: ValueError naming the variable and what it allows.
+    """
+    environment = os.environ if environment is None else environment
+    found = {}
+    for field in fields(ServiceSettings):
+        text = environment.get(PREFIX + field.name.upper())
+        if text:
+            found[field.name] = _parsed(PREFIX + field.name.upper(), text, type(field.default))
+    return ServiceSettings(**found | {name: value for name, value in changes.items() if value is not None})
+
+
+def environment_of(settings: ServiceSettings) -> dict[str, str]:
+    """The variables that `settings_from` turns into these settings again."""
+    values = {field.name: getattr(settings, field.name) for field in fields(settings)}
+    return {PREFIX + name.upper(): str(value) for name, value in values.items() if value != ""}
+
+
+def _parsed(name: str, text: str, kind: type):
+    if kind is bool:
+        if text.lower() not in ("true", "false", "1", "0"):
+            raise ValueError(f"{name} is {text!r}; allowed: true, false")
+        return text.lower() in ("true", "1")
+    try:
+        return kind(text) if kind is not type(Path()) else Path(text)
+    except ValueError:
+        raise ValueError(f"{name} is {text!r}; allowed: {kind.__name__}") from None

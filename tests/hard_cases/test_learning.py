@@ -1,0 +1,270 @@
+"""Dictionary learning where atoms occur together, do not occur, or cannot be told apart. Bounds as in docs/NUMERICS.md."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.coding import ksvd
+from pipeline.coding.ksvd import (
+    TWIN_COHERENCE, Best, block_sums, initial_dictionary, judge, learn_dictionary, next_trial, updated_dictionary,
+)
+from pipeline.coding.omp import pursue_patches
+from pipeline.stage import run_stage
+from pipeline.stages import dictionary as stages
+from pipeline.stages.dictionary import DictionarySeed, KsvdUpdate
+from pipeline.executors import SerialExecutor
+from storage import arrays
+from tests import reference
+from tests.pipeline.coding.test_ksvd import assert_sound, dense, planted
+from tests.pipeline.coding.test_omp import unit_rows
+from tests.pipeline.test_stage import Heard
+
+MONOTONE = 1e-6
+
+
+def always_together(n_together: int, n: int = 1500, dim: int = 64, noise: float = 0.05, seed: int = 0) -> np.ndarray:
+    """Patches of three groups of atoms, each group used as a whole with nearly equal weights."""
+    rng = np.random.default_rng(seed)
+    groups = [np.linalg.qr(rng.standard_normal((dim, n_together)))[0].T for _ in range(3)]
+    weights = rng.uniform(0.8, 1.2, (n, 1)) + 0.05 * rng.standard_normal((n, n_together))
+    return np.array([w @ groups[i % 3] + noise * rng.standard_normal(dim) for i, w in enumerate(weights)], np.float32)
+
+
+def measured(patches, dictionary, most, tolerance=0.0):
+    return block_sums(patches, dictionary, pursue_patches(patches, dictionary, max_atoms=most, tolerance=tolerance))
+
+
+def curve_of(patches, n_atoms, most, iterations, seed=0):
+    curve = []
+    learned = learn_dictionary(patches, n_atoms, max_atoms=most, iterations=iterations, seed=seed,
+                               on_iteration=lambda i, error: curve.append(error))
+    return learned, np.array(curve)
+
+
+def rises(curve: np.ndarray) -> np.ndarray:
+    return np.diff(curve) / curve[:-1]
+
+
+# --- atoms that occur together ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n_together", [2, 4, 8])
+def test_learning__side_by_side_updates_overshoot_right_after_the_update(n_together):
+    """With codes kept as they are: all atoms at once against one after the other. The naive update, and its harm."""
+    rng = np.random.default_rng(1)
+    true = unit_rows(rng, n_together, 64).astype(float)
+    weights = rng.uniform(0.9, 1.1, (400, 1)) * np.ones((400, n_together))
+    patches = weights @ true
+    start = true + 0.05 * rng.standard_normal(64)  # every atom off by the same: each mends it all
+    before = reference.coded_error(patches, start, weights)
+    at_once = reference.coded_error(patches, reference.side_by_side(patches, start, weights), weights)
+    in_turn = reference.coded_error(patches, reference.in_turn(patches, start, weights), weights)
+    assert in_turn <= before
+    assert at_once > 0.9 * (n_together - 1) ** 2 * before - 1e-9 and (n_together == 2 or at_once > 2 * before)
+
+
+@pytest.mark.parametrize(("n_together", "n_atoms"), [(8, 24), (8, 32)])
+def test_learning__the_curve_never_rises_though_the_plain_update_makes_it(n_together, n_atoms):
+    patches = always_together(n_together)
+    dictionary, plain = initial_dictionary(patches, n_atoms, 0), []
+    for _ in range(14):
+        sums = measured(patches, dictionary, n_together)
+        plain.append(sums.error / len(patches))
+        dictionary, _ = updated_dictionary(dictionary, sums)
+    learned, curve = curve_of(patches, n_atoms, n_together, 13)
+    assert rises(np.array(plain)).max() > 1e-4  # the naive formulation
+    assert rises(curve).max() <= MONOTONE
+    assert curve[-1] <= min(plain) * 1.02
+    assert_sound(learned)
+
+
+def test_learning__what_is_returned_is_the_best_that_was_measured():
+    patches = always_together(2)
+    for iterations in (1, 5, 9):
+        learned, curve = curve_of(patches, 8, 2, iterations)
+        assert len(curve) == iterations + 1
+        assert measured(patches, learned, 2).error / len(patches) == pytest.approx(curve[-1], rel=1e-9)
+
+
+def test_learning__a_trial_that_did_much_worse_is_taken_back_and_atoms_go_half_as_far():
+    rng = np.random.default_rng(2)
+    patches, _ = planted(rng, 600, 12, 48)
+    good = initial_dictionary(patches, 12, 0)
+    best, accepted = judge(None, good, measured(patches, good, 3))
+    assert accepted and best.step == 1
+    worse = unit_rows(rng, 12, 48)
+    bad = measured(patches, worse, 3)
+    assert bad.error > 1.05 * best.sums.error
+    kept, accepted = judge(best, worse, bad)
+    assert not accepted and kept.dictionary is good and kept.step == 0.5
+    assert judge(kept, worse, bad)[0].step == 0.25
+    trial, n_replaced = next_trial(kept, worse, bad)
+    moved = kept.sums.moment * 0.5 + kept.sums.gain[:, None] * good
+    np.testing.assert_allclose(trial, moved / np.linalg.norm(moved, axis=1, keepdims=True), atol=1e-6)
+    assert n_replaced == 0
+    better, accepted = judge(kept, trial, measured(patches, trial, 3))
+    assert accepted and better.step == 0.5 and better.sums.error < best.sums.error
+    assert judge(better, trial, better.sums)[1]
+
+
+@pytest.mark.parametrize(("rise", "goes_on"), [(0.0, True), (0.049, True), (0.051, False)])
+def test_learning__goes_on_from_a_trial_that_did_a_little_worse(rise, goes_on):
+    rng = np.random.default_rng(2)
+    patches, _ = planted(rng, 600, 12, 48)
+    good, other = initial_dictionary(patches, 12, 0), initial_dictionary(patches, 12, 1)
+    sums = measured(patches, good, 3)
+    other_sums = replace(measured(patches, other, 3), error=sums.error * (1 + rise))
+    best, accepted = judge(Best(good, sums), other, other_sums)
+    assert accepted == (rise == 0) and best.step == (1 if goes_on else 0.5)
+    trial, _ = next_trial(best, other, other_sums)
+    start = (other, other_sums, 1.0) if goes_on else (good, sums, 0.5)
+    assert (trial == updated_dictionary(*start)[0]).all()
+
+
+def test_learning__replacements_of_unused_atoms_are_taken_back_with_a_trial_that_did_much_worse():
+    rng = np.random.default_rng(3)
+    patches, _ = planted(rng, 600, 12, 48)
+    dictionary = initial_dictionary(patches, 12, 0)
+    sums = measured(patches, dictionary, 1)
+    sums.n_users[5], sums.gain[5], sums.moment[5] = 0, 0, 0
+    best = Best(dictionary, sums, 0.5)
+    assert next_trial(best, dictionary, sums)[1] >= 1
+    trial, n_replaced = next_trial(best, dictionary, replace(sums, error=2 * sums.error))
+    assert n_replaced == 0 and (trial[5] == dictionary[5]).all()
+
+
+@pytest.fixture
+def staged(tmp_path, monkeypatch):
+    """The stages of learning on patches of this file, without the stages before them."""
+    patches = always_together(2, noise=0.05)
+    monkeypatch.setattr(stages, "training_patches", lambda folder, index: patches[750 * index : 750 * index + 750])
+    monkeypatch.setattr(stages.work, "summary", lambda folder, read=stages.work.summary:
+                        {"n_tasks": 2} if folder.name == "training" else read(folder))
+    return tmp_path, patches
+
+
+def test_learning__the_stages_keep_the_best_dictionary_too(staged):
+    folder, patches = staged
+    training = folder / "training"
+    learned = run_stage(DictionarySeed(training, 8, 0), folder, SerialExecutor(), Heard()).folder
+    records = []
+    for iteration in range(13):
+        record = run_stage(KsvdUpdate(training, learned, 2, 0.0, iteration), folder, SerialExecutor(), Heard())
+        records.append(record.summary)
+        learned = record.folder
+    curve = np.array([r["squared_error"] for r in records])
+    tried = np.array([r["measured_error"] for r in records])
+    assert rises(curve).max() <= MONOTONE and (curve == np.minimum.accumulate(tried)).all()
+    assert any(not r["accepted"] for r in records)
+    assert measured(patches, arrays.read(learned, "best"), 2).error == pytest.approx(curve[-1], rel=1e-6)
+
+
+# --- atoms that are not used, or not told apart -------------------------------------------------------------------------
+
+
+def test_learning__unused_atoms_and_twins_become_different_inputs():
+    rng = np.random.default_rng(4)
+    patches, _ = planted(rng, 1500, 20, 64)
+    dictionary = initial_dictionary(patches, 20, 0)
+    dictionary[3], dictionary[9] = dictionary[4], -dictionary[4]
+    sums = measured(patches, dictionary, 3)
+    updated, n_replaced = updated_dictionary(dictionary, sums)
+    assert n_replaced >= 2
+    assert_sound(updated)
+    inputs = patches / np.linalg.norm(patches, axis=1, keepdims=True)
+    replaced = [k for k in (3, 4, 9) if np.abs(inputs @ updated[k]).max() > 1 - 1e-5]
+    assert len(replaced) >= 2
+
+
+def test_learning__without_replacement_a_dead_atom_stays_dead():
+    """The naive update: an atom without users divides by zero, or stays what it was."""
+    rng = np.random.default_rng(5)
+    patches, atoms = planted(rng, 1500, 10, 64)
+    dictionary = np.concatenate([atoms, atoms[:3]]).astype(np.float32)
+    weights = dense(pursue_patches(patches, dictionary, max_atoms=3).codes, 13)
+    naive = reference.ksvd_power_iteration(patches, dictionary, weights)
+    assert (np.abs(naive @ naive.T)[~np.eye(13, dtype=bool)] > TWIN_COHERENCE).any()
+    updated, _ = updated_dictionary(dictionary, measured(patches, dictionary, 3))
+    assert_sound(updated)
+
+
+@pytest.mark.parametrize("users", [0, 1, 3, 4])
+def test_learning__an_atom_needs_four_users(users):
+    rng = np.random.default_rng(6)
+    patches, _ = planted(rng, 1000, 20, 64)
+    dictionary = initial_dictionary(patches, 20, 0)
+    sums = measured(patches, dictionary, 3)
+    sums.n_users[:] = 100
+    sums.n_users[7] = users
+    assert updated_dictionary(dictionary, sums)[1] == (users < 4)
+
+
+def poor_inputs() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(7)
+    row = rng.standard_normal(48).astype(np.float32)
+    return {
+        "all equal": np.tile(row, (100, 1)), "all equal but for sign": np.outer(np.tile([1, -1], 50), row).astype(np.float32),
+        "equal but for rounding": (row + 1e-7 * rng.standard_normal((100, 48))).astype(np.float32),
+        "fewer than atoms": rng.standard_normal((5, 48)).astype(np.float32), "one": row[None],
+        "rank one": np.outer(rng.standard_normal(100), row).astype(np.float32),
+        "mostly zero": np.concatenate([np.zeros((99, 48)), row[None]]).astype(np.float32),
+        "tiny": (1e-15 * rng.standard_normal((100, 48))).astype(np.float32),
+        "huge": (1e15 * rng.standard_normal((100, 48))).astype(np.float32),
+    }
+
+
+@pytest.mark.parametrize("name", poor_inputs())
+def test_learning__poor_inputs_end_in_unit_atoms_without_twins(name):
+    patches = poor_inputs()[name]
+    learned, curve = curve_of(patches, 16, 8, 4)
+    assert 1 <= len(learned) <= min(16, len(patches)) and np.isfinite(learned).all()
+    assert_sound(learned)
+    assert (np.diff(curve) <= MONOTONE * curve[:-1]).all()
+    again, _ = curve_of(patches, 16, 8, 4)
+    assert (learned == again).all()
+
+
+def test_learning__residuals_of_rank_one_are_learned_in_one_update():
+    rng = np.random.default_rng(8)
+    patches = np.outer(rng.uniform(1, 2, 200), unit_rows(rng, 1, 48)[0]).astype(np.float32)
+    start = patches[:1] + 0.3 * rng.standard_normal((1, 48)).astype(np.float32)
+    start /= np.linalg.norm(start)
+    updated, _ = updated_dictionary(start, measured(patches, start, 1))
+    assert np.abs(updated[0] @ patches[0]) / np.linalg.norm(patches[0]) > 1 - 1e-6
+
+
+def test_learning__an_atom_orthogonal_to_all_inputs_does_not_stay_there():
+    """A power iteration that starts at right angles to the answer never moves; here it has no users and is replaced."""
+    rng = np.random.default_rng(9)
+    patches = rng.standard_normal((300, 48)).astype(np.float32)
+    patches[:, 0] = 0
+    start = np.zeros((2, 48), np.float32)
+    start[0, 0] = start[1, 1] = 1
+    residual = patches.astype(float)
+    assert not ((residual @ start[0]) @ residual).any()  # the naive power iteration: a zero vector, no direction at all
+    updated, n_replaced = updated_dictionary(start, measured(patches, start, 1))
+    assert n_replaced == 1 and updated[0, 0] == 0
+    assert_sound(updated)
+
+
+def test_learning__equal_leading_singular_values_give_the_same_atom_every_time():
+    rng = np.random.default_rng(10)
+    basis = np.linalg.qr(rng.standard_normal((48, 2)))[0].T
+    angle = np.arange(360) * np.pi / 180
+    patches = (np.column_stack([np.cos(angle), np.sin(angle)]) @ basis).astype(np.float32)
+    atoms = [learn_dictionary(patches, 1, max_atoms=1, iterations=6, seed=3) for _ in range(2)]
+    assert (atoms[0] == atoms[1]).all() and np.linalg.norm(basis @ atoms[0][0]) == pytest.approx(1, abs=1e-5)
+    assert_sound(learn_dictionary(patches, 4, max_atoms=1, iterations=6))
+
+
+def test_learning__the_worst_patches_are_kept_in_order_and_their_ties_by_place():
+    rng = np.random.default_rng(11)
+    patches = rng.standard_normal((40, 48)).astype(np.float32)
+    patches[10] = patches[20] = patches[30]
+    sums = measured(patches, unit_rows(rng, 4, 48), 1)
+    assert (np.diff(sums.worst_error) <= 0).all() and len(sums.worst_error) == 40
+    np.testing.assert_allclose(np.linalg.norm(sums.worst_patch, axis=1), 1, atol=1e-6)
+    assert ksvd.WORST >= 40

@@ -1,0 +1,118 @@
+"""A service as real processes on loopback, for tests: started, looked at, killed in parts."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+import psutil
+
+from services.client import Client
+
+ROOT = Path(__file__).parent.parent.parent
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def until(what: Callable[[], object], seconds: float = 90.0, every: float = 0.1):
+    """The first true answer of `what`."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if found := what():
+            return found
+        time.sleep(every)
+    raise AssertionError(f"not within {seconds:g} s: {what}")
+
+
+class ServiceProcess:
+    def __init__(self, data: Path, port: int, process: subprocess.Popen, log: Path) -> None:
+        self.data, self.url, self.process, self.log = data, f"http://127.0.0.1:{port}", process, log
+        self.client = Client(self.url)
+
+    def is_ready(self) -> bool:
+        assert self.process.poll() is None, self.log.read_text()[-3000:]
+        try:
+            return httpx.get(self.url + "/readyz").status_code == 200
+        except httpx.TransportError:
+            return False
+
+    def part(self, name: str) -> psutil.Process | None:
+        """The api or the runner."""
+        children = psutil.Process(self.process.pid).children()
+        return next((p for p in children if name in _command(p)), None)
+
+    def workers(self) -> list[psutil.Process]:
+        """Dask's, the render worker among them."""
+        runner = self.part("runner")
+        return [p for p in runner.children(recursive=True) if "spawn_main" in " ".join(_command(p))] if runner else []
+
+    def kill(self, process: psutil.Process) -> None:
+        process.send_signal(signal.SIGKILL)
+
+    def event(self, job: str, kind: str, is_it: Callable[[dict], bool]) -> dict:
+        """Wait for an event of a job."""
+        found: list[dict] = []
+
+        class Found(Exception):
+            pass
+
+        def look(event: dict) -> None:
+            if event["kind"] == kind and is_it(event["data"]):
+                found.append(event["data"])
+                raise Found
+
+        try:
+            ended = self.client.watch(job, look)
+        except Found:
+            return found[0]
+        raise AssertionError(f"the job is {ended['status']}, without such an event: {ended['problem']}")
+
+    def log_of(self, job: str) -> str:
+        return "\n".join(line["message"] for line in self.client.logs(job, "debug"))
+
+
+def _command(process: psutil.Process) -> list[str]:
+    try:
+        return process.cmdline()
+    except psutil.Error:
+        return []
+
+
+@contextmanager
+def service(data: Path, workers: int = 2, **settings: str):
+    """`splatpress serve`, ready; ends with all its parts."""
+    port, log = free_port(), data.with_name(data.name + ".log")
+    environment = {**os.environ, **{f"SPLATPRESS_{name.upper()}": value for name, value in settings.items()},
+                   "PYTHONPATH": str(ROOT)}
+    with open(log, "w") as stream:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "services.cli", "serve", "--data", str(data), "--port", str(port), "--workers", str(workers)],
+            env=environment, stdout=stream, stderr=subprocess.STDOUT, start_new_session=True)
+    started = ServiceProcess(data, port, process, log)
+    try:
+        until(started.is_ready)
+        yield started
+    finally:
+        family = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+        process.terminate()
+        try:
+            process.wait(20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+        for left in family:
+            try:
+                left.kill()
+            except psutil.Error:
+                pass
