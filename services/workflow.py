@@ -32,7 +32,7 @@ from renderer.report_page import write_page
 from services.rendering import previews_of
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile
-from storage.schema import MAX_ATOMS, NO_CAMERA, Batch, Camera, Header
+from storage.schema import Batch, Camera, Header
 
 # Splats this far behind the nearest surface still blend. The paper takes 1 to 2.5 radii (2 to 5 cm at 2 cm).
 DEPTH_MARGIN_RADII = 2.0

@@ -12,7 +12,7 @@ from pipeline.coding.omp import Codes, Pursuit, reconstruct
 from pipeline.stages.atoms import load_atoms
 from pipeline.texture.patches import centred, patch_errors
 from pipeline.texture.resample import PATCH_DIM, disc_weights
-from storage import arrays, work
+from storage import arrays
 from storage.schema import MAX_ATOMS
 
 ROWS = 1024  # patches in float32 at a time: 12 MiB

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from storage import arrays, work
+from storage import arrays
 from storage.batches import count_batches, rows_of
 from storage.codes import pack_codes
 from storage.packed import GROUPS_PER_ZARR_CHUNK, begin_packed, create_array, reopen_packed, seal_packed

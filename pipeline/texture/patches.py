@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.texture.projection import homographies, is_in_front, is_whole, project_corners
 from pipeline.texture.resample import (
-    PATCH_DIM, PROBES, Window, disc_weights, resample_patches, resampling_error, window_bounds,
+    PROBES, Window, disc_weights, resample_patches, resampling_error, window_bounds,
 )
 from storage.schema import NO_CAMERA, PATCH_SIZE, Camera
 
