@@ -61,7 +61,9 @@ class DaskExecutor:
                     silence_logs="ERROR",
                 )
         self._client = Client(self._cluster or self._scheduler, set_as_default=False)
-        self.n_workers = max(1, len(self._client.scheduler_info()["workers"]))
+        scheduler = self._client.scheduler_info()
+        self.scheduler_id = scheduler["id"]  # another one after every start
+        self.n_workers = max(1, len(scheduler["workers"]))
         return self
 
     def __exit__(self, *_) -> None:

@@ -87,8 +87,10 @@ class JobRunner:
         work.mkdir(parents=True, exist_ok=True)
         scan = scan_path(self.settings, self.store.scan(job["scan"]))
 
+        schedulers: list[str] = []  # those that this attempt has met
+
         def on_scheduler(what: Callable[[DaskExecutor], object]):
-            return self._until_reached(job, check, what)
+            return self._until_reached(job, check, schedulers, what)
 
         run = Run(work, _Lazily(on_scheduler), progress)
 
@@ -134,8 +136,11 @@ class JobRunner:
 
         return check
 
-    def _until_reached(self, job: dict, check: Callable[[], None], what: Callable[[DaskExecutor], object]):
-        """`what`, again when the scheduler was lost meanwhile: all that was done is on disk, nothing in Dask."""
+    def _until_reached(self, job: dict, check: Callable[[], None], met: list[str], what: Callable[[DaskExecutor], object]):
+        """`what`, again when the scheduler was lost meanwhile: all that was done is on disk, nothing in Dask.
+
+        One that was lost between two stages only shows by another answering in its place: `met` lists those that did.
+        """
         from concurrent.futures import CancelledError
 
         deadline = None
@@ -143,6 +148,9 @@ class JobRunner:
             check()
             try:
                 with DaskExecutor(scheduler=self.scheduler(), job=job["id"], resources=CPU, watch=check) as executor:
+                    if met and met[-1] != executor.scheduler_id:
+                        self.store.log(job["id"], "warning", "the scheduler was lost; going on with the one in its place")
+                    met.append(executor.scheduler_id)
                     return what(executor)
             except (OSError, TimeoutError, CancelledError) as error:
                 if isinstance(error, OSError) and error.errno is not None and not isinstance(error, ConnectionError):
@@ -150,7 +158,7 @@ class JobRunner:
                 deadline = deadline or time.monotonic() + RECONNECT_S
                 if time.monotonic() > deadline:
                     raise ResourceExhausted("Dask", f"no scheduler for {RECONNECT_S:g} s ({type(error).__name__}: {error})") from error
-                self.store.log(job["id"], "warning", f"the scheduler was lost ({type(error).__name__}); going on when it is back")
+                self.store.log(job["id"], "warning", f"no scheduler ({type(error).__name__}); going on when there is one")
                 time.sleep(1)
 
     def _check_disk(self, stage: str) -> None:
