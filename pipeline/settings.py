@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from pipeline.knobs import BY_NAME, KNOBS
 from storage.schema import MAX_ATOMS
 
 
 @dataclass(frozen=True)
 class Settings:
-    """All that decides the bytes of a packed file, beside the scan itself."""
+    """All that decides the bytes of a packed file, beside the scan itself: a value for each row of `knobs.KNOBS`."""
 
     preset: str = "balanced"
     dictionary_bits: int = 8
@@ -27,30 +28,15 @@ PRESETS = {
     "balanced": Settings("balanced"),
     "high": Settings("high", dictionary_bits=12, weight_bits=8, target_psnr_db=44.0, iterations=8, training_splats=80_000),
 }
-ALLOWED = {
-    "preset": tuple(PRESETS),
-    "dictionary_bits": (8, 12, 16),
-    "weight_bits": (4, 8),
-    "max_atoms": (0, MAX_ATOMS),
-    "target_psnr_db": (10.0, 80.0),
-    "iterations": (1, 1000),
-    "training_splats": (256, 100_000_000),
-    "seed": (0, 2**63 - 1),
-}
+DEFAULT_PRESET = Settings().preset
 
 
-def settings_for(preset: str = "balanced", **changes) -> Settings:
+def settings_for(preset: str = DEFAULT_PRESET, **changes) -> Settings:
     """A preset with changes; None leaves the preset's value. Raises ValueError naming the setting and what it allows."""
     if preset not in PRESETS:
         raise ValueError(f"preset is {preset!r}; allowed: {', '.join(PRESETS)}")
+    for name in changes:
+        if name not in BY_NAME:
+            raise ValueError(f"{name!r} is no setting; allowed: {', '.join(BY_NAME)}")
     settings = replace(PRESETS[preset], **{k: v for k, v in changes.items() if v is not None})
-    for name in ("dictionary_bits", "weight_bits"):
-        if getattr(settings, name) not in ALLOWED[name]:
-            raise ValueError(f"{name} is {getattr(settings, name)}; allowed: {ALLOWED[name]}")
-    for name in ("max_atoms", "target_psnr_db", "iterations", "training_splats", "seed"):
-        low, high = ALLOWED[name]
-        if not low <= getattr(settings, name) <= high:
-            raise ValueError(f"{name} is {getattr(settings, name)}; allowed: {low} to {high}")
-    if settings.radius is not None and not 0 < settings.radius < float("inf"):
-        raise ValueError(f"radius is {settings.radius}; allowed: a positive length in the scan's unit")
-    return settings
+    return replace(settings, **{knob.name: knob.checked(getattr(settings, knob.name)) for knob in KNOBS})

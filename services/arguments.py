@@ -1,5 +1,36 @@
-"""The error of an argument whose value is not allowed, where argparse itself cannot tell."""
+"""What commands share: the arguments that the table of knobs makes, and the error of a value that is not allowed."""
+
+from __future__ import annotations
+
+import argparse
+
+from pipeline.knobs import BY_NAME, KNOBS, Knob
+from pipeline.settings import DEFAULT_PRESET, PRESETS, Settings, settings_for
 
 
 class WrongArgument(ValueError):
-    """The command line ends with exit code 1."""
+    """A value that argparse itself cannot tell to be wrong; the command line ends with exit code 1."""
+
+
+def add_settings(command: argparse.ArgumentParser) -> None:
+    """--preset, and one argument a knob."""
+    add_preset(command)
+    for knob in KNOBS:
+        command.add_argument(f"--{knob.name.replace('_', '-')}", metavar=_metavar(knob), help=f"{knob.help} ({knob.allowed})")
+
+
+def add_preset(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--preset", default=DEFAULT_PRESET, metavar="|".join(PRESETS))
+
+
+def settings_of(options: argparse.Namespace) -> Settings:
+    """The settings that the arguments of `add_settings` or `add_preset` ask for. Raises WrongArgument."""
+    given = {name: text for name in BY_NAME if (text := getattr(options, name, None)) is not None}
+    try:
+        return settings_for(options.preset, **{name: BY_NAME[name].parsed(text) for name, text in given.items()})
+    except ValueError as error:
+        raise WrongArgument(str(error)) from error
+
+
+def _metavar(knob: Knob) -> str:
+    return "|".join(str(c) for c in knob.choices) if knob.choices else "N" if knob.kind is int else "X"

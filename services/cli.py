@@ -13,7 +13,7 @@ import traceback
 import warnings
 from pathlib import Path
 
-from services.arguments import WrongArgument
+from services.arguments import WrongArgument, add_preset, add_settings, settings_of
 from services.service_cli import add_service_verbs
 from storage.errors import SplatpressError
 
@@ -62,7 +62,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _compress(options: argparse.Namespace) -> int:
     from services.workflow import compress
 
-    settings = _settings(options)
+    settings = settings_of(options)
     scan, out = _scan_path(options.scan), Path(options.out)
     _refuse_to_overwrite(out, options.overwrite)
     with _executor(options) as executor:
@@ -117,22 +117,12 @@ def _demo(options: argparse.Namespace) -> int:
     from services.demo import write_motorcycle
     from services.workflow import compress
 
-    settings, out = _settings(options), Path(options.out)
+    settings, out = settings_of(options), Path(options.out)
     _refuse_to_overwrite(out, options.overwrite)
     with tempfile.TemporaryDirectory() as folder, _executor(options) as executor:
         scan = write_motorcycle(Path(folder) / "motorcycle")
         report = compress(scan, out, settings, executor, _progress(), render=not options.no_render)
     return _show_report(report, out, options)
-
-
-def _settings(options: argparse.Namespace):
-    from pipeline.settings import settings_for
-
-    names = ("dictionary_bits", "weight_bits", "max_atoms", "target_psnr_db", "iterations", "training_splats", "radius", "seed")
-    try:
-        return settings_for(options.preset, **{name: getattr(options, name, None) for name in names})
-    except ValueError as error:
-        raise WrongArgument(str(error)) from error
 
 
 def _executor(options: argparse.Namespace):
@@ -257,7 +247,7 @@ def _parser() -> argparse.ArgumentParser:
     report.set_defaults(command=_report)
     demo = commands.add_parser("demo", help="compress a real stereo pair")
     demo.add_argument("--out", default="demo-output", metavar="DIR")
-    demo.add_argument("--preset", default="balanced", metavar="draft|balanced|high")
+    add_preset(demo)
     demo.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
     _add_running(demo)
     demo.set_defaults(command=_demo)
@@ -269,14 +259,7 @@ def _add_compress(commands) -> None:
     compress = commands.add_parser("compress", help="a scan into a packed file, previews and a report")
     compress.add_argument("scan", metavar="SCAN", help="COLMAP workspace (folder or .zip), .ply, .las, .laz, .e57")
     compress.add_argument("--out", required=True, metavar="DIR")
-    compress.add_argument("--preset", default="balanced", metavar="draft|balanced|high")
-    for name, kind, text in (
-        ("dictionary-bits", int, "8, 12 or 16"), ("weight-bits", int, "4 or 8"), ("max-atoms", int, "0 to 8"),
-        ("target-psnr-db", float, "where a splat is good enough"), ("iterations", int, "of k-SVD"),
-        ("training-splats", int, "that the dictionary is learned from"), ("radius", float, "of every splat, in the scan's unit"),
-        ("seed", int, "of all random choices"),
-    ):
-        compress.add_argument(f"--{name}", type=kind, help=text)
+    add_settings(compress)
     compress.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
     compress.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
     _add_running(compress)

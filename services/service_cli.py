@@ -8,7 +8,8 @@ import os
 import sys
 from pathlib import Path
 
-from services.arguments import WrongArgument
+from pipeline.knobs import BY_NAME
+from services.arguments import WrongArgument, add_preset
 
 OK, ARGUMENTS, INPUT_OUTPUT, INTERNAL, GATE_MISSED = 0, 1, 2, 4, 7
 DEFAULT_URL = "http://127.0.0.1:8000"
@@ -38,7 +39,7 @@ def add_service_verbs(commands) -> None:
     upload.add_argument("scan", type=Path)
     submit = _verb(commands, "submit", "a job on a scan, by its id or its path; prints the job's id", _submit)
     submit.add_argument("scan")
-    submit.add_argument("--preset", default="balanced")
+    add_preset(submit)
     submit.add_argument("--option", action="append", default=[], metavar="NAME=VALUE")
     submit.add_argument("--seed", type=int, default=0)
     submit.add_argument("--name", default="")
@@ -190,12 +191,12 @@ def _pairs(texts: list[str]) -> dict:
     pairs = {}
     for text in texts:
         name, equals, value = text.partition("=")
+        if not equals or name not in BY_NAME:
+            raise WrongArgument(f"--option {text!r} is not NAME=VALUE with one of the names {', '.join(BY_NAME)}")
         try:
-            pairs[name] = json.loads(value)
-        except ValueError:
-            equals = ""
-        if not equals:
-            raise WrongArgument(f"--option {text!r} is not NAME=VALUE with a number for a value")
+            pairs[name] = BY_NAME[name].parsed(value)
+        except ValueError as error:
+            raise WrongArgument(str(error)) from error
     return pairs
 
 

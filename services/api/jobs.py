@@ -6,12 +6,13 @@ import hashlib
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Union
 
 from fastapi import APIRouter, Header, Query, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, create_model
 
-from pipeline.settings import settings_for
+from pipeline.knobs import KNOBS
+from pipeline.settings import DEFAULT_PRESET, PRESETS, settings_for
 from services.api.context import Database, Job, Owner, Settings
 from services.api.documents import job_document, timestamp
 from services.jobs import dismissal_token
@@ -23,25 +24,16 @@ router = APIRouter(tags=["jobs"])
 Offset = Annotated[int, Query(ge=0, le=1 << 31)]
 
 
-class JobOptions(BaseModel):
-    """What a preset is changed by; `GET /v1/options` says what each allows."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-    dictionary_bits: int | None = None
-    weight_bits: int | None = None
-    max_atoms: int | None = None
-    target_psnr_db: float | None = None
-    iterations: int | None = None
-    training_splats: int | None = None
-    radius: float | None = None
+# What a preset is changed by; `GET /v1/options` says what each allows.
+JobOptions = create_model("JobOptions", __config__=ConfigDict(extra="forbid", strict=True), **{
+    knob.name: (Union[*knob.kinds, None], None) for knob in KNOBS if knob.name != "seed"})
 
 
 class JobRequest(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     scan: str = Field(pattern="^[0-9a-f]{64}$")
-    preset: Literal["draft", "balanced", "high"] = "balanced"
+    preset: Literal[*PRESETS] = DEFAULT_PRESET
     options: JobOptions = JobOptions()
     seed: int = Field(0, ge=0, lt=2**63)
     name: str = Field("", max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")

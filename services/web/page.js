@@ -89,7 +89,7 @@ async function listScans(chosen) {
 
 async function listOptions() {
   const [options, presets] = await Promise.all([get("/v1/options"), get("/v1/presets")]);
-  $("preset").replaceChildren(...presets.map((p) => element("option", p.name, { value: p.name, selected: p.name === "balanced" })));
+  $("preset").replaceChildren(...presets.map((p) => element("option", p.name, { value: p.name, selected: p.default })));
   const showPreset = () => {
     const settings = presets.find((p) => p.name === $("preset").value).settings;
     for (const input of document.querySelectorAll("#options input")) input.placeholder = settings[input.name] ?? "automatic";
@@ -97,7 +97,8 @@ async function listOptions() {
   $("options").replaceChildren(...options.map((o) => {
     const label = element("label", o.name.replaceAll("_", " "));
     const allowed = o.domain.enum ? o.domain.enum.join(", ") : "minimum" in o.domain ? `${o.domain.minimum} to ${o.domain.maximum}` : "above 0";
-    label.append(element("input", "", { name: o.name, type: "number", step: "any" }), element("small", `${o.help} (${allowed})`));
+    const type = (o.domain.enum || []).some((c) => typeof c === "string") ? "text" : "number";
+    label.append(element("input", "", { name: o.name, type, step: "any", title: `buys: ${o.buys}\ncosts: ${o.costs}` }), element("small", `${o.help} (${allowed})`));
     return label;
   }));
   $("preset").onchange = showPreset;
@@ -106,7 +107,7 @@ async function listOptions() {
 
 const submit = guard(async () => {
   const options = {};
-  for (const input of document.querySelectorAll("#options input")) if (input.value !== "") options[input.name] = Number(input.value);
+  for (const input of document.querySelectorAll("#options input")) if (input.value !== "") options[input.name] = Number.isNaN(Number(input.value)) ? input.value : Number(input.value);
   const key = [...crypto.getRandomValues(new Uint8Array(16))].map((b) => b.toString(16).padStart(2, "0")).join("");
   const job = await post("/v1/jobs", { scan: $("scan").value, preset: $("preset").value, options }, { "Idempotency-Key": key });
   await listJobs();

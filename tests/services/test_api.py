@@ -259,7 +259,7 @@ def test_api__a_job_has_ogc_fields_and_a_key_makes_it_one(api, scan):
 
 
 @pytest.mark.parametrize(("change", "status", "words"), [
-    ({"options": {"dictionary_bits": 9}}, 422, "allowed: \\(8, 12, 16\\)"), ({"options": {"colour": 1}}, 422, "colour"),
+    ({"options": {"dictionary_bits": 9}}, 422, "allowed: 8, 12, 16"), ({"options": {"colour": 1}}, 422, "colour"),
     ({"options": {"target_psnr_db": "NaN"}}, 422, "target_psnr_db"), ({"preset": "fast"}, 422, "preset"),
     ({"scan": "0" * 64}, 422, "no scan"), ({"scan": "../.."}, 422, "scan"), ({"seed": -1}, 422, "seed"),
     ({"webhook": "http://127.0.0.1/x"}, 422, "private"), ({"webhook": "http://[::ffff:10.0.0.1]/"}, 422, "private"),

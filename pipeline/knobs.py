@@ -1,0 +1,108 @@
+"""The table of knobs: all that trades accuracy for time or bytes, what each allows, what it buys and what it costs.
+
+Command line, `/v1/options`, validation and docs/KNOBS.md are made from it. A knob more is a field of
+`pipeline.settings.Settings`, which has its default, and a row here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from storage.schema import MAX_ATOMS
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A row. Allowed are `choices`, or numbers from `low` to `high`, and None where it is `optional`."""
+
+    name: str
+    kind: type  # int, float or str
+    help: str
+    buys: str
+    costs: str
+    stage: str  # the first stage that a change does again; all before it are reused
+    choices: tuple = ()  # of `kind`, and words
+    low: float = -math.inf
+    high: float = math.inf
+    optional: bool = False  # None, the default, lets the scan decide
+    above_low: bool = False  # `low` itself is not allowed
+
+    @property
+    def allowed(self) -> str:
+        """In words."""
+        if self.choices:
+            return ", ".join(str(c) for c in self.choices)
+        if self.high == math.inf:
+            return f"{'above' if self.above_low else 'at least'} {_number(self.low)}"
+        return f"{_number(self.low)} to {_number(self.high)}"
+
+    @property
+    def kinds(self) -> tuple[type, ...]:
+        """The types of its values, None apart."""
+        return tuple(dict.fromkeys([self.kind, *map(type, self.choices)]))
+
+    @property
+    def domain(self) -> dict:
+        """As JSON Schema has it."""
+        if self.choices:
+            return {"enum": list(self.choices)}
+        low = {"exclusiveMinimum" if self.above_low else "minimum": self.low}
+        return low if self.high == math.inf else low | {"maximum": self.high}
+
+    def parsed(self, text: str):
+        """The value that a text stands for. Raises ValueError saying what is allowed."""
+        if text in self.choices:
+            return text
+        try:
+            return self.checked(self.kind(text))
+        except (ValueError, OverflowError):
+            raise ValueError(self._refusal(text)) from None
+
+    def checked(self, value):
+        """The value as its kind. Raises ValueError saying what was found and what is allowed."""
+        if value is None and self.optional:
+            return None
+        if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if self.choices:
+            ok = any(type(value) is type(c) and value == c for c in self.choices)
+        else:
+            ok = type(value) is self.kind and math.isfinite(value) and self.low <= value <= self.high
+            ok = ok and not (self.above_low and value == self.low)
+        if not ok:
+            raise ValueError(self._refusal(value))
+        return value
+
+    def _refusal(self, found) -> str:
+        return f"{self.name} is {found}; allowed: {self.allowed}"
+
+
+def _number(value: float) -> str:
+    return f"{value:,}" if isinstance(value, int) else f"{value:,g}"
+
+
+KNOBS = (
+    Knob("dictionary_bits", int, "bits of an atom's number: 256, 4,096 or 65,536 atoms at most",
+         "atoms that fit a splat better: fewer of them for the same error",
+         "time of learning and coding; 4,092 bytes an atom, whatever the scan's size; bits in every code; "
+         "texture fetches that miss the GPU's caches", "dictionary-seed", choices=(8, 12, 16)),
+    Knob("weight_bits", int, "bits of a weight", "weights nearer to the best ones", "4 bits more an atom of a splat",
+         "quantise", choices=(4, 8)),
+    Knob("max_atoms", int, "atoms that a splat may take", "error of the splats with the most detail",
+         "bytes and frame time of those splats; time of coding", "ksvd-update", low=0, high=MAX_ATOMS),
+    Knob("target_psnr_db", float, "where a splat is good enough and takes no further atom",
+         "error of every splat that has not yet all its atoms", "atoms: bytes, frame time, time of coding", "training-set",
+         low=10.0, high=80.0),
+    Knob("iterations", int, "passes of k-SVD", "a dictionary nearer to its best; each pass gives less than the one before",
+         "time of learning, in proportion", "ksvd-update", low=1, high=1000),
+    Knob("training_splats", int, "splats that the dictionary is learned from",
+         "a dictionary that fits what is rare in the scan too", "time of learning, in proportion", "training-set",
+         low=256, high=100_000_000),
+    Knob("radius", float, "of every splat, in the scan's unit; by default the median distance to the 4th neighbour",
+         "larger: no holes where points are sparse; smaller: sharper textures", "larger: overdraw, and more photo pixels a texel",
+         "splats", low=0.0, optional=True, above_low=True),
+    Knob("seed", int, "of all random choices", "nothing: another result of the same quality", "nothing", "training-set",
+         low=0, high=2**63 - 1),
+)
+BY_NAME = {knob.name: knob for knob in KNOBS}

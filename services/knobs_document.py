@@ -1,0 +1,45 @@
+"""docs/KNOBS.md, made from the table of knobs and the presets: `python -m services.knobs_document` writes it again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.knobs import KNOBS, Knob
+from pipeline.settings import DEFAULT_PRESET, PRESETS
+
+PATH = Path(__file__).resolve().parent.parent / "docs" / "KNOBS.md"
+_HEAD = """# Knobs: what trades accuracy for time and bytes
+
+Made from `pipeline/knobs.py` and `pipeline/settings.py` by `python -m services.knobs_document`; change those. Each knob is
+an argument of `splatpress compress` (`--dictionary-bits`) and an option of a job (`dictionary_bits`). A change runs the
+named stage again and those after it; with a work folder all before it are reused.
+"""
+
+
+def document() -> str:
+    """The text of docs/KNOBS.md."""
+    knobs = _table(("knob", "what", "allowed", "buys", "costs", "runs again from"), map(_row, KNOBS))
+    names = [knob.name for knob in KNOBS if knob.name != "seed"]
+    presets = _table(("preset", *names), ((_preset_name(p), *(_shown(getattr(s, n)) for n in names)) for p, s in PRESETS.items()))
+    return f"{_HEAD}\n## The table\n\n{knobs}\n## Presets\n\n{presets}"
+
+
+def _row(knob: Knob) -> tuple[str, ...]:
+    return (f"`{knob.name}`", knob.help, knob.allowed, knob.buys, knob.costs, knob.stage)
+
+
+def _preset_name(name: str) -> str:
+    return f"`{name}`, the default" if name == DEFAULT_PRESET else f"`{name}`"
+
+
+def _shown(value) -> str:
+    return "automatic" if value is None else f"{value:,g}" if isinstance(value, float) else f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _table(head: tuple[str, ...], rows) -> str:
+    lines = [head, ("---",) * len(head), *rows]
+    return "".join("| " + " | ".join(cells) + " |\n" for cells in lines)
+
+
+if __name__ == "__main__":
+    PATH.write_text(document())
