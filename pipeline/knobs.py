@@ -7,6 +7,7 @@ Command line, `/v1/options`, validation and docs/KNOBS.md are made from it. A kn
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from storage.schema import MAX_ATOMS
@@ -27,10 +28,14 @@ class Knob:
     high: float = math.inf
     optional: bool = False  # None, the default, lets the scan decide
     above_low: bool = False  # `low` itself is not allowed
+    canonical: Callable[[str], str] | None = None  # of a list in one text: the one text for what it asks, or ValueError
+    words: str = ""  # what such a list allows
 
     @property
     def allowed(self) -> str:
         """In words."""
+        if self.canonical:
+            return self.words
         if self.choices:
             return ", ".join(str(c) for c in self.choices)
         if self.high == math.inf:
@@ -45,6 +50,8 @@ class Knob:
     @property
     def domain(self) -> dict:
         """As JSON Schema has it."""
+        if self.canonical:
+            return {"description": self.words}
         if self.choices:
             return {"enum": list(self.choices)}
         low = {"exclusiveMinimum" if self.above_low else "minimum": self.low}
@@ -54,6 +61,8 @@ class Knob:
         """The value that a text stands for. Raises ValueError saying what is allowed."""
         if text in self.choices:
             return text
+        if self.canonical:
+            return self.canonical(text)
         try:
             return self.checked(self.kind(text))
         except (ValueError, OverflowError):
@@ -63,9 +72,13 @@ class Knob:
         """The value as its kind. Raises ValueError saying what was found and what is allowed."""
         if value is None and self.optional:
             return None
+        if self.canonical and type(value) is str:
+            return self.canonical(value)
         if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
-        if self.choices:
+        if self.canonical:
+            ok = False
+        elif self.choices:
             ok = any(type(value) is type(c) and value == c for c in self.choices)
         else:
             ok = type(value) is self.kind and math.isfinite(value) and self.low <= value <= self.high
@@ -80,6 +93,12 @@ class Knob:
 
 def _number(value: float) -> str:
     return f"{value:,}" if isinstance(value, int) else f"{value:,g}"
+
+
+def _canonical_request(text: str) -> str:
+    from pipeline.effects.request import canonical_request  # finds all effects, which `inspect` can do without
+
+    return canonical_request(text)
 
 
 KNOBS = (
@@ -104,5 +123,9 @@ KNOBS = (
          "splats", low=0.0, optional=True, above_low=True),
     Knob("seed", int, "of all random choices", "nothing: another result of the same quality", "nothing", "training-set",
          low=0, high=2**63 - 1),
+    Knob("effects", str, "what effects are asked to be: name=auto, on or off, as cliplines=off; all=off for none",
+         "on: an effect that the scan alone would not call for; off: its time, its bytes and its shader code",
+         "on: those; off: what the effect is for; `splatpress effects` says how much", "measure-effects",
+         canonical=_canonical_request, words="NAME=auto|on|off, joined by commas"),
 )
 BY_NAME = {knob.name: knob for knob in KNOBS}

@@ -21,6 +21,7 @@ class Settings:
     training_splats: int = 40_000
     radius: float | None = None
     seed: int = 0
+    effects: str = ""  # what is asked of effects, as pipeline.effects.request writes it; "" leaves all to the scan
 
 
 PRESETS = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Collection
 
 from pipeline.knobs import BY_NAME, KNOBS, Knob
 from pipeline.settings import DEFAULT_PRESET, PRESETS, Settings, settings_for
@@ -12,11 +13,14 @@ class WrongArgument(ValueError):
     """A value that argparse itself cannot tell to be wrong; the command line ends with exit code 1."""
 
 
-def add_settings(command: argparse.ArgumentParser) -> None:
-    """--preset, and one argument a knob."""
+def add_settings(command: argparse.ArgumentParser, names: Collection[str] = BY_NAME) -> None:
+    """--preset, and one argument a knob of those named; one that takes a list may be repeated, under its singular too."""
     add_preset(command)
-    for knob in KNOBS:
-        command.add_argument(f"--{knob.name.replace('_', '-')}", metavar=_metavar(knob), help=f"{knob.help} ({knob.allowed})")
+    for knob in (knob for knob in KNOBS if knob.name in names):
+        argument = f"--{knob.name.replace('_', '-')}"
+        spellings = (argument.removesuffix("s"), argument) if knob.canonical else (argument,)
+        command.add_argument(*spellings, dest=knob.name, metavar=_metavar(knob), action="append" if knob.canonical else "store",
+                             help=f"{knob.help} ({knob.allowed})")
 
 
 def add_preset(command: argparse.ArgumentParser) -> None:
@@ -26,6 +30,7 @@ def add_preset(command: argparse.ArgumentParser) -> None:
 def settings_of(options: argparse.Namespace) -> Settings:
     """The settings that the arguments of `add_settings` or `add_preset` ask for. Raises WrongArgument."""
     given = {name: text for name in BY_NAME if (text := getattr(options, name, None)) is not None}
+    given = {name: text if isinstance(text, str) else ",".join(text) for name, text in given.items()}
     try:
         return settings_for(options.preset, **{name: BY_NAME[name].parsed(text) for name, text in given.items()})
     except ValueError as error:
@@ -33,4 +38,6 @@ def settings_of(options: argparse.Namespace) -> Settings:
 
 
 def _metavar(knob: Knob) -> str:
+    if knob.canonical:
+        return "NAME=CHOICE"
     return "|".join(str(c) for c in knob.choices) if knob.choices else "N" if knob.kind is int else "X"

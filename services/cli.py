@@ -91,6 +91,24 @@ def _check(options: argparse.Namespace) -> int:
     return OK if found["ok"] else INVALID_INPUT
 
 
+def _effects(options: argparse.Namespace) -> int:
+    from services.effects import effects_of
+
+    settings, scan = settings_of(options), _scan_path(options.scan)
+    with _executor(options) as executor:
+        rows = effects_of(scan, settings, executor, _progress(), Path(options.work) if options.work else None)
+    if options.json:
+        print(json.dumps(rows))
+    else:
+        for row in rows:
+            print(f"{row['effect']:<16} {'on ' if row['enabled'] else 'off'}  {_percent(row['share']):>7}  {row['reason']}")
+    return OK
+
+
+def _percent(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:.1f} %"
+
+
 def _render(options: argparse.Namespace) -> int:
     from services.rendering import render_views
 
@@ -230,6 +248,7 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("path", metavar="SCAN")
     check.add_argument("--json", action="store_true")
     check.set_defaults(command=_check)
+    _add_effects(commands)
     render = commands.add_parser("render", help="pictures of a packed file")
     render.add_argument("packed", metavar="PACKED")
     view = render.add_mutually_exclusive_group(required=True)
@@ -255,6 +274,16 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _add_effects(commands) -> None:
+    effects = commands.add_parser("effects", help="which effects a scan calls for, and what decided")
+    effects.add_argument("scan", metavar="SCAN")
+    add_settings(effects, ("radius", "effects"))
+    effects.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
+    effects.add_argument("--json", action="store_true", help="the rows as the last line of stdout")
+    _add_executor(effects)
+    effects.set_defaults(command=_effects)
+
+
 def _add_compress(commands) -> None:
     compress = commands.add_parser("compress", help="a scan into a packed file, previews and a report")
     compress.add_argument("scan", metavar="SCAN", help="COLMAP workspace (folder or .zip), .ply, .las, .laz, .e57")
@@ -266,10 +295,14 @@ def _add_compress(commands) -> None:
     compress.set_defaults(command=_compress)
 
 
-def _add_running(command: argparse.ArgumentParser) -> None:
+def _add_executor(command: argparse.ArgumentParser) -> None:
     command.add_argument("--workers", type=_count, metavar="N", help="worker processes; default: one a core")
     command.add_argument("--executor", choices=("dask", "serial"), default="dask")
     command.add_argument("--scheduler", metavar="tcp://...", help="a running Dask scheduler")
+
+
+def _add_running(command: argparse.ArgumentParser) -> None:
+    _add_executor(command)
     command.add_argument("--no-render", action="store_true", help="no previews: needs no OpenGL")
     command.add_argument("--require-psnr-db", type=float, metavar="DB", help="exit with 7 below this texture PSNR")
     command.add_argument("--json", action="store_true", help="the report as the last line of stdout")

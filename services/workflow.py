@@ -12,15 +12,21 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from pipeline.accuracy import psnr_db, squared_error_at
+from pipeline.effects.block import Sources
+from pipeline.effects.depth_margin import LEAST_RADII
+from pipeline.effects.plan import EffectPlan, measured_effects, plan_effects
+from pipeline.effects.registry import effects
+from pipeline.effects.request import parse_request
 from pipeline.settings import Settings
 from pipeline.stage import Executor, Progress, Stage, StageRecord, run_stage
 from pipeline.stages.codes import Encode
 from pipeline.stages.depth import DepthMaps
 from pipeline.stages.dictionary import DictionarySeed, KsvdUpdate
+from pipeline.stages.effects import MeasureEffects, measures_of
 from pipeline.stages.ingest import Ingest
 from pipeline.stages.measure import Measure, ingest_fits
 from pipeline.stages.neighbours import Neighbourhoods, radius_of
-from pipeline.stages.pack import Pack, write_packed
+from pipeline.stages.pack import Pack, batches_of, write_packed
 from pipeline.stages.partition import Partition
 from pipeline.stages.patches import Resample, up_axis_of
 from pipeline.stages.quantization import Quantization
@@ -32,10 +38,8 @@ from renderer.report_page import write_page
 from services.rendering import previews_of
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile
-from storage.schema import Batch, Camera, Header
+from storage.schema import EXTRAS, Camera, Header
 
-# Splats this far behind the nearest surface still blend. The paper takes 1 to 2.5 radii (2 to 5 cm at 2 cm).
-DEPTH_MARGIN_RADII = 2.0
 PATCHES_AN_ATOM = 4  # a dictionary that a scan can fill: fewer training patches an atom would only be stored
 
 
@@ -72,6 +76,9 @@ class Prepared:
     neighbours: StageRecord
     splats: StageRecord
     radius: float
+    sources: Sources
+    effects: EffectPlan = EffectPlan((), {})
+    built: tuple[tuple[str, Path], ...] = ()  # by effect, what its encoder made
 
 
 @dataclass(frozen=True)
@@ -96,7 +103,16 @@ def fingerprint(scan: Path) -> str:
     return state.hexdigest()
 
 
-def prepare(run: Run, scan: Path, radius: float | None) -> Prepared:
+def prepare(run: Run, scan: Path, radius: float | None, request: str = "") -> Prepared:
+    """The scan as splats, and with the effects that they call for."""
+    prepared = splats_of(run, scan, radius)
+    plan = plan_scan(run, prepared.sources, parse_request(request))
+    stages = ((name, effects()[name].build(prepared.sources, plan.outcomes[name])) for name in plan.enabled)
+    built = tuple((name, run.do(stage).folder) for name, stage in stages if stage is not None)
+    return replace(prepared, effects=plan, built=built)
+
+
+def splats_of(run: Run, scan: Path, radius: float | None) -> Prepared:
     """Read the scan, put its points in chunk order, and make splats of them."""
     ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
     partition = run.do(Partition(ingest.folder))
@@ -106,7 +122,20 @@ def prepare(run: Run, scan: Path, radius: float | None) -> Prepared:
     if ingest.summary["cameras"] and not ingest.summary["has_visibility"]:
         depth = run.do(DepthMaps(ingest.folder, partition.folder, radius)).folder
     splats = run.do(Splats(ingest.folder, partition.folder, neighbours.folder, depth, radius))
-    return Prepared(ingest, partition, neighbours, splats, radius)
+    sources = Sources(ingest.folder, partition.folder, neighbours.folder, depth, splats.folder, radius,
+                      up_axis_of(ingest.summary["cameras"]))
+    return Prepared(ingest, partition, neighbours, splats, radius, sources)
+
+
+def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> EffectPlan:
+    """Measure the scan for every effect that the request leaves open, and plan."""
+    names = measured_effects(request)
+    if not names:
+        return plan_effects({}, request, sources.n_splats)
+    stages = ((name, effects()[name].survey(sources)) for name in names)
+    surveys = tuple((name, run.do(stage).folder) for name, stage in stages if stage is not None)
+    found = run.do(MeasureEffects(sources, names, surveys)).summary
+    return plan_effects(measures_of(found), request, sources.n_splats)
 
 
 def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
@@ -163,18 +192,21 @@ def estimated_psnr_db(training: dict, update: dict) -> float:
 def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, name: str, path: Path) -> StageRecord:
     """Write the packed file to `path`."""
     scan = prepared.scan.summary
-    histogram = coded.codes.summary["histogram"] if coded else [1]
+    extras = tuple((flag, folder) for flag, folder in prepared.built if flag in {e.flag for e in EXTRAS})
+    batches = batches_of(scan["n_points"], coded.codes.folder if coded else None, extras)
+    margin = prepared.effects.outcomes.get("depth_margin", {"margin_radii": LEAST_RADII})["margin_radii"]
     header = Header(
         n_splats=scan["n_points"], radius=prepared.radius, unit=scan["unit"],
         origin=tuple(prepared.partition.summary["origin"]), up_axis=up_axis_of(scan["cameras"]),
-        depth_margin=DEPTH_MARGIN_RADII * prepared.radius, n_dictionary=coded.n_dictionary if coded else 0,
+        depth_margin=margin * prepared.radius, n_dictionary=coded.n_dictionary if coded else 0,
         dictionary_bits=settings.dictionary_bits, weight_bits=settings.weight_bits,
-        batches=tuple(Batch(n) for n, count in enumerate(histogram) if count),
+        batches=batches, effects=prepared.effects.outcomes,
         cameras=tuple(Camera.from_json(c) for c in scan["cameras"]),
         scan={"name": name, "format": scan["format"], "n_points": scan["n_read"]}, settings=asdict(settings),
     )
     record = run.do(Pack(header, prepared.splats.folder, coded.patches.folder if coded else None,
-                         coded.codes.folder if coded else None, coded.quantized.folder if coded and coded.quantized else None))
+                         coded.codes.folder if coded else None, coded.quantized.folder if coded and coded.quantized else None,
+                         extras))
     write_packed(record.folder, path)
     return record
 
@@ -203,7 +235,7 @@ def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = Tru
     """All of a job, into the folder `out`, which is there. Returns the report."""
     name = scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem
     path = out / (name + SUFFIX)
-    prepared = prepare(run, scan, settings.radius)
+    prepared = prepare(run, scan, settings.radius, settings.effects)
     textured = prepared.splats.summary["n_without_camera"] < prepared.scan.summary["n_points"]
     coded = code(run, prepared, settings) if textured else None
     pack(run, prepared, coded, settings, name, path)
@@ -215,6 +247,7 @@ def finish(run: Run, path: Path, prepared: Prepared, coded: Coded | None, settin
     record = {
         "scan": _scan_record(prepared), "quality": _quality(prepared, coded),
         "learning": coded.learning if coded else [], "numerics": _numerics(prepared, coded), "settings": asdict(settings),
+        "effects": prepared.effects.to_json(),
     }
     return write_outputs(run, path, prepared.scan.folder, record, out, render)
 

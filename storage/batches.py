@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.schema import CHUNK, GROUP, Batch
+from storage.schema import CHUNK, EXTRAS, GROUP, Batch
 
 CHUNKS_PER_GROUP = GROUP // CHUNK
 
@@ -22,7 +22,11 @@ class Rows:
 
     batch: np.ndarray  # (n,) uint8
     entry: np.ndarray  # (n,) int64: its first atom, counted from its group's first
-    clipline: np.ndarray  # (n,) int64: its clipline, counted from its group's first; -1 where it has none
+    extra: dict[str, np.ndarray]  # by flag of EXTRAS, (n,) int64: its place among its group's; -1 where it has none
+
+    @property
+    def clipline(self) -> np.ndarray:
+        return self.extra["clipline"]
 
 
 def count_batches(batch: np.ndarray, n_batches: int) -> np.ndarray:
@@ -41,11 +45,11 @@ def rows_of(batch_count: np.ndarray, batches: tuple[Batch, ...]) -> Rows:
     group = np.arange(len(splat_batch)) // GROUP
     key = group * n_batches + splat_batch
     order = np.argsort(key, kind="stable")  # group by group, batch by batch, in splat order
-    clipped = np.array([batch.clipline for batch in batches])[splat_batch]
+    has = {extra.flag: np.array([getattr(batch, extra.flag) for batch in batches])[splat_batch] for extra in EXTRAS}
     return Rows(
         batch=splat_batch.astype(np.uint8),
         entry=_running(np.array([batch.n_atoms for batch in batches])[splat_batch], group, order),
-        clipline=np.where(clipped, _running(clipped.astype(np.int64), group, order), -1),
+        extra={flag: np.where(some, _running(some.astype(np.int64), group, order), -1) for flag, some in has.items()},
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from storage.batches import Rows, group_batch_counts, rows_of
 from storage.bits import words_for
 from storage.codes import unpack_codes
-from storage.schema import BY_NAME, CHUNK, CLIPLINE_BITS, GROUP, MAX_ATOMS, NO_CAMERA, Header
+from storage.schema import BY_NAME, CHUNK, EXTRAS, GROUP, MAX_ATOMS, NO_CAMERA, Header
 
 POSITION_BITS = 24
 
@@ -61,9 +61,10 @@ def streams_of(header: Header) -> list[Stream]:
     if header.n_dictionary:
         fields = np.array([batch.n_atoms for batch in header.batches])
         streams.append(Stream("codes", "group_word", header.entry_bits, fields))
-    if any(batch.clipline for batch in header.batches):
-        fields = np.array([int(batch.clipline) for batch in header.batches])
-        streams.append(Stream("cliplines", "clipline_word", CLIPLINE_BITS, fields))
+    for extra in EXTRAS:
+        fields = np.array([extra.n_fields * getattr(batch, extra.flag) for batch in header.batches])
+        if fields.any():
+            streams.append(Stream(extra.stream, extra.table, extra.bits, fields))
     return streams
 
 

@@ -6,7 +6,7 @@ at most); w weight levels; e 32-bit words of the code stream.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 
 FORMAT_NAME = "splatpress"
 FORMAT_VERSION = 1
@@ -24,9 +24,9 @@ _JSON_TYPES = {"int": int, "float": (int, float), "str": str, "bool": bool, "dic
 
 def _typed(cls: type, data: dict, **parsed):
     """A dataclass of the `parsed` fields and, for the others, the plain values of `data`."""
-    for field in fields(cls):
-        if field.name not in parsed:
-            parsed[field.name] = _plain(data[field.name], field.type, field.name)
+    for wanted in fields(cls):
+        if wanted.name not in parsed:
+            parsed[wanted.name] = _plain(data[wanted.name], wanted.type, wanted.name)
     return cls(**parsed)
 
 
@@ -78,6 +78,25 @@ class Batch:
     n_atoms: int
     clipline: bool = False
 
+    @property
+    def kind(self) -> tuple:
+        """What tells it from other batches: atom count, then what else its splats have, in the order of EXTRAS."""
+        return (self.n_atoms, *(getattr(self, extra.flag) for extra in EXTRAS))
+
+
+@dataclass(frozen=True)
+class Extra:
+    """What only some splats have: a field of `Batch`, and a word stream with its table that files without it lack."""
+
+    flag: str  # the field of Batch
+    stream: str
+    table: str
+    bits: int  # of a field
+    n_fields: int = 1  # of a splat
+
+
+EXTRAS = (Extra("clipline", "cliplines", "clipline_word", CLIPLINE_BITS),)
+
 
 @dataclass(frozen=True)
 class Header:
@@ -96,6 +115,7 @@ class Header:
     cameras: tuple[Camera, ...]
     scan: dict  # name, format, n_points as read
     settings: dict  # what the job asked for
+    effects: dict = field(default_factory=dict)  # of those that are on: what shaders and comparisons need of them
 
     @property
     def n_chunks(self) -> int:
@@ -111,13 +131,14 @@ class Header:
         return self.dictionary_bits + self.weight_bits
 
     def to_json(self) -> dict:
-        return {"format": FORMAT_NAME, "version": FORMAT_VERSION, **asdict(self)}
+        header = {"format": FORMAT_NAME, "version": FORMAT_VERSION, **asdict(self)}
+        return header if self.effects else {name: value for name, value in header.items() if name != "effects"}
 
     @staticmethod
     def from_json(data: dict) -> Header:
         """The header of attributes as `to_json` makes them; KeyError or TypeError where they differ."""
         return _typed(
-            Header, data,
+            Header, {"effects": {}} | data,
             origin=_numbers(data["origin"], 3),
             batches=tuple(_typed(Batch, batch) for batch in _list(data["batches"])),
             cameras=tuple(map(Camera.from_json, _list(data["cameras"]))),
@@ -161,8 +182,9 @@ def arrays_of(header: Header) -> tuple[Array, ...]:
     absent = set()
     if not header.n_dictionary:
         absent |= {a.name for a in ARRAYS if a.part == "dictionary"} | {"codes", "group_word"}
-    if not any(batch.clipline for batch in header.batches):
-        absent |= {"cliplines", "clipline_word"}
+    for extra in EXTRAS:
+        if not any(getattr(batch, extra.flag) for batch in header.batches):
+            absent |= {extra.stream, extra.table}
     if not header.cameras:
         absent.add("camera")
     return tuple(array for array in ARRAYS if array.name not in absent)

@@ -38,8 +38,13 @@ def stage_folder(work: Path, stage: Any) -> Path:
     fields = {f.name: getattr(stage, f.name) for f in dataclasses.fields(stage)}
     plain = {name: value.name if isinstance(value, Path) else value for name, value in fields.items()
              if name not in getattr(stage, "location_fields", ())}
-    text = json.dumps([LAYOUT_VERSION, stage.name, plain], sort_keys=True, default=dataclasses.asdict)
+    text = json.dumps([LAYOUT_VERSION, stage.name, plain], sort_keys=True, default=_plain)
     return work / f"{stage.name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+
+
+def _plain(value: Any) -> Any:
+    """A field of a field: a folder counts by its name, as above."""
+    return value.name if isinstance(value, Path) else dataclasses.asdict(value)
 
 
 def is_complete(folder: Path) -> bool:

@@ -9,9 +9,11 @@ import numpy as np
 
 from storage import arrays
 from storage.batches import count_batches, rows_of
+from storage.bits import pack_bits
 from storage.codes import pack_codes
 from storage.packed import GROUPS_PER_ZARR_CHUNK, begin_packed, create_array, reopen_packed, seal_packed
-from storage.schema import BY_NAME, CHUNK, GROUP, Header, arrays_of
+from storage.scene import Stream, streams_of
+from storage.schema import BY_NAME, CHUNK, EXTRAS, GROUP, Batch, Header, arrays_of
 
 TASK_SPLATS = GROUP * GROUPS_PER_ZARR_CHUNK
 
@@ -25,6 +27,7 @@ class Pack:
     patches: Path | None  # None: the splats have the scan's colours
     codes: Path | None
     quantized: Path | None
+    extras: tuple[tuple[str, Path], ...] = ()  # by flag of storage.schema.EXTRAS: has_<flag>, <flag> of every splat
     name = "pack"
 
     def init(self, folder: Path) -> int:
@@ -35,21 +38,21 @@ class Pack:
         start, stop = index * TASK_SPLATS, min((index + 1) * TASK_SPLATS, self.header.n_splats)
         root = reopen_packed(folder / "packed")
         n_atoms = self._codes("n_atoms", start, stop)
-        batch_of = {batch.n_atoms: i for i, batch in enumerate(self.header.batches)}
-        batch = np.array([batch_of.get(n, 0) for n in range(256)])[n_atoms]
+        batch = self._batches(n_atoms, start, stop)
         order = np.lexsort((batch, np.arange(len(batch)) // CHUNK))
         counts = count_batches(batch[order], len(self.header.batches))
         self._write_splats(root, start, stop, order, counts)
-        words = []
-        if self.header.n_dictionary:
-            words = self._group_words(start, stop, order, counts)
-            np.save(folder / f"words-{index}.npy", np.concatenate(words))
-        return {"n_splats": stop - start, "n_words": [len(w) for w in words]}
+        n_words = {}
+        for name, words in self._words(start, stop, order, counts).items():
+            np.save(folder / f"{name}-{index}.npy", np.concatenate(words))
+            n_words[name] = [len(w) for w in words]
+        return {"n_splats": stop - start, "n_words": n_words}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         root = reopen_packed(folder / "packed")
+        for stream in streams_of(self.header):
+            self._join_words(folder, root, stream, [n for r in results for n in r["n_words"][stream.name]], len(results))
         if self.header.n_dictionary:
-            self._join_words(folder, root, [n for r in results for n in r["n_words"]], len(results))
             for array in arrays_of(self.header):
                 if array.part == "dictionary":
                     root[array.name][:] = arrays.read(self.quantized, array.name)
@@ -77,22 +80,67 @@ class Pack:
             root[name][first:end] = arrays.read(self.splats, name, first, end)
         root["batch_count"][first:end] = counts
 
-    def _group_words(self, start: int, stop: int, order: np.ndarray, counts: np.ndarray) -> list[np.ndarray]:
-        rows = rows_of(counts, self.header.batches)
-        n_atoms, atom, weight = (self._codes(name, start, stop)[order] for name in ("n_atoms", "atom", "weight_code"))
-        groups = (slice(g, g + GROUP) for g in range(0, stop - start, GROUP))
-        return [pack_codes(self.header, rows.entry[g], n_atoms[g], atom[g], weight[g]) for g in groups]
+    def _batches(self, n_atoms: np.ndarray, start: int, stop: int) -> np.ndarray:
+        """The batch of each splat, (n,) int64."""
+        kinds = kinds_of(n_atoms, self.extras, start, stop)
+        batch = np.full(len(n_atoms), -1)
+        for i, kind in enumerate(self.header.batches):
+            batch[(kinds == kind.kind).all(axis=1)] = i
+        assert (batch >= 0).all()
+        return batch
 
-    def _join_words(self, folder: Path, root, n_words: list[int], n_tasks: int) -> None:
-        root["group_word"][:] = (np.cumsum(n_words) - n_words).astype(np.uint32)
-        stream = create_array(root, self.header, BY_NAME["codes"], sum(n_words) + 1)
+    def _words(self, start: int, stop: int, order: np.ndarray, counts: np.ndarray) -> dict[str, list[np.ndarray]]:
+        """The words of each group, by stream."""
+        rows = rows_of(counts, self.header.batches)
+        groups = [slice(g, g + GROUP) for g in range(0, stop - start, GROUP)]
+        words = {}
+        if self.header.n_dictionary:
+            n_atoms, atom, weight = (self._codes(name, start, stop)[order] for name in ("n_atoms", "atom", "weight_code"))
+            words["codes"] = [pack_codes(self.header, rows.entry[g], n_atoms[g], atom[g], weight[g]) for g in groups]
+        for extra in (e for e in EXTRAS if e.stream in {s.name for s in streams_of(self.header)}):
+            fields = arrays.read(dict(self.extras)[extra.flag], extra.flag, start, stop)[order].reshape(len(order), -1)
+            place = rows.extra[extra.flag]
+            words[extra.stream] = [pack_bits(_in_rows(fields[g], place[g]), extra.bits) for g in groups]
+        return words
+
+    def _join_words(self, folder: Path, root, stream: Stream, n_words: list[int], n_tasks: int) -> None:
+        root[stream.table][:] = (np.cumsum(n_words) - n_words).astype(np.uint32)
+        joined = create_array(root, self.header, BY_NAME[stream.name], sum(n_words) + 1)
         at = 0
         for index in range(n_tasks):
-            words = np.load(folder / f"words-{index}.npy")
-            stream[at : at + len(words)] = words
+            path = folder / f"{stream.name}-{index}.npy"
+            words = np.load(path)
+            joined[at : at + len(words)] = words
             at += len(words)
-            (folder / f"words-{index}.npy").unlink()
-        stream[at:] = 0
+            path.unlink()
+        joined[at:] = 0
+
+
+def _in_rows(fields: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """The fields (n, k) of the splats of one group that have some, in the order of their places (n,), flat."""
+    has = place >= 0
+    rows = np.zeros((int(has.sum()), fields.shape[1]), np.uint32)
+    rows[place[has]] = fields[has]
+    return rows.ravel()
+
+
+def kinds_of(n_atoms: np.ndarray, extras: tuple[tuple[str, Path], ...], start: int, stop: int) -> np.ndarray:
+    """What tells the batch of each splat start..stop, as `Batch.kind` has it: (n, 1 + len(EXTRAS)) int64."""
+    flags = dict(extras)
+    columns = [arrays.read(flags[e.flag], f"has_{e.flag}", start, stop) if e.flag in flags else np.zeros(stop - start, bool)
+               for e in EXTRAS]
+    return np.stack([n_atoms, *columns], axis=1).astype(np.int64)
+
+
+def batches_of(n_splats: int, codes: Path | None, extras: tuple[tuple[str, Path], ...]) -> tuple[Batch, ...]:
+    """The batches that a scan's splats make, by what they have beside atoms, then by their atoms."""
+    found = set()
+    for start in range(0, n_splats, arrays.BLOCK):
+        stop = min(start + arrays.BLOCK, n_splats)
+        n_atoms = np.zeros(stop - start, np.uint8) if codes is None else arrays.read(codes, "n_atoms", start, stop)
+        found |= set(map(tuple, np.unique(kinds_of(n_atoms, extras, start, stop), axis=0).tolist()))
+    return tuple(Batch(n, **{e.flag: bool(has) for e, has in zip(EXTRAS, flags, strict=True)})
+                 for n, *flags in sorted(found, key=lambda kind: (kind[1:], kind[0])))
 
 
 def array_bytes(root, header: Header) -> dict[str, int]:

@@ -74,14 +74,7 @@ class Splats:
         cameras = tuple(Camera.from_json(c) for c in scan["cameras"])
         if not cameras:
             return np.full(len(absolute), NO_CAMERA, np.uint16)
-        seen = np.zeros((len(absolute), len(cameras) + 1), bool)
-        if self.depth_maps is None:
-            candidate = arrays.read(self.partition, "candidate", start, stop).astype(np.int64)
-            np.put_along_axis(seen, np.minimum(candidate, len(cameras)), True, axis=1)
-        else:
-            for i, camera in enumerate(cameras):
-                depth_map = arrays.read(self.depth_maps, f"depth_{i}")
-                seen[:, i] = seen_points(depth_map, camera, absolute, normal, self.radius)
+        seen = seen_by_cameras(self.partition, self.depth_maps, cameras, absolute, normal, self.radius, start, stop)
         return best_cameras(cameras, absolute, normal, self.radius, seen)
 
     def _towards_viewer(
@@ -113,6 +106,24 @@ class Splats:
         else:
             grey = DARKEST + (BRIGHTEST - DARKEST) * (1 + normal @ LAMP / np.linalg.norm(LAMP)) / 2
         return np.repeat(np.round(grey * 255).astype(np.uint8)[:, None], 3, axis=1)
+
+
+def seen_by_cameras(
+    partition: Path, depth_maps: Path | None, cameras: tuple[Camera, ...],
+    absolute: np.ndarray,  # (n, 3)
+    normal: np.ndarray,  # (n, 3), either way round
+    radius: float, start: int, stop: int,
+) -> np.ndarray:
+    """Which cameras see the splats start..stop, (n, n_cameras) bool: by their visibility lists, else by depth maps."""
+    seen = np.zeros((stop - start, len(cameras) + 1), bool)  # the last column takes what stands for no camera
+    if depth_maps is not None:
+        for i, camera in enumerate(cameras):
+            depth_map = arrays.read(depth_maps, f"depth_{i}")
+            seen[:, i] = seen_points(depth_map, camera, absolute, normal, radius)
+    elif cameras:
+        candidate = arrays.read(partition, "candidate", start, stop).astype(np.int64)
+        np.put_along_axis(seen, np.minimum(candidate, len(cameras)), True, axis=1)
+    return seen[:, : len(cameras)]
 
 
 def decoded_centres(splats: Path, start: int, stop: int) -> np.ndarray:

@@ -126,3 +126,13 @@ def test_cli__a_mistake_of_ours_does_not_look_like_wrong_arguments(scan, tmp_pat
     monkeypatch.setattr("services.workflow.compress", fails)
     code, _, err = run(capsys, "compress", scan, "--out", tmp_path / "o", "--executor", "serial")
     assert code == 4 and "IndexError: ours" in err and "please report" in err
+
+
+def test_cli__effects_says_what_a_scan_calls_for(scan, capsys):
+    code, out, _ = run(capsys, "effects", scan, "--json", "--executor", "serial", "--effect", "depth_margin=on")
+    row = next(row for row in json.loads(out.splitlines()[-1]) if row["effect"] == "depth_margin")
+    assert code == 0 and row["enabled"] and row["measure"] >= 0 and row["reason"] == "asked to be on"
+    code, out, _ = run(capsys, "effects", scan, "--executor", "serial", "--effect", "all=off")
+    assert code == 0 and all("asked to be off" in line for line in out.splitlines() if line)
+    code, _, err = run(capsys, "effects", scan, "--effect", "fog=on")
+    assert code == 1 and "allowed: " in err

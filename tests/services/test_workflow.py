@@ -54,7 +54,7 @@ def test_workflow__the_report_has_its_keys_and_its_figures_agree(packed_serially
     assert 0 < made["atoms"]["mean"] < 8 and made["sizes"]["file_bytes"] == (out / "wavy plane.splatpress").stat().st_size
     assert len(made["learning"]) == 2 and made["learning"][1]["psnr_db"] > made["learning"][0]["psnr_db"]
     names = [s["name"] for s in made["stages"]]
-    assert names == ["ingest", "partition", "neighbours", "splats", "resample", "training-set", "dictionary-seed",
+    assert names == ["ingest", "partition", "neighbours", "splats", "measure-effects", "resample", "training-set", "dictionary-seed",
                      "ksvd-update", "quantise", "encode", "pack"]
     assert all(s["seconds"] > 0 and s["peak_rss_bytes"] > 1e7 for s in made["stages"])
 
@@ -150,3 +150,20 @@ def test_workflow__a_report_against_other_photographs_is_refused(packed_serially
     model.write_binary(str(other / "sparse"))
     with pytest.raises(InvalidScan, match="9999.png"):
         report(packed_serially[0] / "wavy plane.splatpress", other, tmp_path / "out", SerialExecutor(), Heard(), render=False)
+
+
+def test_workflow__what_is_asked_to_be_off_has_no_stage_and_leaves_no_trace(scan, packed_serially, tmp_path):
+    settings = settings_for("draft", target_psnr_db=32.0, training_splats=2000, iterations=1, effects="all=off")
+    made = compress(scan, tmp_path / "out", settings, SerialExecutor(), Heard(), render=False)
+    assert "measure-effects" not in [s["name"] for s in made["stages"]]
+    assert not any(row["enabled"] for row in made["effects"]) and {row["request"] for row in made["effects"]} == {"off"}
+    with PackedFile(tmp_path / "out" / "wavy plane.splatpress") as packed:
+        assert packed.header.effects == {}
+
+
+def test_workflow__the_report_keeps_the_plan(packed_serially):
+    out, made = packed_serially
+    rows = {row["effect"]: row for row in made["effects"]}
+    assert rows["depth_margin"]["measure"] is not None and rows["depth_margin"]["request"] == "auto"
+    with PackedFile(out / "wavy plane.splatpress") as packed:
+        assert set(packed.header.effects) == {name for name, row in rows.items() if row["enabled"]}

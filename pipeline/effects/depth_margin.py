@@ -1,0 +1,61 @@
+"""How far behind the nearest surface splats still blend: as far as the scan's own noise throws them, not a constant.
+
+HPG 2021, section 3.6.2, takes 2 to 5 cm at a radius of 2 cm: "to allow blending of splats close to the surface". Two
+splats of one surface lie apart in depth by the noise of their points, and by what the surface bends between them; both
+show in how far the neighbours of a splat lie off its plane.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pipeline.effects.block import Block, Sources
+from pipeline.effects.effect import Effect, Measured, Worth
+
+LEAST_RADII = 1.0  # the margin of a scan without noise: discs that overlap at a slant of 45 degrees still blend
+OVERLAP_RADII = 2.0  # discs whose centres are nearer than this overlap; so no residual, and no margin, is beyond 2 or 4
+QUANTILE = 0.95
+BINS = 256  # of the histogram of residuals
+EVERY = 8  # splats of a block: 2,048 neighbourhoods
+
+
+def residuals(position: np.ndarray, normal: np.ndarray, radius: float, every: int = EVERY) -> np.ndarray:
+    """How far the neighbours of every n-th splat lie off its plane, flat, in radii: those whose discs overlap its own."""
+    tree = cKDTree(position)
+    rows = np.arange(0, len(position), every)
+    pairs = tree.query_ball_point(position[rows], OVERLAP_RADII * radius, return_sorted=False)
+    at = np.repeat(rows, [len(p) for p in pairs])
+    other = np.concatenate([np.asarray(p, np.int64) for p in pairs]) if len(pairs) else np.empty(0, np.int64)
+    at, other = at[at != other], other[at != other]
+    return np.abs(((position[other] - position[at]) * normal[at]).sum(axis=1)) / radius
+
+
+def _measure_block(block: Block) -> dict:
+    return {"histogram": histogram_of(residuals(block.centre, block.frame[2], block.sources.radius))}
+
+
+def histogram_of(off: np.ndarray) -> list[int]:
+    return np.histogram(np.minimum(off, OVERLAP_RADII), BINS, (0, OVERLAP_RADII))[0].tolist()
+
+
+def _conclude(sums: list[dict], sources: Sources) -> Measured:
+    histogram = np.sum([s["histogram"] for s in sums], axis=0)
+    running = np.cumsum(histogram)
+    if running[-1] == 0:
+        return Measured(0.0, 0.0, {"margin_radii": LEAST_RADII})
+    off = float(np.interp(QUANTILE * running[-1], running, (np.arange(BINS) + 1) * OVERLAP_RADII / BINS))
+    return Measured(off, 1.0, {"margin_radii": max(LEAST_RADII, 2 * off)})
+
+
+EFFECT = Effect(
+    name="depth_margin",
+    title="Splats blend as far behind each other as the scan's noise throws them",
+    measures="radii that 95 % of the neighbours of a splat lie off its plane at most",
+    threshold=LEAST_RADII / 2,
+    reason="twice the residual is the margin; below it the least margin, one radius, holds it all",
+    worth=Worth("not measured"),
+    measure_block=_measure_block,
+    conclude=_conclude,
+    order=60,
+)

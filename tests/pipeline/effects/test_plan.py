@@ -1,0 +1,102 @@
+"""The plan: what is on, and why."""
+
+import json
+
+import numpy as np
+import pytest
+
+from pipeline.effects import plan_effects
+from pipeline.effects.block import Sources
+from pipeline.effects.depth_margin import EFFECT as DEPTH_MARGIN
+from pipeline.effects.depth_margin import LEAST_RADII, OVERLAP_RADII, histogram_of, residuals
+from pipeline.effects.effect import Effect, Measured, Worth
+from pipeline.effects.plan import measured_effects
+from pipeline.effects.registry import effects
+from pipeline.effects.request import CHOICES, canonical_request, parse_request
+
+WORTH = Worth("a scan of tests", seconds_a_million=2.0, bytes_a_splat=1.5, frame_share=0.1, gain_db=0.4)
+KNOWN = {
+    "lines": Effect("lines", "lines", "share of splats", 0.01, "tuned", WORTH),
+    "light": Effect("light", "light", "nothing", 0.0, "a matter of taste", WORTH, by_request=True),
+}
+
+
+def plan(value: float | None, request: dict, **found):
+    measures = {} if value is None else {"lines": Measured(value, value, {"lines": 3})}
+    return plan_effects(measures | {name: Measured(v) for name, v in found.items()}, request, 2_000_000, KNOWN)
+
+
+@pytest.mark.parametrize(("value", "request_", "enabled"), [
+    (0.02, "auto", True), (0.01, "auto", True), (0.0099, "auto", False), (0.0, "on", True), (0.5, "off", False),
+    (None, "auto", False), (None, "on", False),
+])
+def test_plan__auto_is_on_from_the_threshold_on_and_a_request_overrules_it(value, request_, enabled):
+    row = plan(value, {"lines": request_}).rows[0]
+    assert row.enabled == enabled and row.request == request_ and row.measure == value
+
+
+def test_plan__what_is_made_by_request_alone_needs_one():
+    assert plan(0.0, {}, light=1.0).enabled == ()
+    assert plan(0.0, {"light": "on"}, light=1.0).enabled == ("light",)
+
+
+def test_plan__costs_are_those_of_the_splats_that_it_touches():
+    row = plan(0.04, {}).rows[0]
+    assert row.costs == {"seconds": 4.0, "bytes": 120_000, "frame_share": 0.1} and row.gives_db == 0.4
+
+
+def test_plan__keeps_the_outcome_of_what_is_on_and_of_nothing_else():
+    assert plan(0.04, {}).outcome("lines") == {"lines": 3} and plan(0.04, {"lines": "off"}).outcome("lines") is None
+
+
+def test_plan__its_rows_are_json_and_say_what_the_issue_asks_for():
+    rows = json.loads(json.dumps(plan(0.04, {}).to_json()))
+    assert {"effect", "enabled", "share", "measure", "threshold", "reason"} <= rows[0].keys()
+    assert "0.04 reaches 0.01" in rows[0]["reason"]
+
+
+def test_request__is_one_text_for_one_wish():
+    names = list(effects())
+    parts = [f"{name}={choice}" for name, choice in zip(names, CHOICES * len(names))]
+    assert canonical_request(parts) == canonical_request(",".join(reversed(parts)))
+    assert canonical_request("all=auto") == "" and "auto" not in canonical_request(parts)
+    assert parse_request(canonical_request(parts)) == parse_request(parts)
+
+
+@pytest.mark.parametrize("wrong", ["depth_margin", "depth_margin=yes", "fog=on", "=on", "depth_margin=on=off"])
+def test_request__says_what_is_allowed(wrong):
+    with pytest.raises(ValueError, match="allowed"):
+        parse_request(wrong)
+
+
+def test_request__what_is_off_is_not_measured():
+    assert measured_effects(parse_request("all=off")) == ()
+    assert measured_effects(parse_request("all=off,depth_margin=on")) == ("depth_margin",)
+
+
+def test_registry__every_effect_says_what_it_is_and_where_its_threshold_comes_from():
+    for name, effect in effects().items():
+        assert effect.name == name and name.isidentifier()
+        assert effect.title and effect.measures and effect.reason and effect.worth.measured_on
+
+
+# --- depth margin --------------------------------------------------------------------------------------------------
+
+
+def noisy_plane(noise_radii: float, n: int = 3000) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return np.column_stack([rng.uniform(0, 5, (n, 2)), rng.normal(0, noise_radii * 0.1, n)])
+
+
+def margin(noise_radii: float) -> Measured:
+    position = noisy_plane(noise_radii)
+    off = residuals(position, np.tile([0.0, 0.0, 1.0], (len(position), 1)), 0.1, every=1)
+    return DEPTH_MARGIN.conclude([{"histogram": histogram_of(off)}] * 2, Sources(*[None] * 5, radius=0.1, up_axis=2))
+
+
+def test_depth_margin__grows_with_the_noise_of_the_scan():
+    quiet, noisy, wild = (margin(n) for n in (0.0, 0.3, 9.0))
+    assert quiet.outcome["margin_radii"] == LEAST_RADII and quiet.value < DEPTH_MARGIN.threshold
+    # 95 % of the differences of two normal deviates of 0.3 are below 1.96 * sqrt(2) * 0.3 = 0.83
+    assert noisy.value == pytest.approx(0.83, rel=0.1) and noisy.outcome["margin_radii"] == pytest.approx(2 * noisy.value)
+    assert noisy.outcome["margin_radii"] < wild.outcome["margin_radii"] <= 2 * OVERLAP_RADII
