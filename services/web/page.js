@@ -96,8 +96,8 @@ async function listOptions() {
   };
   $("options").replaceChildren(...options.map((o) => {
     const label = element("label", o.name.replaceAll("_", " "));
-    const allowed = o.domain.enum ? o.domain.enum.join(", ") : "minimum" in o.domain ? `${o.domain.minimum} to ${o.domain.maximum}` : "above 0";
-    const type = (o.domain.enum || []).some((c) => typeof c === "string") ? "text" : "number";
+    const allowed = o.domain.enum ? o.domain.enum.join(", ") : o.domain.description ?? ("minimum" in o.domain ? `${o.domain.minimum} to ${o.domain.maximum}` : "above 0");
+    const type = o.type === "string" || (o.domain.enum || []).some((c) => typeof c === "string") ? "text" : "number";
     label.append(element("input", "", { name: o.name, type, step: "any", title: `buys: ${o.buys}\ncosts: ${o.costs}` }), element("small", `${o.help} (${allowed})`));
     return label;
   }));

@@ -66,7 +66,7 @@ def test_knobs__a_text_that_stands_for_nothing_allowed_is_refused(knob, texts, a
 
 
 @pytest.mark.parametrize(("name", "value"), [
-    ("dictionary_bits", 8.0), ("dictionary_bits", True), ("iterations", "3"), ("iterations", True), ("target_psnr_db", math.nan),
+    ("dictionary_bits", 8.0), ("dictionary_bits", True), ("iterations", "3"), ("iterations", True), ("target_psnr_db", math.nan), ("effects", 3),
     ("target_psnr_db", 80.5), ("radius", math.inf), ("seed", 2**63), ("max_atoms", -1), ("training_splats", 255),
 ])
 def test_knobs__a_value_of_another_kind_or_out_of_range_is_refused(name, value):
@@ -95,3 +95,12 @@ def test_knobs__arguments_become_settings():
 
 def test_knobs__names_are_those_of_the_index():
     assert all(BY_NAME[knob.name] is knob for knob in KNOBS)
+
+
+def test_knobs__effects_are_asked_for_one_by_one_or_as_a_list():
+    parser = argparse.ArgumentParser()
+    add_settings(parser)
+    found = settings_of(parser.parse_args(["--effect", "depth_margin=on", "--effects", "all=auto,depth_margin=off"]))
+    assert found == settings_for(effects=" depth_margin=off ,") and found.effects == "depth_margin=off"
+    with pytest.raises(WrongArgument, match="'fog'; allowed: .*depth_margin"):
+        settings_of(parser.parse_args(["--effect", "fog=on"]))
