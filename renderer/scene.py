@@ -158,7 +158,7 @@ class GpuScene:
         header = self.scene.header
         layout = atlas_layout(max(1, header.n_dictionary))
         return struct.pack(
-            "f7I6I2f", header.radius, header.up_axis, header.n_splats, len(header.batches), header.dictionary_bits,
+            "4i4if6I4x6I2f", *header.up, 0, *header.ahead, 0, header.radius, header.n_splats, len(header.batches), header.dictionary_bits,
             header.weight_bits, header.n_groups, layout.width, *layout.bands, 1 / layout.width, 1 / layout.height,
         )
 

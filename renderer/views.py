@@ -60,15 +60,15 @@ def trimmed_box(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def up_direction(header: Header) -> np.ndarray:
-    """The up axis, turned to where the tops of most photographs point (COLMAP scenes often have -y up)."""
-    up = np.eye(3)[header.up_axis]
+    """The scene's up direction, turned to where the tops of most photographs point."""
+    up = np.array(header.up) / np.linalg.norm(header.up)
     tops = sum((-np.array(camera.rotation[1]) for camera in header.cameras), np.zeros(3))
     return -up if tops @ up < 0 else up
 
 
 def _start_direction(header: Header, middle: np.ndarray, up: np.ndarray) -> np.ndarray:
     """A unit vector at right angles to `up`, from the middle to the photographs or, without any, along an axis."""
-    towards = np.eye(3)[(header.up_axis + 1) % 3]
+    towards = np.array(header.ahead, np.float64)
     if header.cameras:
         mean = np.mean([camera.centre for camera in header.cameras], axis=0) - middle
         level = mean - (mean @ up) * up

@@ -17,6 +17,7 @@ from pipeline.effects.depth_margin import LEAST_RADII
 from pipeline.effects.plan import EffectPlan, measured_effects, plan_effects
 from pipeline.effects.registry import effects
 from pipeline.effects.request import parse_request
+from pipeline.geometry.frame import directions_of
 from pipeline.settings import Settings
 from pipeline.stage import Executor, Progress, Stage, StageRecord, run_stage
 from pipeline.stages.codes import Encode
@@ -28,7 +29,7 @@ from pipeline.stages.measure import Measure, ingest_fits
 from pipeline.stages.neighbours import Neighbourhoods, radius_of
 from pipeline.stages.pack import Pack, batches_of, write_packed
 from pipeline.stages.partition import Partition
-from pipeline.stages.patches import Resample, up_axis_of
+from pipeline.stages.patches import Resample
 from pipeline.stages.quantization import Quantization
 from pipeline.stages.splats import Splats
 from pipeline.stages.training import TrainingSet
@@ -142,7 +143,7 @@ def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
     """Resample patches, learn a dictionary if any patch calls for one, and code them."""
     scan = prepared.scan
     patches = run.do(Resample(scan.folder, prepared.partition.folder, prepared.splats.folder, prepared.radius,
-                              up_axis_of(scan.summary["cameras"])))
+                              *directions_of(scan.summary["cameras"])))
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
     training = run.do(TrainingSet(patches.folder, tolerance, settings.training_splats, settings.seed))
     quantized, learning, n_taken_back = None, [], 0
@@ -195,9 +196,10 @@ def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, 
     extras = tuple((flag, folder) for flag, folder in prepared.built if flag in {e.flag for e in EXTRAS})
     batches = batches_of(scan["n_points"], coded.codes.folder if coded else None, extras)
     margin = prepared.effects.outcomes.get("depth_margin", {"margin_radii": LEAST_RADII})["margin_radii"]
+    up, ahead = directions_of(scan["cameras"])
     header = Header(
         n_splats=scan["n_points"], radius=prepared.radius, unit=scan["unit"],
-        origin=tuple(prepared.partition.summary["origin"]), up_axis=up_axis_of(scan["cameras"]),
+        origin=tuple(prepared.partition.summary["origin"]), up=up, ahead=ahead,
         depth_margin=margin * prepared.radius, n_dictionary=coded.n_dictionary if coded else 0,
         dictionary_bits=settings.dictionary_bits, weight_bits=settings.weight_bits,
         batches=batches, effects=prepared.effects.outcomes,

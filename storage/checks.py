@@ -12,7 +12,7 @@ from math import isfinite
 from zipfile import ZIP_STORED, ZipFile
 
 from storage.layout import ROOT_MEMBER, chunk_count, members_of, metadata_member, metadata_of, shape_of
-from storage.schema import FORMAT_NAME, FORMAT_VERSION, MAX_ATOMS, NO_CAMERA, Array, Header, arrays_of
+from storage.schema import FORMAT_NAME, LONGEST_DIRECTION, MAX_ATOMS, NO_CAMERA, READABLE_VERSIONS, Array, Header, arrays_of
 from storage.seal import SEAL, SEAL_BYTES
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -38,8 +38,8 @@ def read_header(archive: ZipFile) -> Header:
     """The header, with every field in its range."""
     attributes = json.loads(archive.read(ROOT_MEMBER))["attributes"]
     found = attributes["format"], attributes["version"]
-    if found != (FORMAT_NAME, FORMAT_VERSION):
-        raise ValueError(f"format {found[0]!r} version {found[1]!r}, not {FORMAT_NAME!r} version {FORMAT_VERSION}")
+    if found[0] != FORMAT_NAME or type(found[1]) is not int or found[1] not in READABLE_VERSIONS:
+        raise ValueError(f"format {found[0]!r} version {found[1]!r}, not {FORMAT_NAME!r} version {READABLE_VERSIONS}")
     header = Header.from_json(attributes)
     for name, value, fine, allowed in _rules(header):
         if not fine:
@@ -56,7 +56,9 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
         ("n_splats", h.n_splats, h.n_splats >= 1, "1 or more"),
         ("radius", h.radius, 0 < h.radius and isfinite(h.radius), "positive and finite"),
         ("origin", h.origin, all(map(isfinite, h.origin)), "finite"),
-        ("up_axis", h.up_axis, h.up_axis in (0, 1, 2), "0, 1 or 2"),
+        ("up", h.up, 0 < _dot(h.up, h.up) <= LONGEST_DIRECTION**2, f"a direction of length up to {LONGEST_DIRECTION}"),
+        ("ahead", h.ahead, 0 < _dot(h.ahead, h.ahead) <= LONGEST_DIRECTION**2 and _are_apart(h.up, h.ahead),
+         f"a direction of length up to {LONGEST_DIRECTION}, 60 degrees or more from up"),
         ("depth_margin", h.depth_margin, 0 <= h.depth_margin and isfinite(h.depth_margin), "finite, 0 or more"),
         ("dictionary_bits", h.dictionary_bits, 0 <= h.dictionary_bits <= 16, "0..16"),
         ("weight_bits", h.weight_bits, 1 <= h.weight_bits <= 8, "1..8"),
@@ -68,6 +70,14 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
         ("cameras", len(cameras), len(cameras) <= NO_CAMERA, f"at most {NO_CAMERA}"),
         ("cameras", "of odd numbers", all(map(_camera_is_sound, cameras)), "of finite numbers and at least one pixel"),
     ]
+
+
+def _dot(a: tuple[int, ...], b: tuple[int, ...]) -> int:
+    return sum(x * y for x, y in zip(a, b, strict=True))
+
+
+def _are_apart(a: tuple[int, ...], b: tuple[int, ...]) -> bool:
+    return 4 * _dot(a, b) ** 2 <= _dot(a, a) * _dot(b, b)
 
 
 def _camera_is_sound(camera) -> bool:

@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, fields
 
 FORMAT_NAME = "splatpress"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+READABLE_VERSIONS = (1, 2)
 CHUNK = 128
 GROUP = 8192
 MAX_ATOMS = 8
@@ -17,6 +18,8 @@ PATCH_SIZE = 32
 MIP_SIZES = (32, 16, 8, 4, 2, 1)
 CLIPLINE_BITS = 12
 NO_CAMERA = 0xFFFF
+DEFAULT_UP, DEFAULT_AHEAD = (0, 0, 1), (1, 0, 0)
+LONGEST_DIRECTION = 36  # so that 100 (up . normal)^2 of whole numbers stays within 32 bits
 
 
 _JSON_TYPES = {"int": int, "float": (int, float), "str": str, "bool": bool, "dict": dict}
@@ -45,6 +48,18 @@ def _list(value, n: int | None = None) -> list | tuple:
 
 def _numbers(value, n: int) -> tuple[float, ...]:
     return tuple(_plain(x, "float", "a coordinate") for x in _list(value, n))
+
+
+def _whole_numbers(value, n: int) -> tuple[int, ...]:
+    return tuple(_plain(x, "int", "a component") for x in _list(value, n))
+
+
+def _directions_of_version_1(up_axis) -> dict:
+    """Version 1 knew world axes only, by number."""
+    if _plain(up_axis, "int", "up_axis") not in (0, 1, 2):
+        raise TypeError(f"up_axis {up_axis}, not 0, 1 or 2")
+    axes = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    return {"up": axes[up_axis], "ahead": axes[(up_axis + 1) % 3]}
 
 
 @dataclass(frozen=True)
@@ -106,7 +121,8 @@ class Header:
     radius: float  # of every splat, in `unit`
     unit: str
     origin: tuple[float, float, float]  # absolute; boxes are against it
-    up_axis: int  # 0, 1 or 2: what tangent frames are aligned with
+    up: tuple[int, int, int]  # what tangent frames are aligned with on walls, at most LONGEST_DIRECTION long
+    ahead: tuple[int, int, int]  # and on floors
     depth_margin: float  # in `unit`: how far behind the nearest surface splats still blend
     n_dictionary: int  # atoms in the dictionary; 0 in a scan without texture
     dictionary_bits: int
@@ -136,10 +152,12 @@ class Header:
 
     @staticmethod
     def from_json(data: dict) -> Header:
-        """The header of attributes as `to_json` makes them; KeyError or TypeError where they differ."""
+        """The header of attributes as `to_json` makes or made them; KeyError or TypeError where they differ."""
+        if data["version"] == 1:
+            data = data | _directions_of_version_1(data["up_axis"])
         return _typed(
             Header, {"effects": {}} | data,
-            origin=_numbers(data["origin"], 3),
+            origin=_numbers(data["origin"], 3), up=_whole_numbers(data["up"], 3), ahead=_whole_numbers(data["ahead"], 3),
             batches=tuple(_typed(Batch, batch) for batch in _list(data["batches"])),
             cameras=tuple(map(Camera.from_json, _list(data["cameras"]))),
         )

@@ -31,6 +31,8 @@ class Case:
     cliplines: bool = False
     n_cameras: int = 2
     period: int = 1 << 40
+    up: tuple[int, int, int] = (0, 0, 1)
+    ahead: tuple[int, int, int] = (1, 0, 0)
 
 
 def noise(n: int, seed: int, below: int, period: int = 1 << 40) -> np.ndarray:
@@ -46,7 +48,7 @@ def header_of(case: Case) -> Header:
     plain = tuple(Batch(n) for n in case.atom_counts)
     camera = Camera("photo", 640, 480, 500.0, 505.0, 320.5, 239.5, LOOKING_DOWN, (1.0, 2.0, 30.0))
     return Header(
-        n_splats=case.n_splats, radius=0.25, unit="metre", origin=(450000.0, 5400000.0, 100.0), up_axis=2,
+        n_splats=case.n_splats, radius=0.25, unit="metre", origin=(450000.0, 5400000.0, 100.0), up=case.up, ahead=case.ahead,
         depth_margin=0.5, n_dictionary=case.n_dictionary, dictionary_bits=case.dictionary_bits,
         weight_bits=case.weight_bits,
         batches=plain + (tuple(Batch(n, clipline=True) for n in case.atom_counts) if case.cliplines else ()),

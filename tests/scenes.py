@@ -45,7 +45,8 @@ class Dictionary:
 class Settings:
     radius: float = 0.1
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    up_axis: int = 2
+    up: tuple[int, int, int] = (0, 0, 1)
+    ahead: tuple[int, int, int] = (1, 0, 0)
     depth_margin: float = 0.05
     cameras: tuple[Camera, ...] = field(default=())
 
@@ -117,7 +118,7 @@ def build_scene_and_order(
     batch, line, n_atoms = batch[order], line[order], n_atoms[order]
 
     header = Header(
-        n_splats=n, radius=settings.radius, unit="metre", origin=settings.origin, up_axis=settings.up_axis,
+        n_splats=n, radius=settings.radius, unit="metre", origin=settings.origin, up=settings.up, ahead=settings.ahead,
         depth_margin=settings.depth_margin, n_dictionary=len(dictionary.atoms) if dictionary else 0,
         dictionary_bits=dictionary.dictionary_bits if dictionary else 8,
         weight_bits=dictionary.weight_levels.shape[1].bit_length() - 1 if dictionary else 4,

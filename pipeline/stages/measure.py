@@ -60,7 +60,7 @@ class Measure:
         position = a["position"].astype(np.uint32)
         code = position[:, 0] | position[:, 1] << 8 | position[:, 2] << 16
         centre = decode_positions(code, Boxes(a["box_low"], a["box_size"], a["box_bits"]))
-        u, v, _ = tangent_frames(a["normal"], header.up_axis)
+        u, v, _ = tangent_frames(a["normal"], header.up, header.ahead)
         return make_patches(header.cameras, self._read_window, header.origin, centre, (u, v), header.radius,
                             a["camera"], a["color"], first_splat)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.accuracy import psnr_db
-from pipeline.geometry.frame import tangent_frames
+from pipeline.geometry.frame import Direction, tangent_frames
 from pipeline.stages.splats import decoded_centres
 from pipeline.texture.patches import make_patches
 from pipeline.texture.resample import PATCH_DIM
@@ -24,7 +24,8 @@ class Resample:
     partition: Path
     splats: Path
     radius: float
-    up_axis: int
+    up: Direction
+    ahead: Direction
     name = "resample"
 
     def init(self, folder: Path) -> int:
@@ -37,7 +38,7 @@ class Resample:
     def run(self, folder: Path, index: int) -> dict:
         scan, points = work.summary(self.ingest), work.summary(self.partition)
         start, stop = arrays.block_range(index, points["n_splats"])
-        u, v, _ = tangent_frames(arrays.read(self.splats, "normal_code", start, stop), self.up_axis)
+        u, v, _ = tangent_frames(arrays.read(self.splats, "normal_code", start, stop), self.up, self.ahead)
         patches = make_patches(
             tuple(Camera.from_json(c) for c in scan["cameras"]), self._read_window, tuple(points["origin"]),
             decoded_centres(self.splats, start, stop), (u, v), self.radius,
@@ -57,13 +58,3 @@ class Resample:
 
     def _read_window(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
         return np.asarray(arrays.opened(self.ingest, f"photo_{camera}")[top:bottom, left:right])
-
-
-def up_axis_of(cameras: list[dict]) -> int:
-    """The world axis that the photographs' columns follow best; z where there are none.
-
-    Patches then stand upright as in the photographs, and edges that run along their rows and columns stay so.
-    """
-    if not cameras:
-        return 2
-    return int(np.abs(np.sum([c["rotation"][1] for c in cameras], axis=0)).argmax())

@@ -26,12 +26,17 @@ ivec3 octahedron_of(ivec2 code) {
                  code.y >= 0 ? 127 - abs(code.x) : abs(code.x) - 127, c);
 }
 
+int dot_of(ivec3 a, ivec3 b) {
+    ivec3 products = a * b;
+    return products.x + products.y + products.z;
+}
+
 void decode_frame(ivec2 code, out vec3 u, out vec3 v) {
     ivec3 point = octahedron_of(code);
-    ivec3 squares = point * point;
-    uint axis = scene.up_axis;
-    if (100 * squares[axis] > 81 * (squares.x + squares.y + squares.z)) axis = (axis + 1u) % 3u;
-    vec3 reference = vec3(axis == 0u, axis == 1u, axis == 2u);
+    ivec3 up = scene.up.xyz;
+    int along_up = dot_of(point, up);
+    bool near_pole = 100 * along_up * along_up > 81 * dot_of(point, point) * dot_of(up, up);
+    vec3 reference = vec3(near_pole ? scene.ahead.xyz : up);
     vec3 normal = normalize(vec3(point));
     u = normalize(cross(reference, normal));
     v = cross(normal, u);

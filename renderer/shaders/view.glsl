@@ -9,8 +9,8 @@ layout(std140, binding = 0) uniform View {
 } view;
 
 layout(std140, binding = 1) uniform Scene {
+    ivec4 up, ahead;  // what tangent frames are aligned with
     float radius;
-    uint up_axis;
     uint n_splats;
     uint n_batches;
     uint dictionary_bits;

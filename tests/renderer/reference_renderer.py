@@ -111,7 +111,7 @@ def discs_of(scene: PackedScene, view: Camera) -> Discs:
     header, arrays = scene.header, scene.arrays
     code = arrays["position"].astype(np.int64) @ [1, 1 << 8, 1 << 16]
     position = decode_positions(code, Boxes(arrays["box_low"], arrays["box_size"], arrays["box_bits"]))
-    u, v, _ = tangent_frames(arrays["normal"], header.up_axis)
+    u, v, _ = tangent_frames(arrays["normal"], header.up, header.ahead)
     to_camera = np.array(view.rotation).T
     eye = np.subtract(view.centre, header.origin)
     return Discs((position - eye) @ to_camera, header.radius * u @ to_camera, header.radius * v @ to_camera)

@@ -340,13 +340,14 @@ HUGE, NOT_A_NUMBER = 2**60, float("nan")
 
 
 @pytest.mark.parametrize("field, value", [
-    ("format", "otherpress"), ("format", None), ("version", 0), ("version", 2), ("version", "1"),
+    ("format", "otherpress"), ("format", None), ("version", 0), ("version", 3), ("version", "1"), ("version", True), ("version", 1),
     ("n_splats", 0), ("n_splats", -1), ("n_splats", 201), ("n_splats", 199), ("n_splats", HUGE), ("n_splats", 200.0),
     ("n_splats", "200"), ("n_splats", True), ("n_splats", 10**400),
     ("radius", NOT_A_NUMBER), ("radius", float("inf")), ("radius", 0), ("radius", -1.0), ("radius", "0.25"),
     ("radius", 10**400), ("radius", None), ("unit", 7),
     ("origin", [0, 0]), ("origin", [0, 0, NOT_A_NUMBER]), ("origin", "abc"), ("origin", [0, 0, "1"]), ("origin", 5),
-    ("up_axis", 3), ("up_axis", -1), ("up_axis", 1.5), ("up_axis", True),
+    ("up", [0, 0, 0]), ("up", [37, 0, 0]), ("up", [1.0, 0, 0]), ("up", [True, 0, 0]), ("up", [0, 1]), ("up", 2), ("up", [HUGE, 0, 0]),
+    ("ahead", [0, 0, 0]), ("ahead", [0, 0, 1]), ("ahead", [0, 21, 35]), ("ahead", [1, 0, 37]), ("ahead", None),
     ("depth_margin", NOT_A_NUMBER), ("depth_margin", float("inf")), ("depth_margin", -1),
     ("n_dictionary", 0), ("n_dictionary", -1), ("n_dictionary", 4), ("n_dictionary", 257), ("n_dictionary", HUGE),
     ("dictionary_bits", -1), ("dictionary_bits", 1), ("dictionary_bits", 17), ("dictionary_bits", HUGE),
@@ -364,7 +365,7 @@ def test_packed__refuses_header_fields_out_of_their_range(small, tmp_path, field
 
 
 @pytest.mark.parametrize("field, value", [
-    ("n_splats", 0), ("radius", -1.0), ("up_axis", 3), ("depth_margin", -1.0), ("dictionary_bits", 17),
+    ("n_splats", 0), ("radius", -1.0), ("depth_margin", -1.0), ("dictionary_bits", 17),
     ("weight_bits", 9), ("n_dictionary", 257),
 ])
 def test_packed__names_the_header_field_that_is_out_of_its_range(small, tmp_path, field, value):
