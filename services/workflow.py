@@ -124,7 +124,7 @@ def splats_of(run: Run, scan: Path, radius: float | None) -> Prepared:
         depth = run.do(DepthMaps(ingest.folder, partition.folder, radius)).folder
     splats = run.do(Splats(ingest.folder, partition.folder, neighbours.folder, depth, radius))
     sources = Sources(ingest.folder, partition.folder, neighbours.folder, depth, splats.folder, radius,
-                      up_axis_of(ingest.summary["cameras"]))
+                      *directions_of(ingest.summary["cameras"]))
     return Prepared(ingest, partition, neighbours, splats, radius, sources)
 
 

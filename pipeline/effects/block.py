@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.geometry.frame import tangent_frames
+from pipeline.geometry.frame import Direction, tangent_frames
 from pipeline.stages.splats import decoded_centres, seen_by_cameras
 from storage import arrays, work
 from storage.schema import NO_CAMERA, Camera
@@ -24,7 +24,8 @@ class Sources:
     depth_maps: Path | None
     splats: Path
     radius: float
-    up_axis: int
+    up: Direction
+    ahead: Direction
 
     @cached_property
     def scan(self) -> dict:
@@ -72,7 +73,7 @@ class Block:
     @cached_property
     def frame(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Tangent u, tangent v and normal, (n, 3) float64 each, as the renderer decodes them."""
-        return tangent_frames(self.read(self.sources.splats, "normal_code"), self.sources.up_axis)
+        return tangent_frames(self.read(self.sources.splats, "normal_code"), self.sources.up, self.sources.ahead)
 
     @cached_property
     def camera(self) -> np.ndarray:  # (n,) uint16, NO_CAMERA where there is none

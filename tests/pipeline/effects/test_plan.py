@@ -91,7 +91,7 @@ def noisy_plane(noise_radii: float, n: int = 3000) -> np.ndarray:
 def margin(noise_radii: float) -> Measured:
     position = noisy_plane(noise_radii)
     off = residuals(position, np.tile([0.0, 0.0, 1.0], (len(position), 1)), 0.1, every=1)
-    return DEPTH_MARGIN.conclude([{"histogram": histogram_of(off)}] * 2, Sources(*[None] * 5, radius=0.1, up_axis=2))
+    return DEPTH_MARGIN.conclude([{"histogram": histogram_of(off)}] * 2, Sources(*[None] * 5, radius=0.1, up=(0, 0, 1), ahead=(1, 0, 0)))
 
 
 def test_depth_margin__grows_with_the_noise_of_the_scan():
