@@ -15,6 +15,9 @@ from typing import Protocol
 from storage import work
 
 
+COST = "cost.json"
+
+
 class Stage(Protocol):
     """The three steps. `n_splats` of a result is what the progress counts."""
 
@@ -50,6 +53,7 @@ class StageRecord:
     n_tasks: int
     n_splats: int
     reused: bool
+    made_seconds: float = 0.0  # what it took when it was made, now or by an earlier run
 
 
 class Progress(Protocol):
@@ -72,14 +76,20 @@ def run_stage(stage: Stage, work_folder: Path, executor: Executor, progress: Pro
     reused = work.is_complete(folder)
     if not reused:
         _bring_into_being(stage, folder, executor, progress)
+        work.write_json(folder / COST, {"seconds": time.perf_counter() - begun})
     results = [r for _, r in sorted(work.finished_tasks(folder).items())]
     record = StageRecord(
         stage.name, folder, work.summary(folder), time.perf_counter() - begun,
         max((r["peak_rss_bytes"] for r in results), default=0), len(results),
-        sum(r.get("n_splats", 0) for r in results), reused,
+        sum(r.get("n_splats", 0) for r in results), reused, _made_seconds(folder),
     )
     progress.end(record)
     return record
+
+
+def _made_seconds(folder: Path) -> float:
+    """Of a stage that was cut off and gone on with: its last part alone."""
+    return work.read_json(folder / COST)["seconds"] if (folder / COST).is_file() else 0.0
 
 
 def _bring_into_being(stage: Stage, folder: Path, executor: Executor, progress: Progress) -> None:

@@ -7,7 +7,7 @@ disc projects to. Photographs are bound one at a time and kept while they fit a 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import moderngl
 import numpy as np
@@ -48,13 +48,15 @@ def clipline_codes(scene: PackedScene) -> np.ndarray:
 class PhotoSplats:
     """The splats of an uploaded scene, listed by camera, and their photographs.
 
-    `read_photo(i)` returns the photo of `header.cameras[i]` as (height, width, 3) uint8 sRGB. Splats without a camera
-    have their average colour.
+    `read_photo(i)` returns the photo of `cameras[i]`, by default the header's, as (height, width, 3) uint8 sRGB. Splats
+    without a camera have their average colour.
     """
 
     def __init__(
-        self, gpu_scene: GpuScene, read_photo: Callable[[int], np.ndarray], photo_budget_bytes: int = PHOTO_BUDGET_BYTES
+        self, gpu_scene: GpuScene, read_photo: Callable[[int], np.ndarray], photo_budget_bytes: int = PHOTO_BUDGET_BYTES,
+        cameras: Sequence[Camera] | None = None,
     ) -> None:
+        self._cameras = cameras or gpu_scene.scene.header.cameras
         self.gpu_scene = gpu_scene
         self._context = gpu_scene.context
         self._read_photo = read_photo
@@ -92,7 +94,7 @@ class PhotoSplats:
         if has_photo:
             photo = self._photo(camera)
             photo.use(0)
-            matrix = view_to_photo(view, self.gpu_scene.scene.header.cameras[camera])
+            matrix = view_to_photo(view, self._cameras[camera])
             drawing.program["photo"].write(matrix.T.astype(np.float32).tobytes())
         draws = draws_of(number)
         self._draws.write(draws.tobytes())
@@ -112,7 +114,7 @@ class PhotoSplats:
 
     def _upload_photo(self, index: int) -> tuple[moderngl.Texture, int]:
         """A photo as a texture with mip levels, and its bytes. Filtered in sRGB, as the resampling of patches is."""
-        camera = self.gpu_scene.scene.header.cameras[index]
+        camera = self._cameras[index]
         pixels, shape = self._read_photo(index), (camera.height_px, camera.width_px, 3)
         if pixels.shape != shape or pixels.dtype != np.uint8:
             found = f"{pixels.dtype} of shape {pixels.shape}"

@@ -41,7 +41,7 @@ def page_of(report: dict, scene: PackedScene, folder: Path) -> str:
     views, plots = report["quality"]["views"], _plots(report)
     script, divs = components(plots) if plots else ("", {})
     dictionary = dictionary_picture(scene)
-    return _template().render(
+    return template("report.html.jinja").render(
         report=report, scan=report["scan"], sizes=report["sizes"], quality=report["quality"],
         views=views, summary=report_words.summary(report), parts=report_words.PARTS,
         part_colors=report_plots.PART_COLORS, series=report_plots.SERIES,
@@ -57,13 +57,15 @@ def page_of(report: dict, scene: PackedScene, folder: Path) -> str:
     )
 
 
-def _template() -> jinja2.Template:
+def template(name: str) -> jinja2.Template:
+    """One of templates/, with the filters of `report_words` and the style of all pages."""
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters.update(report_words.FILTERS)
-    text = files("renderer").joinpath("templates", "report.html.jinja").read_text(encoding="utf-8")
-    return environment.from_string(text)
+    folder = files("renderer").joinpath("templates")
+    environment.globals["style"] = Markup(folder.joinpath("style.css").read_text(encoding="utf-8").strip())
+    return environment.from_string(folder.joinpath(name).read_text(encoding="utf-8"))
 
 
 def _plots(report: dict) -> dict:

@@ -18,12 +18,12 @@ SERIES = (  # of each view: key, meaning, color, marker, and the marker as text 
 
 def part_bar(sizes: dict, n_splats: int) -> figure:
     """One bar: the bytes of a splat, part by part."""
-    plot = _figure(110, x_axis_label="bytes a splat")
+    plot = plain_figure(110, x_axis_label="bytes a splat")
     left = 0.0
     for part, color in PART_COLORS.items():
         width = sizes[f"{part}_bytes"] / n_splats
         data = {"left": [left], "right": [left + width], "part": [part], "width": [width]}
-        plot.hbar(y=0, left="left", right="right", height=1, source=_source(data), color=color, line_color="white")
+        plot.hbar(y=0, left="left", right="right", height=1, source=source_of(data), color=color, line_color="white")
         left += width
     plot.add_tools(HoverTool(tooltips=[("part", "@part"), ("bytes a splat", "@width{0.00}")]))
     plot.yaxis.visible = False
@@ -36,8 +36,8 @@ def atom_bars(histogram: list[int]) -> figure:
     """How many splats have how many atoms, in per cent."""
     total = sum(histogram)
     data = {"n_atoms": list(range(len(histogram))), "splats": histogram, "share": [100 * n / total for n in histogram]}
-    plot = _figure(260, x_axis_label="atoms of a splat", y_axis_label="splats, %")
-    plot.vbar(x="n_atoms", top="share", width=0.8, source=_source(data), color=BLUE)
+    plot = plain_figure(260, x_axis_label="atoms of a splat", y_axis_label="splats, %")
+    plot.vbar(x="n_atoms", top="share", width=0.8, source=source_of(data), color=BLUE)
     plot.add_tools(HoverTool(tooltips=[("atoms", "@n_atoms"), ("splats", "@splats{0,0}"), ("share", "@share{0.0} %")]))
     plot.xaxis.ticker = FixedTicker(ticks=data["n_atoms"])
     plot.xgrid.visible = False
@@ -53,8 +53,8 @@ def learning_curve(learning: list[dict]) -> figure:
         "replaced": [entry.get("replaced_atoms") for entry in learning],
         "pass": list(range(1, len(learning) + 1)),
     }
-    plot = _figure(260, x_axis_label="seconds of learning", y_axis_label="PSNR of training patches, dB")
-    source = _source(data)
+    plot = plain_figure(260, x_axis_label="seconds of learning", y_axis_label="PSNR of training patches, dB")
+    source = source_of(data)
     plot.line("seconds", "psnr", source=source, color=BLUE, width=2)
     dots = plot.scatter("seconds", "psnr", source=source, color=BLUE, size=8)
     plot.add_tools(HoverTool(renderers=[dots], tooltips=[
@@ -71,8 +71,8 @@ def stage_bars(stages: list[dict], key: str, label: str, scale: float, color: st
         "name": [stage["name"] for stage in stages],
         "value": [(stage[key] or 0) / scale for stage in stages],
     }
-    plot = _figure(60 + 26 * len(stages), x_axis_label=label, y_range=(len(stages) - 0.5, -0.5))
-    plot.hbar(y="row", right="value", height=0.7, source=_source(data), color=color)
+    plot = plain_figure(60 + 26 * len(stages), x_axis_label=label, y_range=(len(stages) - 0.5, -0.5))
+    plot.hbar(y="row", right="value", height=0.7, source=source_of(data), color=color)
     plot.yaxis.ticker = FixedTicker(ticks=data["row"])
     plot.yaxis.major_label_overrides = dict(enumerate(data["name"]))
     plot.add_tools(HoverTool(tooltips=[("stage", "@name"), (label, "@value{0,0.00}")]))
@@ -83,23 +83,23 @@ def stage_bars(stages: list[dict], key: str, label: str, scale: float, color: st
 
 def view_dots(views: list[dict]) -> figure:
     """PSNR of every view, numbered from 1 as in the table below it; the page has the legend."""
-    plot = _figure(260, x_axis_label="view", y_axis_label="PSNR, dB")
+    plot = plain_figure(260, x_axis_label="view", y_axis_label="PSNR, dB")
     for key, meaning, color, marker, _ in SERIES:
         shown = [(i, view[key]) for i, view in enumerate(views, 1) if view.get(key) is not None]
         if shown:
             number, psnr = zip(*shown)
-            source = _source({"number": number, "psnr": psnr, "what": [meaning] * len(shown)})
+            source = source_of({"number": number, "psnr": psnr, "what": [meaning] * len(shown)})
             plot.scatter("number", "psnr", source=source, color=color, marker=marker, size=10)
     plot.add_tools(HoverTool(tooltips=[("view", "@number"), ("", "@what"), ("PSNR", "@psnr{0.0} dB")]))
     plot.xaxis.ticker = FixedTicker(ticks=list(range(1, len(views) + 1)))
     return plot
 
 
-def _source(data: dict) -> ColumnDataSource:
+def source_of(data: dict) -> ColumnDataSource:
     return ColumnDataSource({key: list(values) for key, values in data.items()})
 
 
-def _figure(height_px: int, **options) -> figure:
+def plain_figure(height_px: int, **options) -> figure:
     plot = figure(height=height_px, sizing_mode="stretch_width", toolbar_location=None, tools="", **options)
     plot.outline_line_color = None
     plot.background_fill_alpha = plot.border_fill_alpha = 0

@@ -129,6 +129,35 @@ def _report(options: argparse.Namespace) -> int:
     return _show_report(made, out, options)
 
 
+def _evaluate(options: argparse.Namespace) -> int:
+    from services.evaluate import ROWS, evaluate
+
+    settings, out = settings_of(options), Path(options.out)
+    rows = options.rows.split(",") if options.rows else ROWS
+    if unknown := [row for row in rows if row not in ROWS]:
+        raise WrongArgument(f"--rows has {', '.join(map(repr, unknown))}; allowed: {', '.join(ROWS)}")
+    scan = _scan_path(options.scan)
+    _refuse_to_overwrite(out, options.overwrite)
+    with _executor(options) as executor:
+        made = evaluate(scan, out, settings, executor, _progress(), rows=rows, hold_out=options.hold_out,
+                        render=not options.no_render, work=Path(options.work) if options.work else None)
+    if options.json:
+        print(json.dumps({**made, "out": str(out)}))
+    else:
+        print(_table_1(made["rows"]))
+        print(f"page  {out / 'evaluate.html'}")
+    return OK
+
+
+def _table_1(rows: list[dict]) -> str:
+    lines = [f"{'textures':<28}{'texture bytes':>15}{'B a splat':>11}{'PSNR dB':>9}{'visible':>9}{'seconds':>9}"]
+    for row in rows:
+        psnr = [f"{row[k]:9.2f}" if row[k] is not None else f"{'exact':>9}" for k in ("texture_psnr_db", "visible_psnr_db")]
+        name = f"{row['name']}, {row['coder']}" if row["kind"] == "ours" else row["name"]
+        lines.append(f"{name:<28}{row['texture_bytes']:>15,}{row['bytes_per_splat']:>11.2f}{psnr[0]}{psnr[1]}{row['seconds']:>9.1f}")
+    return "\n".join(lines)
+
+
 def _demo(options: argparse.Namespace) -> int:
     import tempfile
 
@@ -270,6 +299,7 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
     _add_running(demo)
     demo.set_defaults(command=_demo)
+    _add_evaluate(commands)
     add_service_verbs(commands)
     return parser
 
@@ -295,17 +325,34 @@ def _add_compress(commands) -> None:
     compress.set_defaults(command=_compress)
 
 
+def _add_evaluate(commands) -> None:
+    evaluate = commands.add_parser("evaluate", help="the tables and figures of the HPG 2021 paper, measured on a scan with photographs")
+    evaluate.add_argument("scan", metavar="SCAN")
+    evaluate.add_argument("--out", required=True, metavar="DIR")
+    add_settings(evaluate)
+    evaluate.add_argument("--rows", metavar="NAME,...", help="of Table 1; default: all")
+    evaluate.add_argument("--hold-out", type=_count, metavar="N", help="keep every N-th photograph out of texturing and compare with it")
+    evaluate.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
+    evaluate.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
+    _add_measuring(evaluate)
+    evaluate.set_defaults(command=_evaluate)
+
+
+def _add_running(command: argparse.ArgumentParser) -> None:
+    _add_measuring(command)
+    command.add_argument("--require-psnr-db", type=float, metavar="DB", help="exit with 7 below this texture PSNR")
+
+
 def _add_executor(command: argparse.ArgumentParser) -> None:
     command.add_argument("--workers", type=_count, metavar="N", help="worker processes; default: one a core")
     command.add_argument("--executor", choices=("dask", "serial"), default="dask")
     command.add_argument("--scheduler", metavar="tcp://...", help="a running Dask scheduler")
 
 
-def _add_running(command: argparse.ArgumentParser) -> None:
+def _add_measuring(command: argparse.ArgumentParser) -> None:
     _add_executor(command)
-    command.add_argument("--no-render", action="store_true", help="no previews: needs no OpenGL")
-    command.add_argument("--require-psnr-db", type=float, metavar="DB", help="exit with 7 below this texture PSNR")
-    command.add_argument("--json", action="store_true", help="the report as the last line of stdout")
+    command.add_argument("--no-render", action="store_true", help="no pictures: needs no OpenGL")
+    command.add_argument("--json", action="store_true", help="what was measured as the last line of stdout")
 
 
 if __name__ == "__main__":

@@ -104,16 +104,16 @@ def fingerprint(scan: Path) -> str:
     return state.hexdigest()
 
 
-def prepare(run: Run, scan: Path, radius: float | None, request: str = "") -> Prepared:
-    """The scan as splats, and with the effects that they call for."""
-    prepared = splats_of(run, scan, radius)
+def prepare(run: Run, scan: Path, radius: float | None, request: str = "", held_out: tuple[int, ...] = ()) -> Prepared:
+    """The scan as splats, and with the effects that they call for; the photographs `held_out` texture none."""
+    prepared = splats_of(run, scan, radius, held_out)
     plan = plan_scan(run, prepared.sources, parse_request(request))
     stages = ((name, effects()[name].build(prepared.sources, plan.outcomes[name])) for name in plan.enabled)
     built = tuple((name, run.do(stage).folder) for name, stage in stages if stage is not None)
     return replace(prepared, effects=plan, built=built)
 
 
-def splats_of(run: Run, scan: Path, radius: float | None) -> Prepared:
+def splats_of(run: Run, scan: Path, radius: float | None, held_out: tuple[int, ...] = ()) -> Prepared:
     """Read the scan, put its points in chunk order, and make splats of them."""
     ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
     partition = run.do(Partition(ingest.folder))
@@ -122,7 +122,7 @@ def splats_of(run: Run, scan: Path, radius: float | None) -> Prepared:
     depth = None
     if ingest.summary["cameras"] and not ingest.summary["has_visibility"]:
         depth = run.do(DepthMaps(ingest.folder, partition.folder, radius)).folder
-    splats = run.do(Splats(ingest.folder, partition.folder, neighbours.folder, depth, radius))
+    splats = run.do(Splats(ingest.folder, partition.folder, neighbours.folder, depth, radius, held_out))
     sources = Sources(ingest.folder, partition.folder, neighbours.folder, depth, splats.folder, radius,
                       *directions_of(ingest.summary["cameras"]))
     return Prepared(ingest, partition, neighbours, splats, radius, sources)
@@ -140,10 +140,19 @@ def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> EffectPlan
 
 
 def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
-    """Resample patches, learn a dictionary if any patch calls for one, and code them."""
+    """Resample patches, and code them."""
+    return code_patches(run, resample(run, prepared), settings)
+
+
+def resample(run: Run, prepared: Prepared) -> StageRecord:
+    """Sample the photographs into patches."""
     scan = prepared.scan
-    patches = run.do(Resample(scan.folder, prepared.partition.folder, prepared.splats.folder, prepared.radius,
-                              *directions_of(scan.summary["cameras"])))
+    return run.do(Resample(scan.folder, prepared.partition.folder, prepared.splats.folder, prepared.radius,
+                           *directions_of(scan.summary["cameras"])))
+
+
+def code_patches(run: Run, patches: StageRecord, settings: Settings) -> Coded:
+    """Learn a dictionary if any patch calls for one, and code all patches."""
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
     training = run.do(TrainingSet(patches.folder, tolerance, settings.training_splats, settings.seed))
     quantized, learning, n_taken_back = None, [], 0
@@ -151,8 +160,14 @@ def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
         learned, learning = _learn(run, training, settings, tolerance)
         quantized, n_taken_back = _quantize_best(run, training, learned, settings, tolerance)
         n_taken_back += sum(not row["accepted"] for row in learning)
-    codes = run.do(Encode(patches.folder, quantized.folder if quantized else None, settings.max_atoms, tolerance))
+    codes = encode(run, patches.folder, quantized, settings)
     return Coded(patches, codes, quantized, learning, quantized.summary["n_atoms"] if quantized else 0, n_taken_back)
+
+
+def encode(run: Run, patches: Path, quantized: StageRecord | None, settings: Settings) -> StageRecord:
+    """Code patches by a dictionary that is there; None gives every splat its average colour alone."""
+    tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
+    return run.do(Encode(patches, quantized.folder if quantized else None, settings.max_atoms, tolerance))
 
 
 def _learn(run: Run, training: StageRecord, settings: Settings, tolerance: float) -> tuple[StageRecord, list[dict]]:
@@ -227,7 +242,7 @@ def compress(scan: Path, out: Path, settings: Settings, executor: Executor, prog
         report = make(run, scan, settings, made, render)
         if work is None:
             shutil.rmtree(made / "work")
-        _put_in_place(made, out)
+        put_in_place(made, out)
         return report
     finally:
         shutil.rmtree(made, ignore_errors=True)
@@ -358,7 +373,7 @@ def report(packed: Path, scan: Path, out: Path, executor: Executor, progress: Pr
         return write_outputs(run, packed, ingest.folder, record, out, render)
 
 
-def _put_in_place(made: Path, out: Path) -> None:
+def put_in_place(made: Path, out: Path) -> None:
     """Let `out` be what was made; an older `out` goes only when the new one is whole."""
     made.chmod(0o755)
     old = made.with_name(made.name + ".old")

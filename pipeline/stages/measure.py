@@ -57,15 +57,47 @@ class Measure:
 
     def _resample(self, scene: PackedScene, first_splat: int) -> Patches:
         header, a = scene.header, scene.arrays
-        position = a["position"].astype(np.uint32)
-        code = position[:, 0] | position[:, 1] << 8 | position[:, 2] << 16
-        centre = decode_positions(code, Boxes(a["box_low"], a["box_size"], a["box_bits"]))
         u, v, _ = tangent_frames(a["normal"], header.up, header.ahead)
-        return make_patches(header.cameras, self._read_window, header.origin, centre, (u, v), header.radius,
+        return make_patches(header.cameras, self._read_window, header.origin, decoded_positions(scene), (u, v), header.radius,
                             a["camera"], a["color"], first_splat)
 
     def _read_window(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
         return np.asarray(arrays.opened(self.ingest, f"photo_{camera}")[top:bottom, left:right])
+
+
+@dataclass(frozen=True)
+class SplatErrors:
+    """Splats of a packed file: where they are, who photographed them, and what coding lost."""
+
+    centre: np.ndarray  # (n, 3) float64 absolute
+    camera: np.ndarray  # (n,) uint16
+    error: np.ndarray  # (n,) mean squared error
+    plain: np.ndarray  # (n,) that of the average colour alone
+
+
+def splat_errors(ingest: Path, packed: Path, index: int) -> SplatErrors:
+    """Those of group `index` of a packed file."""
+    with PackedFile(packed, verify=False) as opened:
+        scene = opened.group(index)
+        atoms = decoded_atoms(opened) if opened.header.n_dictionary else np.zeros((1, PATCH_DIM), np.float32)
+        levels = opened.read("weight_levels") if opened.header.n_dictionary else np.zeros((MAX_ATOMS, 1), np.float32)
+    texel = Measure(ingest, packed, "")._resample(scene, index * GROUP).texel
+    error, plain = np.empty(len(texel)), np.empty(len(texel))
+    for at in range(0, len(texel), ROWS):
+        rows = slice(at, min(at + ROWS, len(texel)))
+        wanted = texel[rows].astype(np.float32) / 255
+        mean = np.tile(scene.arrays["color"][rows], PATCH_DIM // 3).astype(np.float32) / 255
+        plain[rows] = ((mean - wanted) ** 2).mean(axis=1)
+        error[rows] = (((mean + decode_patches(scene, rows, atoms, levels)).clip(0, 1) - wanted) ** 2).mean(axis=1)
+    return SplatErrors(decoded_positions(scene) + scene.header.origin, scene.arrays["camera"], error, plain)
+
+
+def decoded_positions(scene: PackedScene) -> np.ndarray:
+    """(n, 3) float64 against the origin."""
+    a = scene.arrays
+    position = a["position"].astype(np.uint32)
+    code = position[:, 0] | position[:, 1] << 8 | position[:, 2] << 16
+    return decode_positions(code, Boxes(a["box_low"], a["box_size"], a["box_bits"]))
 
 
 def decoded_atoms(packed: PackedFile) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.accuracy import psnr_db
 from pipeline.geometry.frame import Direction, tangent_frames
 from pipeline.stages.splats import decoded_centres
-from pipeline.texture.patches import make_patches
+from pipeline.texture.patches import Patches, make_patches
 from pipeline.texture.resample import PATCH_DIM
 from storage import arrays, work
 from storage.schema import Camera
@@ -36,14 +36,8 @@ class Resample:
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:
-        scan, points = work.summary(self.ingest), work.summary(self.partition)
-        start, stop = arrays.block_range(index, points["n_splats"])
-        u, v, _ = tangent_frames(arrays.read(self.splats, "normal_code", start, stop), self.up, self.ahead)
-        patches = make_patches(
-            tuple(Camera.from_json(c) for c in scan["cameras"]), self._read_window, tuple(points["origin"]),
-            decoded_centres(self.splats, start, stop), (u, v), self.radius,
-            arrays.read(self.splats, "camera", start, stop), arrays.read(self.splats, "color", start, stop), start,
-        )
+        start, stop = arrays.block_range(index, work.summary(self.partition)["n_splats"])
+        patches = resampled_block(self.ingest, self.partition, self.splats, self.radius, self.up, self.ahead, index)
         arrays.write(folder, "texel", start, patches.texel)
         arrays.write(folder, "average", start, patches.average)
         arrays.write(folder, "energy", start, patches.energy)
@@ -56,5 +50,19 @@ class Resample:
         return {"resampling_psnr_db": psnr_db(error, n_probes), "energy": sum(r["energy"] for r in results),
                 "n_flagged": sum(r["n_flagged"] for r in results)}
 
-    def _read_window(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
-        return np.asarray(arrays.opened(self.ingest, f"photo_{camera}")[top:bottom, left:right])
+
+def resampled_block(photos: Path, partition: Path, splats: Path, radius: float, up: Direction, ahead: Direction,
+                    index: int) -> Patches:
+    """The patches of block `index`; `photos` is a stage's folder with photo_<i> and their cameras in its summary."""
+    points = work.summary(partition)
+    start, stop = arrays.block_range(index, points["n_splats"])
+    u, v, _ = tangent_frames(arrays.read(splats, "normal_code", start, stop), up, ahead)
+
+    def read_window(camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
+        return np.asarray(arrays.opened(photos, f"photo_{camera}")[top:bottom, left:right])
+
+    return make_patches(
+        tuple(Camera.from_json(c) for c in work.summary(photos)["cameras"]), read_window, tuple(points["origin"]),
+        decoded_centres(splats, start, stop), (u, v), radius, arrays.read(splats, "camera", start, stop),
+        arrays.read(splats, "color", start, stop), start,
+    )

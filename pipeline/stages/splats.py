@@ -31,6 +31,7 @@ class Splats:
     neighbours: Path
     depth_maps: Path | None
     radius: float
+    held_out: tuple[int, ...] = ()  # cameras that texture nothing
     name = "splats"
 
     def init(self, folder: Path) -> int:
@@ -75,6 +76,7 @@ class Splats:
         if not cameras:
             return np.full(len(absolute), NO_CAMERA, np.uint16)
         seen = seen_by_cameras(self.partition, self.depth_maps, cameras, absolute, normal, self.radius, start, stop)
+        seen[:, list(self.held_out)] = False
         return best_cameras(cameras, absolute, normal, self.radius, seen)
 
     def _towards_viewer(

@@ -81,6 +81,26 @@ def patch_errors(texel: np.ndarray, average: np.ndarray, added: np.ndarray) -> t
     return _errors(texel.reshape(shape), average, added.reshape(shape), disc_weights()[::3].astype(np.float32))
 
 
+def texel_errors(texel: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    """Squared error between patches (n, PATCH_DIM) uint8, plain and weighted as in `patch_errors`, values in [0, 1]."""
+    shape = (len(texel), -1, 3)
+    return _texel_errors(texel.reshape(shape), other.reshape(shape), disc_weights()[::3])
+
+
+@numba.njit(cache=True, nogil=True)
+def _texel_errors(texel, other, weight):
+    plain, weighted = 0.0, 0.0
+    for i in range(texel.shape[0]):
+        for t in range(texel.shape[1]):
+            squared = 0
+            for k in range(3):
+                difference = np.int64(texel[i, t, k]) - np.int64(other[i, t, k])
+                squared += difference * difference
+            plain += squared
+            weighted += weight[t] * squared
+    return plain / 65025.0, weighted / 65025.0
+
+
 @numba.njit(cache=True, nogil=True)
 def _measure(texel, average, energy):
     n_texels = texel.shape[1]

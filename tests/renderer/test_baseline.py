@@ -5,6 +5,7 @@ import pytest
 
 from renderer.baseline import PhotoSplats
 from renderer.scene import GpuScene
+from renderer.views import view_of
 from storage.errors import InvalidScan
 from storage.schema import NO_CAMERA
 from tests.renderer.reference_renderer import psnr_db, render_baseline
@@ -40,6 +41,15 @@ def drawn(renderer, scene, photos, view, **more):
     splats.release()
     gpu_scene.release()
     return picture
+
+
+def test_baseline__takes_photographs_at_another_size_with_their_cameras(renderer):
+    scene, photos = photographed(np.random.default_rng(0), cycles=0.1)
+    view = camera_looking(np.add(ORIGIN, (0.1, -1.3, 0.2)), ORIGIN, (64, 48), (40, 36))
+    half = [photo.reshape(photo.shape[0] // 2, 2, -1, 2, 3).mean(axis=(1, 3)).round().astype(np.uint8) for photo in photos]
+    cameras = [view_of(c, (c.width_px // 2, c.height_px // 2)) for c in scene.header.cameras]
+    picture, smaller = drawn(renderer, scene, photos, view), drawn(renderer, scene, half, view, cameras=cameras)
+    assert np.array_equal(picture.coverage, smaller.coverage) and psnr_db(picture.rgb / 255, smaller.rgb / 255) > 40
 
 
 @pytest.mark.parametrize(("distance", "focal_px"), [(0.8, 60), (1.3, 40), (6.0, 60)])

@@ -1,4 +1,4 @@
-"""PSNR and SSIM over a mask."""
+"""PSNR, SSIM and FLIP over a mask."""
 
 import json
 import math
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from skimage.metrics import structural_similarity
 
-from renderer.compare import BEST_DB, psnr_db, ssim
+from renderer.compare import BEST_DB, flip, psnr_db, ssim
 
 EVERYWHERE = np.ones((40, 60), bool)
 
@@ -101,3 +101,21 @@ def test_ssim__of_pictures_smaller_than_a_window_is_none(shape):
 
 def test_ssim__of_pictures_of_one_window_is_a_number():
     assert 0 < ssim(picture(0, (11, 11)), noisy(picture(0, (11, 11)), 5), np.ones((11, 11), bool)) < 1
+
+
+def test_flip__is_nothing_for_the_same_picture_and_grows_with_the_noise():
+    b = picture()
+    seen = [flip(noisy(b, sigma), b, EVERYWHERE) for sigma in (4, 12, 36)]
+    assert flip(b, b, EVERYWHERE) == pytest.approx(0, abs=1e-6) and 0 < seen[0] < seen[1] < seen[2] < 1
+
+
+def test_flip__of_black_and_white_is_nearly_the_most_there_is():
+    assert flip(np.zeros((40, 60, 3), np.uint8), np.full((40, 60, 3), 255, np.uint8), EVERYWHERE) > 0.9
+
+
+def test_flip__pixels_outside_the_mask_have_no_influence(spot):
+    b = picture()
+    a = noisy(b, 10)
+    other = np.where(spot[..., None], a, 255 - a)
+    assert flip(a, b, spot) == flip(other, b, spot) > 0
+    assert flip(a, b, np.zeros_like(spot)) is None

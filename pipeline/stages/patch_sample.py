@@ -1,0 +1,41 @@
+"""A random part of the patches, as a folder that can stand for the patches'."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.stages.training import uniform_hash
+from storage import arrays
+
+SEED = 9  # another choice than the training set's, whatever its seed
+
+
+@dataclass(frozen=True)
+class PatchSample:
+    """One task. Arrays as those of `Resample`, of about `n_wanted` splats in order: fit for some thousands, in memory."""
+
+    patches: Path
+    n_wanted: int
+    name = "patch-sample"
+
+    def init(self, folder: Path) -> int:
+        return 1
+
+    def run(self, folder: Path, index: int) -> dict:
+        n = arrays.opened(self.patches, "energy").shape[0]
+        kept: dict[str, list[np.ndarray]] = {"texel": [], "average": [], "energy": []}
+        for block in range(arrays.n_blocks(n)):
+            start, stop = arrays.block_range(block, n)
+            chosen = uniform_hash(start, stop, SEED) < self.n_wanted / n
+            for name, rows in kept.items():
+                rows.append(arrays.read(self.patches, name, start, stop)[chosen])
+        for name, rows in kept.items():
+            joined = np.concatenate(rows)
+            arrays.create(folder, name, joined.shape, str(joined.dtype))[:] = joined
+        return {"n_splats": sum(map(len, kept["energy"]))}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        return {"n_splats": results[0]["n_splats"]}

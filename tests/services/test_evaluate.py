@@ -1,0 +1,118 @@
+"""The paper's evaluation on a small scan: every figure of a row agrees with what it is made of."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from pipeline.executors import SerialExecutor
+from pipeline.settings import settings_for
+from services.cli import main
+from services.evaluate import evaluate
+from services.workflow import compress
+from storage.errors import InvalidScan
+from tests.pipeline.test_stage import Heard
+from tests.renderer.test_report import Elements
+from tests.services.scans import photo_scan, point_scan
+
+SETTINGS = settings_for("draft", target_psnr_db=32.0, training_splats=1500, iterations=2)
+ROWS = ("lod0", "lod0-bc7", "lod1", "lod1-bc1", "d8w4", "average", "per-splat", "jpeg")
+KEYS = {"name", "coder", "texture_bytes", "geometry_bytes", "bytes_per_splat", "texture_psnr_db", "visible_psnr_db", "seconds"}
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory):
+    return photo_scan(tmp_path_factory.mktemp("scan") / "wavy plane", n_side=32)
+
+
+@pytest.fixture(scope="module")
+def made(scan, tmp_path_factory, renderer):
+    out = tmp_path_factory.mktemp("evaluated") / "out"
+    document = evaluate(scan, out, SETTINGS, SerialExecutor(), Heard(), rows=ROWS, hold_out=3)
+    return out, document, {row["key"].removesuffix("-paper"): row for row in document["rows"]}
+
+
+def test_evaluate__leaves_the_document_the_page_and_its_pictures(made):
+    out, document, _ = made
+    assert json.loads((out / "evaluate.json").read_text())["rows"] == json.loads(json.dumps(document["rows"]))
+    assert sorted(p.name for p in out.iterdir()) == ["close-ups", "evaluate.html", "evaluate.json", "held-out"]
+    assert [p.name for p in out.parent.iterdir()] == ["out"]
+
+
+def test_evaluate__every_row_has_its_keys_and_its_bytes_add_up(made):
+    _, document, rows = made
+    assert set(ROWS) <= rows.keys() and all(KEYS <= row.keys() for row in rows.values())
+    for row in rows.values():
+        assert row["bytes_per_splat"] == pytest.approx((row["texture_bytes"] + row["geometry_bytes"]) / document["splats"])
+        assert row["seconds"] > 0
+    assert len({row["geometry_bytes"] for row in rows.values()}) == 1
+    n_pixels = 3 * 320 * 240 * (1 + 1 / 4 + 1 / 16 + 1 / 64 + 1 / 256)
+    assert rows["lod0"]["texture_bytes"] == pytest.approx(3 * n_pixels) == pytest.approx(4 * rows["lod1"]["texture_bytes"], rel=0.01)
+    assert rows["lod0-bc7"]["texture_bytes"] == pytest.approx(n_pixels, rel=0.01)
+    assert rows["per-splat"]["texture_bytes"] == 4092 * document["splats"]
+
+
+def test_evaluate__what_keeps_more_loses_less(made):
+    rows = made[2]
+    assert rows["lod0"]["texture_psnr_db"] is None and rows["per-splat"]["texture_psnr_db"] is None
+    psnr = [rows[key]["texture_psnr_db"] for key in ("lod0-bc7", "lod1", "lod1-bc1")]
+    assert psnr == sorted(psnr, reverse=True) and psnr[0] > 40
+    assert rows["average"]["texture_psnr_db"] < rows["d8w4"]["texture_psnr_db"]
+
+
+def test_evaluate__our_rows_are_what_compress_makes(made, scan, tmp_path):
+    report = compress(scan, tmp_path / "out", settings_for("draft", **{
+        k: getattr(SETTINGS, k) for k in ("target_psnr_db", "training_splats", "iterations")}), SerialExecutor(), Heard(), render=False)
+    ours = [row for row in made[1]["rows"] if row["kind"] == "ours" and row["n_dictionary"]]
+    found = [(row["texture_psnr_db"], row["bytes_per_splat"]) for row in ours]
+    assert (report["quality"]["texture_psnr_db"], report["sizes"]["bytes_per_splat"]) in found
+
+
+def test_evaluate__close_ups_show_every_variant_and_passes_are_timed(made):
+    out, document, _ = made
+    assert [row["why"] for row in document["close_ups"]][::5] == ["best", "worst"]
+    for row in document["close_ups"]:
+        assert len(row["pictures"]) >= 6 and all((out / path).is_file() for path in row["pictures"].values())
+        figures = row["figures"]
+        assert figures["photos LOD 0"] is None and figures["photos LOD 0 BC7"]["psnr_db"] > figures["photos LOD 1 BC1"]["psnr_db"]
+    assert all(set(row["seconds"]) == {"cull", "visibility", "attribute", "resolve"} for row in document["passes"])
+    assert {"photos LOD 0", "photos LOD 1"} < {row["name"] for row in document["passes"]}
+
+
+def test_evaluate__held_out_photographs_texture_nothing_and_are_compared_with(made, scan, tmp_path):
+    from services.workflow import Run, prepare
+    from storage import arrays
+
+    held = made[1]["held_out"]
+    assert [view["camera"] for view in held["views"]] == ["0000.png"]
+    view = held["views"][0]
+    assert 0.3 < view["coverage"] <= 1 and view["psnr_db"] > 15 and 0 < view["flip"] < 0.5 and 0 < view["ssim"] < 1
+    run = Run(tmp_path / "work", SerialExecutor(), Heard())
+    cameras = [arrays.read(prepare(run, scan, None, held_out=held).splats.folder, "camera") for held in ((), (0,))]
+    assert (cameras[0] == 0).any() and not (cameras[1] == 0).any()
+
+
+def test_evaluate__atoms_grow_with_the_target(made):
+    atoms = made[1]["atoms"]
+    mean = [np.dot(h, range(len(h))) / sum(h) for h in atoms["histograms"]]
+    assert mean == sorted(mean) and mean[0] < mean[-1] and all(sum(h) == atoms["n_splats"] for h in atoms["histograms"])
+
+
+def test_evaluate__the_page_asks_no_other_host(made):
+    elements = Elements((made[0] / "evaluate.html").read_text())
+    asked = [v for _, attributes in elements.tags for k, v in attributes.items() if k in ("src", "href") and not v.startswith("data:")]
+    assert not asked and not {tag for tag, _ in elements.tags} & {"link", "iframe", "base"}
+    assert not {"nan", "None", "inf"} & set("".join(elements.text).split())
+
+
+def test_evaluate__a_scan_without_photographs_is_refused(tmp_path):
+    with pytest.raises(InvalidScan, match="allowed: a scan with photographs"):
+        evaluate(point_scan(tmp_path / "ball.ply"), tmp_path / "out", SETTINGS, SerialExecutor(), Heard())
+    assert [p.name for p in tmp_path.iterdir()] == ["ball.ply"]
+
+
+def test_evaluate__unknown_rows_are_named(scan, tmp_path, capsys):
+    assert main(["evaluate", str(scan), "--out", str(tmp_path / "o"), "--rows", "d8w4,bc9"]) == 1
+    assert "--rows has 'bc9'; allowed: lod0, lod0-bc7" in capsys.readouterr().err
