@@ -114,6 +114,41 @@ def in_turn(patches: np.ndarray, dictionary: np.ndarray, weights: np.ndarray) ->
     return dictionary
 
 
+def nearest_weights(weight: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """Each least-squares weight at its nearest level, whatever that does to the error. `levels` (r, w)."""
+    return np.array([row[np.abs(row - x).argmin()] for x, row in zip(weight, levels)])
+
+
+def dead_atom_normalised(patches: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """A power iteration of one atom that divides by whatever length comes out."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        moved = (weight @ patches).astype(np.float64)
+        return moved / np.linalg.norm(moved)
+
+
+def normals_from_two_edges(neighbour: np.ndarray) -> np.ndarray:
+    """Normals (n, 3) as the cross product of the edges to the first two neighbours. (n, k, 3), itself first."""
+    across = np.cross(neighbour[:, 1] - neighbour[:, 0], neighbour[:, 2] - neighbour[:, 0])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return across / np.linalg.norm(across, axis=1, keepdims=True)
+
+
+def split_at_the_median_value(points: np.ndarray, most: int) -> list[np.ndarray]:
+    """Chunks by what lies below the median of the longest axis and what does not."""
+    if len(points) <= most:
+        return [points]
+    axis = np.ptp(points, axis=0).argmax()
+    below = points[:, axis] < np.median(points[:, axis])
+    return split_at_the_median_value(points[below], most) + split_at_the_median_value(points[~below], most)
+
+
+def cells_of_an_extent(position: np.ndarray, bits: int) -> np.ndarray:
+    """Cells along each axis as shares of the box's extent."""
+    low = position.min(axis=0)
+    with np.errstate(invalid="ignore"):
+        return (position - low) / np.ptp(position, axis=0) * (2**bits - 1)
+
+
 def float32_positions(position: np.ndarray) -> np.ndarray:
     """Absolute coordinates kept in float32."""
     return position.astype(np.float32).astype(np.float64)

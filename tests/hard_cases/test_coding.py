@@ -74,7 +74,10 @@ def test_coding__a_patch_of_1e_minus_22_is_coded_as_one_of_1():
     rng = np.random.default_rng(2)
     atoms, patches = unit_rows(rng, 64, 192), smooth_patches(rng, 50)
     plain = sparse_encode(patches, atoms, max_atoms=4)
-    tiny = sparse_encode((patches.astype(float) * 1e-22).astype(np.float32), atoms, max_atoms=4)
+    faint = (patches.astype(float) * 1e-22).astype(np.float32)
+    tiny = sparse_encode(faint, atoms, max_atoms=4)
+    correlation = faint @ atoms.T
+    assert ((correlation**2).argmax(axis=1) != np.abs(correlation).argmax(axis=1)).any()  # the naive way: float32 squares
     assert (plain.atom_index == tiny.atom_index).all()
 
 
@@ -128,6 +131,8 @@ def test_coding__a_dictionary_of_one_direction_gives_one_atom():
     atoms = np.tile(unit_rows(rng, 1, 192), (16, 1))
     codes = sparse_encode(smooth_patches(rng, 30), atoms, max_atoms=8)
     assert (codes.n_atoms == 1).all() and (codes.atom_index[:, 0] == 0).all()
+    support, weight = reference.naive_cholesky_omp(smooth_patches(rng, 1)[0], atoms, 8)
+    assert len(support) > 1 and not np.abs(weight).max() < 100  # the naive way: the same atom again, or NaN
 
 
 # --- hard patches ----------------------------------------------------------------------------------------------------
@@ -226,6 +231,9 @@ def test_coding__levels_far_from_every_weight_end_the_pursuit_and_never_raise_th
         codes, _, residual = pursue_patches(patches, atoms, max_atoms=8, weight_levels=levels)
         energy = (patches.astype(float) ** 2).sum(axis=1)
         assert np.isfinite(residual).all() and (residual <= energy * (1 + 1e-9)).all()
+    exact = sparse_encode(patches, atoms, max_atoms=8)
+    rounded = reference.nearest_weights(exact.weight[0], np.full((8, 16), 1e6)) @ atoms[exact.atom_index[0]]
+    assert np.linalg.norm(patches[0] - rounded) > np.linalg.norm(patches[0])  # the naive way: the nearest level, come what may
 
 
 # --- the same without numba's compiler -------------------------------------------------------------------------------

@@ -85,6 +85,8 @@ def test_geometry__a_neighbourhood_without_a_plane_is_flagged_and_has_a_unit_nor
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, atol=1e-12)
     again, _ = estimate_normals(points.copy(), found.position.copy())
     assert (normal == again).all()
+    if name in ("identical", "collinear, along x"):
+        assert np.isnan(reference.normals_from_two_edges(np.tile(points[:3], (2, 1, 1)))).all()  # the naive way
     if "collinear" in name and name != "collinear, far":
         along = points[np.abs(points).sum(axis=1).argmax()] - points.mean(axis=0)
         assert np.abs(normal @ (along / np.linalg.norm(along))).max() < 1e-6
@@ -175,6 +177,9 @@ def test_geometry__median_split_is_a_permutation_into_whole_chunks(n, kind):
     assert np.isfinite(error).all() and (error <= half * (1 + 1e-9) + 1e-12 * np.abs(points[order])).all()
     if kind == "all equal":
         assert (order == np.arange(n)).all()
+        if n > CHUNK:
+            with pytest.raises(RecursionError):  # the naive way: nothing lies below the median
+                reference.split_at_the_median_value(points, CHUNK)
 
 
 def test_geometry__a_zero_extent_gives_its_bits_to_the_others():
@@ -182,6 +187,7 @@ def test_geometry__a_zero_extent_gives_its_bits_to_the_others():
     boxes = fit_boxes(points)
     assert boxes.bits.tolist() == [[12, 0, 12]]
     assert not decode_positions(encode_positions(points, boxes), boxes)[:, 1].any()
+    assert np.isnan(reference.cells_of_an_extent(points, 8)[:, 1]).all()  # the naive way: 0 / 0
 
 
 def test_geometry__a_million_duplicates_take_seconds():

@@ -67,6 +67,16 @@ def test_projection__footprints_of_any_size_are_within_1_of_255(footprint_px):
     assert whole and np.abs(patch - cast).max() <= 255 * LEVEL + 0.05
 
 
+def test_projection__one_lookup_a_texel_breaks_where_a_texel_covers_many_pixels():
+    """The naive formulation, on a photo of fine stripes: what a texel of 31 pixels shows is their mean."""
+    u, v = frame_at(0, turn=0.0)
+    stripes = np.where(np.arange(2400) % 5 < 2, 255, 0).astype(np.uint8)[None, :, None] * np.ones((1800, 1, 3), np.uint8)
+    h = homographies(CAMERA, (0.0, 0.0, 0.0), np.array([[0.0, 0, 10]]), u[None], v[None], 2.5)
+    naive = reference.patch_of(stripes, h[0])
+    found = resample_patches(Window(stripes, 0, 0), h).reshape(32, 32, 3)
+    assert np.abs(naive - 102).max() > 100 and np.abs(found.astype(float) - 102).max() < 10
+
+
 @pytest.mark.parametrize("change", ["fx != fy", "mirrored", "turned", "far from zero", "principal point outside"])
 def test_projection__odd_cameras_are_within_1_of_255(change):
     camera, origin, centre = CAMERA, (0.0, 0.0, 0.0), np.array([0.2, 0.1, 6.0])
