@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from pipeline.stage import Stage
-from pipeline.task import run_task
+from pipeline.task import run_call, run_task
 from storage.errors import ResourceExhausted
 
 WATCH_S = 0.5  # how often a waiting executor asks whether it is still wanted
@@ -34,6 +34,9 @@ class SerialExecutor:
         for index in indices:
             on_done(index, run_task(stage, folder, index))
 
+    def call(self, name: str, function: Callable, *arguments):
+        return run_call(name, function, *arguments)
+
 
 class DaskExecutor:
     """Tasks on Dask workers: a cluster of processes on this machine, or any scheduler's.
@@ -41,13 +44,16 @@ class DaskExecutor:
     Work folders must be visible to every worker under the same path. Tasks are named by their stage, so that the
     dashboard reads as the pipeline, and annotated with `job`. `watch` is called while tasks run, at least every
     WATCH_S; what it raises stops them: those under way get GRACE_S, then their workers are started anew, for a thread
-    cannot be stopped and Dask would only forget it. `resources` are those that a worker must have.
+    cannot be stopped and Dask would only forget it. `resources` are those that a worker must have. `on_lost` hears, in a
+    thread of Dask's, which of these tasks a worker that is gone had been given; they run again elsewhere.
     """
 
     def __init__(self, n_workers: int | None = None, scheduler: str | None = None, *, job: str | None = None,
-                 resources: dict[str, float] | None = None, watch: Callable[[], None] = lambda: None) -> None:
+                 resources: dict[str, float] | None = None, watch: Callable[[], None] = lambda: None,
+                 on_lost: Callable[[str, list[str]], None] | None = None) -> None:
         self._n_workers, self._scheduler = n_workers, scheduler
-        self._job, self._resources, self._watch = job, resources, watch
+        self._job, self._resources, self._watch, self._on_lost = job, resources, watch, on_lost
+        self._wanted: set[str] = set()  # keys of the tasks under way
 
     def __enter__(self) -> DaskExecutor:
         import dask
@@ -61,10 +67,18 @@ class DaskExecutor:
                     silence_logs="ERROR",
                 )
         self._client = Client(self._cluster or self._scheduler, set_as_default=False)
-        scheduler = self._client.scheduler_info()
-        self.scheduler_id = scheduler["id"]  # another one after every start
-        self.n_workers = max(1, len(scheduler["workers"]))
+        self.n_workers = max(1, len(self._client.scheduler_info()["workers"]))
+        if self._on_lost is not None:
+            self._client.subscribe_topic("all", self._hear)
         return self
+
+    def scheduler_id(self) -> str:
+        """Of the scheduler that answers now; another one after every start. Raises OSError where none does."""
+        return self._client.scheduler_info()["id"]
+
+    @property
+    def client(self):
+        return self._client
 
     def __exit__(self, *_) -> None:
         self._client.close()
@@ -79,8 +93,16 @@ class DaskExecutor:
              meanwhile: Callable[[], None] = lambda: None):
         """The result of one call on a worker that has `resources`; `meanwhile` is called while it runs."""
         results: dict[int, object] = {}
-        self._gather(name, {0: (function, *arguments)}, resources, results.__setitem__, meanwhile)
+        calls = {0: (run_call, name, function, *arguments)}
+        self._gather(name, calls, resources or self._resources, results.__setitem__, meanwhile)
         return results[0]
+
+    def _hear(self, event: tuple[float, dict]) -> None:
+        _, message = event
+        if message.get("action") == "remove-worker":
+            lost = sorted(self._wanted & {str(key) for key in message["processing-tasks"]})
+            if lost:
+                self._on_lost(message["worker"], lost)
 
     def _gather(self, name: str, calls: dict[int, tuple], resources: dict[str, float] | None,
                 on_done: Callable[[int, dict], None], meanwhile: Callable[[], None] = lambda: None) -> None:
@@ -94,6 +116,7 @@ class DaskExecutor:
                 for i, call in calls.items()
             }
         ready: queue.SimpleQueue = queue.SimpleQueue()
+        self._wanted = {f.key for f in futures}
         for future in futures:
             future.add_done_callback(ready.put)
         finished = False
@@ -113,21 +136,32 @@ class DaskExecutor:
                 hint="most often memory ran out: give the workers more, or start fewer",
             ) from error
         finally:
+            self._wanted = set()
             if not finished:
                 self._stop([f for f in futures if not f.done()])
 
     def _stop(self, futures: list) -> None:
         keys = {f.key for f in futures}
-        self._client.cancel(futures, force=True)
-        deadline = time.monotonic() + GRACE_S
         try:
-            while busy := [worker for worker, running in self._client.run(_running_keys).items() if keys & set(running)]:
-                if time.monotonic() > deadline:
-                    self._client.restart_workers(busy, timeout=30, raise_for_error=False)
-                    return
-                time.sleep(0.1)
+            busy = [worker for worker, given in self._client.processing().items() if keys & set(given)]
+            self._client.cancel(futures, force=True)
+            deadline = time.monotonic() + GRACE_S
+            while busy and time.monotonic() < deadline:
+                busy = self._still_running(keys, busy, deadline)
+            if busy:
+                self._client.restart_workers(busy, timeout=30, raise_for_error=False)
         except (OSError, TimeoutError, ValueError):
             pass  # the scheduler is gone, or a worker of another's cluster has no nanny: nothing is left to stop it with
+
+    def _still_running(self, keys: set, workers: list[str], deadline: float) -> list[str]:
+        """Those of `workers` that run one of the tasks, a moment from now; one that does not answer counts as one."""
+        time.sleep(0.1)
+        try:
+            left = max(0.1, deadline - time.monotonic())
+            running = self._client.run(_running_keys, workers=workers, on_error="ignore", callback_timeout=left)
+        except TimeoutError:
+            return workers
+        return [worker for worker, found in running.items() if keys & set(found)]
 
 
 def _waiting(ready: queue.SimpleQueue) -> Iterable:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from pipeline.task import run_call
 from storage import work
 
 
@@ -19,7 +20,11 @@ COST = "cost.json"
 
 
 class Stage(Protocol):
-    """The three steps. `n_splats` of a result is what the progress counts."""
+    """The three steps. `n_splats` of a result is what the progress counts.
+
+    `init` runs in the process that calls `run_stage`, the other two wherever the executor says, perhaps more than once
+    and side by side (a worker that was given up may still be at it): equal calls make equal bytes.
+    """
 
     name: str
 
@@ -27,18 +32,23 @@ class Stage(Protocol):
         """Create the arrays; returns the number of tasks."""
 
     def run(self, folder: Path, index: int) -> dict:
-        """Do task `index`: write the chunks it owns, return what finalise needs. May run more than once."""
+        """Do task `index`: write the chunks it owns, return what finalise needs."""
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         """Make one summary of the results, in the order of the tasks."""
 
 
 class Executor(Protocol):
-    """Runs the tasks of a stage anywhere, in any order; `on_done(index, result)` is called once for each."""
+    """Runs the tasks of a stage anywhere, in any order; `on_done(index, result)` is called once for each.
+
+    `call` runs `finalise` where tasks run: it too may take long, must be stoppable, and takes memory.
+    """
 
     n_workers: int
 
     def run(self, stage: Stage, folder: Path, indices: list[int], on_done: Callable[[int, dict], None]) -> None: ...
+
+    def call(self, name: str, function: Callable, *arguments): ...
 
 
 @dataclass(frozen=True)
@@ -94,9 +104,11 @@ def _made_seconds(folder: Path) -> float:
 
 def _bring_into_being(stage: Stage, folder: Path, executor: Executor, progress: Progress) -> None:
     plan = folder / "plan.json"
-    if not plan.is_file():
+    if plan.is_file():
+        work.sweep(folder)
+    else:
         work.begin(folder)
-        work.write_json(plan, {"n_tasks": stage.init(folder)})
+        run_call(stage.name, lambda: work.write_json(plan, {"n_tasks": stage.init(folder)}))
     n_tasks = work.read_json(plan)["n_tasks"]
     results = work.finished_tasks(folder)
     progress.begin(stage.name, n_tasks)
@@ -106,5 +118,10 @@ def _bring_into_being(stage: Stage, folder: Path, executor: Executor, progress: 
         results[index] = result
         progress.advance(stage.name, 1, result.get("n_splats", 0))
 
-    executor.run(stage, folder, [i for i in range(n_tasks) if i not in results], on_done)
-    work.complete(folder, stage.finalise(folder, [results[i] for i in range(n_tasks)]))
+    try:
+        executor.run(stage, folder, [i for i in range(n_tasks) if i not in results], on_done)
+        summary = executor.call(stage.name, stage.finalise, folder, [results[i] for i in range(n_tasks)])
+        run_call(stage.name, work.complete, folder, summary)
+    except BaseException:
+        work.sweep(folder)
+        raise

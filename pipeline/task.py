@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import psutil
 import threadpoolctl
 
-from pipeline.stage import Stage
 from storage import work
+from storage.errors import ResourceExhausted
+
+if TYPE_CHECKING:
+    from pipeline.stage import Stage
 
 
 def run_task(stage: Stage, folder: Path, index: int) -> dict:
@@ -19,11 +26,33 @@ def run_task(stage: Stage, folder: Path, index: int) -> dict:
     """
     begun = time.perf_counter()
     _forget_peak()
-    with threadpoolctl.threadpool_limits(1):
+    with _named(stage.name), threadpoolctl.threadpool_limits(1):
         result = stage.run(folder, index)
-    result = {**result, "seconds": time.perf_counter() - begun, "peak_rss_bytes": _peak_rss_bytes()}
-    work.record_task(folder, index, result)
+        result = {**result, "seconds": time.perf_counter() - begun, "peak_rss_bytes": _peak_rss_bytes()}
+        work.record_task(folder, index, result)
     return result
+
+
+def run_call(name: str, function: Callable, *arguments):
+    """What stage `name` does around its tasks, under the same rules."""
+    with _named(name), threadpoolctl.threadpool_limits(1):
+        return function(*arguments)
+
+
+@contextmanager
+def _named(name: str) -> Iterator[None]:
+    """Let an error of the disk say which stage met it, and look like none of the network between us and a worker."""
+    try:
+        yield
+    except OSError as error:
+        raise error_of_disk(name, error) from error
+
+
+def error_of_disk(stage: str, error: OSError) -> ResourceExhausted:
+    """What a stage that met it says to its user: no path of this machine."""
+    file = f" ({Path(error.filename).name})" if isinstance(error.filename, str) else ""
+    hint = "free some, then retry: what is done stays done" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+    return ResourceExhausted(f"stage {stage}", (error.strerror or f"{error}") + file, hint=hint)
 
 
 def _forget_peak() -> None:

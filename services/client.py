@@ -24,7 +24,7 @@ import httpx
 from storage.errors import SplatpressError
 
 PIECE_BYTES = 8 << 20
-TRIES = 8  # of a request that found no server; an upload or a watch survives a restart of the API
+TRIES = 8  # of a request that found no server or no database behind it: both may be starting anew
 ENDED = ("successful", "failed", "dismissed")
 _TUS = {"Tus-Resumable": "1.0.0"}
 
@@ -87,7 +87,7 @@ class Client:
         except httpx.TransportError:
             answer = self._ask("HEAD", where, headers=_TUS)
         except ServiceError as error:
-            if error.status not in (409, 423, 460):
+            if error.status not in (409, 423, 460, 503):
                 raise
             time.sleep(0.5)
             answer = self._ask("HEAD", where, headers=_TUS)
@@ -131,6 +131,9 @@ class Client:
                         on_event(event)
             except httpx.TransportError:
                 time.sleep(min(5.0, 0.5 * (attempt + 1)))
+            except ServiceError as error:
+                if error.status != 503:
+                    raise
             found = self.status(job)
             if found["status"] in ENDED:
                 return found
@@ -182,8 +185,8 @@ class Client:
         for attempt in range(TRIES):
             try:
                 return self._once(method, path, **request)
-            except httpx.ConnectError:
-                if attempt == TRIES - 1:
+            except (httpx.ConnectError, ServiceError) as error:
+                if attempt == TRIES - 1 or getattr(error, "status", 503) != 503:
                     raise
                 time.sleep(0.5 * (attempt + 1))
 

@@ -35,24 +35,21 @@ def own_cluster(n_workers: int, scratch: Path):
             yield cluster.scheduler_address, cluster.dashboard_link
 
 
-@contextmanager
-def performance_report(scheduler: str, path: Path):
-    """What Dask did meanwhile, as a page of its own at `path`; a job does not fail for want of it."""
-    from distributed import Client
-    from distributed import performance_report as report
+def begin_report(client, path: Path):
+    """Let the scheduler keep what Dask does from here on, for `end_report` to make a page of at `path`."""
+    from distributed import performance_report
 
+    report = performance_report(filename=str(path))
+    with client.as_current():
+        report.__enter__()
+    return report
+
+
+def end_report(client, report, timeout_s: float) -> None:
+    """A job does not fail for want of it, nor wait for workers that hang, which are asked for their profiles."""
     try:
-        made = Client(scheduler, set_as_default=False)
-    except (OSError, TimeoutError):  # stages wait for a scheduler that is away; this does not
-        yield
-        return
-    with made as client, client.as_current():
-        inside = report(filename=str(path))
-        inside.__enter__()
-        try:
-            yield
-        finally:
-            try:
-                inside.__exit__(None, None, None)
-            except Exception as error:  # the scheduler may be gone, or its plots may fail on a task's odd timing
-                path.with_suffix(".txt").write_text(f"no performance report: {type(error).__name__}: {error}\n")
+        with client.as_current():
+            client.sync(report.__aexit__, None, None, None, code="", callback_timeout=timeout_s)
+    except Exception as error:  # the scheduler may be gone, or its plots may fail on a task's odd timing
+        text = f"no performance report: {type(error).__name__}: {error}\n"
+        Path(report.filename).with_suffix(".txt").write_text(text)

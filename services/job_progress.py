@@ -29,7 +29,7 @@ class JobProgress:
         self._iterations = job["settings"]["iterations"]
         self._begun = self._told = time.monotonic()
         self._done = 0.0
-        self._stage, self._n_tasks, self._n_done, self._n_splats, self._stage_begun = "", 1, 0, 0, self._begun
+        self.stage, self._n_tasks, self._n_done, self._n_splats, self._stage_begun = "", 1, 0, 0, self._begun
         self._training: dict | None = None
         self._first: float | None = None  # percent when this attempt began: what earlier ones did took it no time
         self._psnr_db: float | None = None
@@ -37,7 +37,7 @@ class JobProgress:
 
     def begin(self, name: str, n_tasks: int) -> None:
         self._check()
-        self._stage, self._n_tasks, self._n_done, self._n_splats = name, max(1, n_tasks), 0, 0
+        self.stage, self._n_tasks, self._n_done, self._n_splats = name, max(1, n_tasks), 0, 0
         self._stage_begun = time.monotonic()
         self._tell()
 
@@ -67,11 +67,11 @@ class JobProgress:
             self.learning.append({"iteration": len(self.learning) + 1, "psnr_db": self._psnr_db,
                                   "replaced_atoms": record.summary["n_replaced"]})
             self._store.note_learning(self._id, self.learning[-1])
-        self._stage, self._n_done = record.name, 0
+        self.stage, self._n_done = record.name, 0
         self._tell()
 
     def _percent(self) -> float:
-        share = SHARES.get(self._stage, 1) / (self._iterations if self._stage == "ksvd-update" else 1)
+        share = SHARES.get(self.stage, 1) / (self._iterations if self.stage == "ksvd-update" else 1)
         return min(99.0, 100 * (self._done + share * min(1.0, self._n_done / self._n_tasks)) / sum(SHARES.values()))
 
     def _tell(self) -> None:
@@ -81,5 +81,5 @@ class JobProgress:
         gone = percent - self._first
         left = (now - self._begun) * (100 - percent) / gone if gone >= FIRST_ESTIMATE else None
         rate = self._n_splats / (now - self._stage_begun) if self._n_splats and now > self._stage_begun else None
-        self._store.note_progress(self._id, self._attempt, int(percent), self._stage, {
+        self._store.note_progress(self._id, self._attempt, int(percent), self.stage, {
             "splats_per_second": rate and round(rate), "seconds_left": left and round(left, 1), "psnr_db": self._psnr_db})

@@ -7,7 +7,6 @@ the tasks without a recorded result run. What a job made is committed only while
 from __future__ import annotations
 
 import fcntl
-import shutil
 import time
 import traceback
 from collections.abc import Callable, Iterator
@@ -16,21 +15,21 @@ from pathlib import Path
 
 from dbos import DBOS
 
-from pipeline.executors import DaskExecutor
 from pipeline.settings import Settings
 from pipeline.stage import Stage, StageRecord
-from services.cluster import CPU, GL, performance_report
+from pipeline.task import error_of_disk
+from services.cluster import GL
+from services.disk import check_room, drop_ballast, take_ballast
 from services.job_progress import JobProgress
 from services.problems import problem_of_job
 from services.rendering import previews_of
+from services.scheduler_link import SchedulerLink
 from services.scans import file_hash, scan_path, work_folder
 from services.settings import ServiceSettings
 from services.store import FAILED, SUCCESSFUL, Store
 from services.workflow import Run, make
-from storage.errors import ResourceExhausted
 from storage.work import stage_folder, write_json
 
-RECONNECT_S = 120.0  # how long a job waits for a scheduler that is gone
 LOCK_POLL_S = 0.2
 LEARNING, PERFORMANCE = "learning.json", "dask-performance.html"
 
@@ -61,6 +60,7 @@ class JobRunner:
 
     def run(self, id: str, attempt: int) -> str:
         """The body of the workflow. Every ending of a job is committed here."""
+        take_ballast(self.settings.data)
         job = self.store.job(id)
         if job is None or job["attempt"] != attempt or not self.store.begin(id, attempt):
             return "not wanted"
@@ -73,6 +73,7 @@ class JobRunner:
             self.store.keep_artifacts(id, attempt, artifacts_in(out))
             return "dismissed"
         except Exception as error:
+            drop_ballast(self.settings.data)  # the disk may be full
             self.store.log(id, "error", f"attempt {attempt}: {type(error).__name__}: {error}")
             self.store.log(id, "debug", traceback.format_exc()[-4000:])
             self.store.end(id, attempt, FAILED, artifacts_in(out), problem_of_job(error))
@@ -86,17 +87,12 @@ class JobRunner:
         work = work_folder(self.settings, job["scan"])
         work.mkdir(parents=True, exist_ok=True)
         scan = scan_path(self.settings, self.store.scan(job["scan"]))
-
-        schedulers: list[str] = []  # those that this attempt has met
-
-        def on_scheduler(what: Callable[[DaskExecutor], object]):
-            return self._until_reached(job, check, schedulers, what)
-
-        run = Run(work, _Lazily(on_scheduler), progress)
+        link = SchedulerLink(self.scheduler, self.store, job["id"], check, out / PERFORMANCE)
+        run = Run(work, link, progress)
 
         def step(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
             def bring_about() -> StageRecord:
-                self._check_disk(stage.name)
+                check_room(self.settings, stage.name)
                 with _lock(stage_folder(work, stage), check):
                     return do()
 
@@ -115,16 +111,18 @@ class JobRunner:
                     on_view(done, max(done, min(12, job_views or done)))
 
             def on_gl_worker() -> list[dict]:
-                self._check_disk("render")
-                return on_scheduler(lambda executor: executor.call(
-                    "render", previews_of, packed, ingest, folder, resources=GL, meanwhile=count))
+                check_room(self.settings, "render")
+                return link.call("render", previews_of, packed, ingest, folder, resources=GL, meanwhile=count)
 
             job_views = self.store.scan(job["scan"])["header"]["cameras"]["count"] or 4
             return DBOS.run_step({"name": "render"}, on_gl_worker)
 
         run.step, run.draw = step, draw
-        with performance_report(self.scheduler(), out / PERFORMANCE):
-            make(run, scan, Settings(**job["settings"]), out)
+        try:
+            with link:
+                make(run, scan, Settings(**job["settings"]), out)
+        except OSError as error:  # between the tasks: the packed file, the report
+            raise error_of_disk(progress.stage, error) from error
         check()
 
     def _check_of(self, job: dict) -> Callable[[], None]:
@@ -135,56 +133,6 @@ class JobRunner:
                 raise Dismissed
 
         return check
-
-    def _until_reached(self, job: dict, check: Callable[[], None], met: list[str], what: Callable[[DaskExecutor], object]):
-        """`what`, again when the scheduler was lost meanwhile: all that was done is on disk, nothing in Dask.
-
-        One that was lost between two stages only shows by another answering in its place: `met` lists those that did.
-        """
-        from concurrent.futures import CancelledError
-
-        deadline = None
-        while True:
-            check()
-            try:
-                with DaskExecutor(scheduler=self.scheduler(), job=job["id"], resources=CPU, watch=check) as executor:
-                    if met and met[-1] != executor.scheduler_id:
-                        self.store.log(job["id"], "warning", "the scheduler was lost; going on with the one in its place")
-                    met.append(executor.scheduler_id)
-                    return what(executor)
-            except (OSError, TimeoutError, CancelledError) as error:
-                if isinstance(error, OSError) and error.errno is not None and not isinstance(error, ConnectionError):
-                    raise  # a disk's, not a connection's
-                deadline = deadline or time.monotonic() + RECONNECT_S
-                if time.monotonic() > deadline:
-                    raise ResourceExhausted("Dask", f"no scheduler for {RECONNECT_S:g} s ({type(error).__name__}: {error})") from error
-                self.store.log(job["id"], "warning", f"no scheduler ({type(error).__name__}); going on when there is one")
-                time.sleep(1)
-
-    def _check_disk(self, stage: str) -> None:
-        free, wanted = shutil.disk_usage(self.settings.data).free, self.settings.reserve_bytes
-        if free < wanted:
-            raise ResourceExhausted(f"stage {stage}", f"{free:,} bytes free on the disk of the data folder",
-                                    f"at least {wanted:,}", "free some, then retry: what is done stays done")
-
-
-class _Lazily:
-    """An executor that reaches the scheduler only for a stage that has tasks to run."""
-
-    n_workers = 1
-
-    def __init__(self, on_scheduler: Callable) -> None:
-        self._on_scheduler = on_scheduler
-
-    def run(self, stage: Stage, folder: Path, indices: list[int], on_done: Callable[[int, dict], None]) -> None:
-        missing = set(indices)
-
-        def note(index: int, result: dict) -> None:
-            missing.discard(index)
-            on_done(index, result)
-
-        if missing:
-            self._on_scheduler(lambda executor: executor.run(stage, folder, sorted(missing), note))
 
 
 @contextmanager

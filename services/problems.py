@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from sqlalchemy.exc import InterfaceError, OperationalError
+
 from storage.errors import SplatpressError
 
 DATA, RESOURCE, INTERNAL = "data", "resource", "internal"
@@ -22,6 +24,11 @@ class Problem(Exception):
                 **({"hint": self.hint} if self.hint else {})}
 
 
+def is_of_database(error: Exception, full: bool = False) -> bool:
+    """Whether it is the database that is away; with `full`, whether it is the disk that it lies on."""
+    return isinstance(error, (OperationalError, InterfaceError)) and (not full or "full" in str(error.orig))
+
+
 def problem_of_job(error: Exception) -> dict:
     """What a failed job says of its failure."""
     if isinstance(error, SplatpressError):
@@ -29,6 +36,8 @@ def problem_of_job(error: Exception) -> dict:
         return Problem(422 if error.kind == DATA else 500, slug, str(error), kind=error.kind,
                        retryable=error.kind != DATA, hint=error.hint).body()
     if isinstance(error, OSError):
-        return Problem(500, "out-of-resources", f"{type(error).__name__}: {error}", kind=RESOURCE, retryable=True).body()
+        return Problem(500, "out-of-resources", error.strerror or f"{error}", kind=RESOURCE, retryable=True).body()
+    if is_of_database(error):
+        return Problem(500, "out-of-resources", f"the database: {error.orig}", kind=RESOURCE, retryable=True).body()
     return Problem(500, "internal-error", f"{type(error).__name__}: {error}", kind=INTERNAL, retryable=True,
                    hint="a mistake of ours; the log has the traceback").body()

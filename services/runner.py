@@ -30,6 +30,7 @@ EXECUTOR_ID = "runner"
 UNDER_WAY = ("PENDING", "ENQUEUED", "DELAYED")
 POLL_S = 0.3
 TIDY_EVERY_S = 60.0
+DATABASE_PATIENCE_S = 120.0  # of a database that is being started anew
 
 _jobs: JobRunner | None = None
 
@@ -49,7 +50,7 @@ def run_forever(settings: ServiceSettings, stop: threading.Event | None = None) 
     with ExitStack() as stack:
         if not _alone(stack, settings.data, stop):
             return
-        store = Store(settings.database_url)
+        store = Store(settings.database_url, DATABASE_PATIENCE_S)
         scheduler, dashboard = settings.scheduler, settings.dashboard_url
         if not scheduler:
             scheduler, dashboard = stack.enter_context(own_cluster(settings.workers, settings.data.resolve() / "dask"))
@@ -91,15 +92,17 @@ def _alone(stack: ExitStack, data: Path, stop: threading.Event) -> bool:
 def _serve(settings: ServiceSettings, store: Store, stop: threading.Event) -> None:
     beside = threading.Thread(target=_beside, args=(settings, store, stop), daemon=True)
     beside.start()
-    under_way = {status.workflow_id: DBOS.retrieve_workflow(status.workflow_id) for status in
-                 DBOS.list_workflows(status=list(UNDER_WAY), app_version=APPLICATION_VERSION, load_input=False)}
+    found = DBOS.list_workflows(status=list(UNDER_WAY), app_version=APPLICATION_VERSION, load_input=False)
+    under_way = {"-".join(w.workflow_id.split("-")[:2]): DBOS.retrieve_workflow(w.workflow_id) for w in found}
     for job in store.running_jobs():
         store.log(job["id"], "warning", f"attempt {job['attempt']}: the runner was started anew and goes on")
-        if (id := _workflow_id(job)) not in under_way:  # it died between the workflow's end and the job's
-            under_way[id] = _start(job, again=True)
     while not stop.is_set():
         show_alive(settings.data)
         under_way = {id: handle for id, handle in under_way.items() if _is_under_way(handle)}
+        for job in store.running_jobs():
+            if _workflow_id(job) not in under_way:  # it could not write its end
+                store.log(job["id"], "warning", f"attempt {job['attempt']}: ended without a word; it goes on")
+                under_way[_workflow_id(job)] = _start(job, again=True)
         for job in store.waiting_jobs(settings.jobs_at_once):
             if len(under_way) < settings.jobs_at_once and _workflow_id(job) not in under_way:
                 under_way[_workflow_id(job)] = _start(job)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import hmac
 import secrets
@@ -9,11 +10,13 @@ import time
 
 import sqlalchemy as sa
 
+from services.problems import is_of_database
 from services.tables import ARTIFACTS, EVENTS, JOBS, SCAN_OWNERS, SCANS, STAGE_TOTALS, TOKENS, UPLOADS, engine_for
 
 ACCEPTED, RUNNING, SUCCESSFUL, FAILED, DISMISSED = STATES = ("accepted", "running", "successful", "failed", "dismissed")
 LIVE = (ACCEPTED, RUNNING)
 LEVELS = ("debug", "info", "warning", "error")
+RETRY_S = 0.5
 
 
 class KeyReused(Exception):
@@ -28,11 +31,41 @@ def token_hash(token: str) -> str:
     return hashlib.sha256(token.encode()).hexdigest()
 
 
-class Store:
-    """Opens the database of a URL. Safe in threads; rows come as dicts."""
+def _patient(method):
+    """Wait for a database that is away, up to the store's patience; then do all of it again.
 
-    def __init__(self, url: str) -> None:
-        self.engine = engine_for(url)
+    A commit whose answer was lost is made again: a log line may then stand there twice, a job's state changes once.
+    """
+
+    @functools.wraps(method)
+    def again(self, *arguments, **named):
+        deadline = None
+        while True:
+            try:
+                return method(self, *arguments, **named)
+            except sa.exc.DBAPIError as error:
+                deadline = deadline or time.monotonic() + self.patience_s
+                if not is_of_database(error) or is_of_database(error, full=True) or time.monotonic() >= deadline:
+                    raise
+                time.sleep(RETRY_S)
+
+    return again
+
+
+class Store:
+    """Opens the database of a URL. Safe in threads; rows come as dicts.
+
+    `patience_s` is how long each call waits for a database that is away: none in the API, which says so at once, long in
+    the runner, whose jobs are to outlive its restart.
+    """
+
+    def __init__(self, url: str, patience_s: float = 0.0) -> None:
+        self.patience_s = patience_s
+        self.engine = self._opened(url)
+
+    @_patient
+    def _opened(self, url: str) -> sa.Engine:
+        return engine_for(url)
 
     def close(self) -> None:
         self.engine.dispose()
@@ -128,6 +161,7 @@ class Store:
     def running_jobs(self) -> list[dict]:
         return self._all(sa.select(JOBS).where(JOBS.c.status == RUNNING))
 
+    @_patient
     def begin(self, id: str, attempt: int) -> bool:
         """Let an accepted job run. True also where this attempt is running already: its runner died and is back."""
         now = time.time()
@@ -142,6 +176,7 @@ class Store:
     def is_wanted(self, id: str, attempt: int) -> bool:
         return self._value(sa.select(JOBS.c.status).where(JOBS.c.id == id, JOBS.c.attempt == attempt)) == RUNNING
 
+    @_patient
     def end(self, id: str, attempt: int, status: str, artifacts: list[dict], problem: dict | None = None) -> bool:
         """Commit what an attempt came to, unless it was dismissed or tried again meanwhile."""
         now = time.time()
@@ -155,12 +190,14 @@ class Store:
                 connection.execute(_event(id, "status", {"status": status, "attempt": attempt, "problem": problem}))
             return done
 
+    @_patient
     def keep_artifacts(self, id: str, attempt: int, artifacts: list[dict]) -> None:
         """What a dismissed attempt left."""
         with self.engine.begin() as connection:
             if connection.scalar(sa.select(JOBS.c.attempt).where(JOBS.c.id == id, JOBS.c.status == DISMISSED)) == attempt:
                 _replace_artifacts(connection, id, artifacts)
 
+    @_patient
     def dismiss(self, id: str) -> bool:
         """False where it was dismissed before."""
         now = time.time()
@@ -172,6 +209,7 @@ class Store:
                 connection.execute(_event(id, "status", {"status": DISMISSED}))
             return done
 
+    @_patient
     def retry(self, id: str) -> bool:
         """Let a failed or dismissed job run again; its log and its creation date stay."""
         with self.engine.begin() as connection:
@@ -204,6 +242,7 @@ class Store:
 
     # --- events and progress
 
+    @_patient
     def note_progress(self, id: str, attempt: int, progress: int, stage: str, live: dict) -> None:
         """One event, and the job's own fields; only of the attempt that runs."""
         with self.engine.begin() as connection:
@@ -271,19 +310,23 @@ class Store:
 
     # --- helpers
 
+    @_patient
     def _all(self, query) -> list[dict]:
         with self.engine.connect() as connection:
             return [dict(row) for row in connection.execute(query).mappings()]
 
+    @_patient
     def _one(self, query) -> dict | None:
         with self.engine.connect() as connection:
             row = connection.execute(query).mappings().first()
             return dict(row) if row else None
 
+    @_patient
     def _value(self, query):
         with self.engine.connect() as connection:
             return connection.scalar(query)
 
+    @_patient
     def _write(self, statement) -> int:
         with self.engine.begin() as connection:
             return connection.execute(statement).rowcount

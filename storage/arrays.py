@@ -5,6 +5,10 @@ Uncompressed: they are read back within minutes, mostly from the disk cache.
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
+import uuid
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +28,28 @@ def create(
         store=str(folder / f"{name}.zarr"), shape=shape, chunks=chunks, dtype=dtype, compressors=None, overwrite=True,
         fill_value=0,
     )
+
+
+def store(folder: Path, name: str, rows: np.ndarray, chunks: tuple[int, ...] | None = None) -> None:
+    """A whole array in one call, there under its name whole or not at all. For tasks, which may run more than once, also
+    side by side: where it is there already it stays, for equal tasks make equal bytes."""
+    aside = _aside(name)
+    create(folder, aside, rows.shape, str(rows.dtype), chunks)[:] = rows
+    _give_name(folder, aside, name)
+
+
+def _aside(name: str) -> str:
+    return f"{name}.{uuid.uuid4().hex}.partial"
+
+
+def _give_name(folder: Path, aside: str, name: str) -> None:
+    made = folder / f"{aside}.zarr"
+    try:
+        os.rename(made, folder / f"{name}.zarr")
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+            raise
+        shutil.rmtree(made, ignore_errors=True)
 
 
 def exists(folder: Path, name: str) -> bool:
@@ -54,11 +80,12 @@ def n_blocks(n: int, rows: int = BLOCK) -> int:
 
 
 class Appender:
-    """Rows of unknown number, appended in order by one process, in whole chunks."""
+    """Rows of unknown number, appended in order by one process, in whole chunks; there under their name once closed."""
 
     def __init__(self, folder: Path, name: str, row_shape: tuple[int, ...], dtype: str, rows: int = BLOCK) -> None:
+        self._folder, self._name, self._made_as = folder, name, _aside(name)
         self._array = zarr.create_array(
-            store=str(folder / f"{name}.zarr"), shape=(0, *row_shape), chunks=(rows, *row_shape), dtype=dtype,
+            store=str(folder / f"{self._made_as}.zarr"), shape=(0, *row_shape), chunks=(rows, *row_shape), dtype=dtype,
             compressors=None, overwrite=True, fill_value=0,
         )
         self._rows, self._waiting, self._n_waiting = rows, [], 0
@@ -72,6 +99,7 @@ class Appender:
     def close(self) -> int:
         """Write what waits; returns the number of rows."""
         self._flush(self._n_waiting)
+        _give_name(self._folder, self._made_as, self._name)
         return self._array.shape[0]
 
     def _flush(self, n: int) -> None:

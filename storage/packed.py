@@ -44,8 +44,13 @@ _UNIX = 3  # zipfile's own default differs between systems
 
 
 def create_array(root: zarr.Group, header: Header, array: Array, n_words: int = 0) -> zarr.Array:
-    """Make one array of the schema in an open group; `n_words` is the length of a word stream, spare word included."""
+    """One array of the schema in an open group; `n_words` is the length of a word stream, spare word included.
+
+    The one that is there already where a task that was cut short, or still runs elsewhere, has made it.
+    """
     shape = shape_of(header, array, n_words)
+    if array.name in root and root[array.name].shape == shape:
+        return root[array.name]
     return root.create_array(
         array.name, shape=shape, chunks=chunk_shape(array, shape), dtype=array.dtype, dimension_names=array.dims,
         compressors=[ZstdCodec(level=ZSTD_LEVEL)], fill_value=0,

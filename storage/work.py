@@ -2,7 +2,11 @@
 
     work/<stage>-<hash>/   the stage's arrays
         results/<i>.json   one a finished task, so that a restart does only what is missing
+        parts/             what tasks leave for finalise alone; goes once the stage is complete, so finalise may run again
         summary.json       written last: the stage is complete
+
+A worker that was given up may still run its task while another repeats it. Both make the same bytes, so whatever has a
+name of its own is written aside (`*.partial*`) and given its name whole, or not at all where it is there already.
 """
 
 from __future__ import annotations
@@ -12,10 +16,13 @@ import hashlib
 import json
 import os
 import shutil
+import uuid
 from pathlib import Path
 from typing import Any
 
-LAYOUT_VERSION = 2  # raised when a stage's output changes for equal inputs
+import numpy as np
+
+LAYOUT_VERSION = 3  # raised when a stage's output changes for equal inputs
 
 
 def write_json(path: Path, data: Any) -> None:
@@ -30,6 +37,17 @@ def write_json(path: Path, data: Any) -> None:
 
 def read_json(path: Path) -> Any:
     return json.loads(path.read_text())
+
+
+def write_parts(path: Path, **arrays: np.ndarray) -> None:
+    """Arrays as one .npz, under its name only when it is whole."""
+    partial = path.with_name(f"{path.name}.{uuid.uuid4().hex}.partial")
+    try:
+        with open(partial, "wb") as stream:
+            np.savez(stream, **arrays)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def stage_folder(work: Path, stage: Any) -> Path:
@@ -53,6 +71,20 @@ def is_complete(folder: Path) -> bool:
 
 def begin(folder: Path) -> None:
     (folder / "results").mkdir(parents=True, exist_ok=True)
+    parts(folder).mkdir(exist_ok=True)
+
+
+def parts(folder: Path) -> Path:
+    return folder / "parts"
+
+
+def sweep(folder: Path) -> None:
+    """Delete what tasks that are gone had half written. Whole arrays, results and parts stay."""
+    for path in [*folder.rglob("*.partial*")]:
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 def finished_tasks(folder: Path) -> dict[int, dict]:
@@ -66,6 +98,7 @@ def record_task(folder: Path, index: int, result: dict) -> None:
 
 def complete(folder: Path, summary: dict) -> None:
     write_json(folder / "summary.json", summary)
+    shutil.rmtree(parts(folder), ignore_errors=True)
 
 
 def summary(folder: Path) -> dict:

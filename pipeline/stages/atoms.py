@@ -40,7 +40,7 @@ def store_atoms(folder: Path, dictionary: np.ndarray) -> None:
     elif len(dictionary) <= MOST_WITH_GRAM:
         stored["gram"] = dictionary @ dictionary.T
     for name, rows in stored.items():
-        arrays.create(folder, name, rows.shape, "float32", (4096, *rows.shape[1:]))[:] = rows
+        arrays.store(folder, name, rows.astype(np.float32, copy=False), (4096, *rows.shape[1:]))
 
 
 def load_atoms(folder: Path) -> Atoms:

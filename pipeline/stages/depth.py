@@ -31,7 +31,7 @@ class DepthMaps:
         for block in range(arrays.n_blocks(points["n_splats"])):
             position = arrays.read(self.partition, "position", *arrays.block_range(block, points["n_splats"]))
             draw_points(depth_map, camera, position + points["origin"], self.radius)
-        arrays.create(folder, f"depth_{index}", depth_map.shape, "float32", depth_map.shape)[:] = depth_map
+        arrays.store(folder, f"depth_{index}", depth_map.astype(np.float32, copy=False), depth_map.shape)
         return {}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:

@@ -62,19 +62,17 @@ class KsvdUpdate:
         patches = training_patches(self.training, index)
         pursuit = atoms.pursue(patches, self.max_atoms, self.tolerance)
         sums = block_sums(patches, atoms.dictionary, pursuit)
-        _store_sums(folder / f"sums-{index}.npz", sums)
+        work.write_parts(work.parts(folder) / f"sums-{index}.npz", **vars(sums))
         return {"n_splats": len(patches), "n_atoms_used": int(pursuit.codes.n_atoms.sum())}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
-        sums = merge_in_order(lambda i: _load_sums(folder / f"sums-{i}.npz"), 0, len(results))
+        sums = merge_in_order(lambda i: _load_sums(work.parts(folder) / f"sums-{i}.npz"), 0, len(results))
         measured = arrays.read(self.previous, "dictionary")
         best, accepted = judge(_best_of(self.previous), measured, sums)
         trial, n_replaced = next_trial(best, measured, sums)
         store_atoms(folder, trial)
-        arrays.create(folder, "best", best.dictionary.shape, "float32", (4096, best.dictionary.shape[1]))[:] = best.dictionary
-        _store_sums(folder / "best-sums.npz", best.sums)
-        for i in range(len(results)):
-            (folder / f"sums-{i}.npz").unlink()
+        arrays.store(folder, "best", best.dictionary.astype(np.float32, copy=False), (4096, best.dictionary.shape[1]))
+        work.write_parts(folder / "best-sums.npz", **vars(best.sums))
         return {"squared_error": best.sums.error, "measured_error": sums.error, "accepted": accepted, "step": best.step,
                 "n_patches": sums.n_patches, "n_replaced": n_replaced,
                 "n_atoms_used": sum(r["n_atoms_used"] for r in results)}
@@ -86,10 +84,6 @@ def _best_of(previous: Path) -> Best | None:
         return None
     sums = _load_sums(previous / "best-sums.npz")
     return Best(arrays.read(previous, "best"), sums, work.summary(previous)["step"])
-
-
-def _store_sums(path: Path, sums: Sums) -> None:
-    np.savez(path, **vars(sums))
 
 
 def _load_sums(path: Path) -> Sums:

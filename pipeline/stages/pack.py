@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from storage import arrays
+from storage import arrays, work
 from storage.batches import count_batches, rows_of
 from storage.bits import pack_bits
 from storage.codes import pack_codes
@@ -44,7 +44,7 @@ class Pack:
         self._write_splats(root, start, stop, order, counts)
         n_words = {}
         for name, words in self._words(start, stop, order, counts).items():
-            np.save(folder / f"{name}-{index}.npy", np.concatenate(words))
+            work.write_parts(work.parts(folder) / f"{name}-{index}.npz", words=np.concatenate(words))
             n_words[name] = [len(w) for w in words]
         return {"n_splats": stop - start, "n_words": n_words}
 
@@ -106,14 +106,14 @@ class Pack:
     def _join_words(self, folder: Path, root, stream: Stream, n_words: list[int], n_tasks: int) -> None:
         root[stream.table][:] = (np.cumsum(n_words) - n_words).astype(np.uint32)
         joined = create_array(root, self.header, BY_NAME[stream.name], sum(n_words) + 1)
-        at = 0
-        for index in range(n_tasks):
-            path = folder / f"{stream.name}-{index}.npy"
-            words = np.load(path)
-            joined[at : at + len(words)] = words
-            at += len(words)
-            path.unlink()
-        joined[at:] = 0
+        pieces = (np.load(work.parts(folder) / f"{stream.name}-{index}.npz")["words"] for index in range(n_tasks))
+        at, waiting = 0, np.zeros(0, np.uint32)
+        for piece in [*pieces, np.zeros(1, np.uint32)]:  # the spare word
+            waiting = np.concatenate([waiting, piece])
+            n = len(waiting) if at + len(waiting) == joined.shape[0] else len(waiting) - len(waiting) % joined.chunks[0]
+            if n:  # whole chunks: another that runs this too then never writes less of one than this does
+                joined[at : at + n] = waiting[:n]
+            at, waiting = at + n, waiting[n:]
 
 
 def _in_rows(fields: np.ndarray, place: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ median by two histograms, then two runs. Ties go by file order in both, so the o
 
 from __future__ import annotations
 
+import uuid
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,13 +37,13 @@ class Partition:
     def run(self, folder: Path, index: int) -> dict:
         points = work.summary(self.ingest)
         n = points["n_points"]
-        scratch = [folder / "scratch-a.bin", folder / "scratch-b.bin"]
+        scratch = [work.parts(folder) / f"{uuid.uuid4().hex}.bin" for _ in range(2)]
         record = np.dtype([(name, dtype.base, dtype.shape) for name, dtype in _columns(self.ingest).items()])
         try:
             _copy_records(self.ingest, scratch[0], record, n, np.array(_origin(points)))
             _split(scratch, record, 0, n, folder)
         except OSError as error:
-            raise ResourceExhausted(str(folder), f"{error}", f"room for {2 * n * record.itemsize} bytes") from error
+            raise ResourceExhausted(f"stage {self.name}", f"{error.strerror or error}", f"room for {2 * n * record.itemsize} bytes") from error
         finally:
             for path in scratch:
                 path.unlink(missing_ok=True)

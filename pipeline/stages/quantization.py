@@ -36,23 +36,23 @@ class Quantization:
         contents = {"atom_scale": scale}
         contents |= {f"atoms_{s}": level for s, level in zip(MIP_SIZES, mip_levels(texels))}
         for name, rows in contents.items():
-            arrays.create(folder, name, rows.shape, str(rows.dtype), (4096, *rows.shape[1:]))[:] = rows
+            arrays.store(folder, name, rows, (4096, *rows.shape[1:]))
         return work.summary(self.training)["n_tasks"]
 
     def run(self, folder: Path, index: int) -> dict:
         found = load_atoms(folder).pursue(training_patches(self.training, index), self.max_atoms, self.tolerance)
         codes = found.codes
-        np.savez(folder / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
+        work.write_parts(work.parts(folder) / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
         return {"n_splats": len(codes.n_atoms), "squared_error": float(found.residual.sum())}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         samples: list[list[np.ndarray]] = [[] for _ in range(MAX_ATOMS)]
         for i in range(len(results)):
-            with np.load(folder / f"weights-{i}.npz") as stored:
+            with np.load(work.parts(folder) / f"weights-{i}.npz") as stored:
                 for rank in range(stored["weight"].shape[1]):
                     samples[rank].append(stored["weight"][stored["n_atoms"] > rank, rank])
         ranks = [np.concatenate(s) if s else np.empty(0, np.float32) for s in samples]
         levels = train_weight_levels(ranks, 2**self.weight_bits)
-        arrays.create(folder, "weight_levels", levels.shape, "float32")[:] = levels
+        arrays.store(folder, "weight_levels", levels.astype(np.float32, copy=False))
         return {"n_atoms": arrays.opened(folder, "atom_scale").shape[0],
                 "squared_error": sum(r["squared_error"] for r in results)}

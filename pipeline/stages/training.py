@@ -50,7 +50,7 @@ class TrainingSet:
             texel.append(arrays.read(self.patches, "texel", start, stop)[chosen])
             average.append(arrays.read(self.patches, "average", start, stop)[chosen])
         for name, rows in (("texel", np.concatenate(texel)), ("average", np.concatenate(average))):
-            arrays.create(folder, f"{name}_{index}", rows.shape, "uint8", rows.shape)[:] = rows
+            arrays.store(folder, f"{name}_{index}", rows, rows.shape)
         return {"n_splats": sum(map(len, average))}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import InterfaceError, OperationalError
 from starlette.exceptions import HTTPException
 
 from services.api import artifacts, events, health, jobs, page, scans, uploads, words
 from services.api.limits import MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyCap
-from services.problems import INTERNAL, RESOURCE, Problem
+from services.problems import INTERNAL, RESOURCE, Problem, is_of_database
 from services.settings import ServiceSettings
 from services.store import Store
 
@@ -40,7 +40,8 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     app.add_exception_handler(Problem, _problem)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
-    app.add_exception_handler(OperationalError, _database)
+    for away in (OperationalError, InterfaceError):
+        app.add_exception_handler(away, _database)
     app.add_exception_handler(Exception, _mistake)
     app.add_middleware(BodyCap, limit=lambda method, path: _allowed_body(settings, method, path))
     app.middleware("http")(_secured)
@@ -78,7 +79,9 @@ async def _http(_: Request, error: HTTPException) -> JSONResponse:
     return _answer(Problem(error.status_code, slug, str(error.detail), headers=dict(error.headers or {})))
 
 
-async def _database(_: Request, error: OperationalError) -> JSONResponse:
+async def _database(_: Request, error: Exception) -> JSONResponse:
+    if is_of_database(error, full=True):
+        return _answer(Problem(507, "disk-full", "no room for the database", kind=RESOURCE, retryable=True))
     return _answer(Problem(503, "database-away", "the database does not answer", kind=RESOURCE, retryable=True,
                            headers={"Retry-After": "5"}))
 

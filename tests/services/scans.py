@@ -10,9 +10,9 @@ import OpenImageIO as oiio
 from tests.pipeline.readers.workspace import write_photo, write_ply, write_workspace
 
 
-def photo_scan(path: Path, n_side: int = 140, grain: int = 40) -> Path:
-    """A COLMAP workspace of n_side^2 points and three photos, two blocks of splats at the default size."""
-    write_workspace(path, n_side=n_side, params=(400.0, 410.0, 160.0, 120.0), size_px=(320, 240))
+def photo_scan(path: Path, n_side: int = 140, grain: int = 40, n_cameras: int = 3) -> Path:
+    """A COLMAP workspace of n_side^2 points and some photos, two blocks of splats at the default size."""
+    write_workspace(path, n_cameras=n_cameras, n_side=n_side, params=(400.0, 410.0, 160.0, 120.0), size_px=(320, 240))
     rng = np.random.default_rng(0)
     for photo in sorted((path / "images").iterdir()):
         pixels = oiio.ImageBuf(str(photo)).get_pixels(oiio.UINT8).astype(int)

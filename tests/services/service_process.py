@@ -58,6 +58,10 @@ class ServiceProcess:
         runner = self.part("runner")
         return [p for p in runner.children(recursive=True) if "spawn_main" in " ".join(_command(p))] if runner else []
 
+    def render_worker(self) -> psutil.Process:
+        """The one that has loaded OpenGL, as it has once it draws."""
+        return next(p for p in self.workers() if "libEGL" in Path(f"/proc/{p.pid}/maps").read_text())
+
     def kill(self, process: psutil.Process) -> None:
         process.send_signal(signal.SIGKILL)
 

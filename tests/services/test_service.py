@@ -8,10 +8,12 @@ import threading
 import time
 import tomllib
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from base64 import b64encode
 from pathlib import Path
 
 import httpx
+import psutil
 import pytest
 
 from pipeline.executors import SerialExecutor
@@ -145,6 +147,74 @@ def test_service__a_job_survives_the_death_of_a_worker_and_of_the_runner(served,
     assert [e["data"]["status"] for e in events if e["kind"] == "status"] == ["accepted", "running", "successful"]
     compress(scan, tmp_path / "out", settings_for("draft", **options), SerialExecutor(), Heard(), render=False)
     assert packed(served, job, tmp_path) == (tmp_path / "out" / "plane.splatpress").read_bytes()
+
+
+def test_service__a_render_worker_that_dies_in_a_picture_is_replaced_and_the_pictures_are_the_same(served, tmp_path):
+    scan = served.client.upload(photo_scan(tmp_path / "plane", n_side=40, n_cameras=12))["id"]
+    job = served.client.submit(scan, preset="draft", options=OPTIONS)["jobID"]
+    until(lambda: list((served.data / "jobs" / job).rglob("*.packed.png")), every=0.01)
+    render_worker = served.render_worker()
+    served.kill(render_worker)
+    events = []
+    ended = served.client.watch(job, events.append)
+    assert ended["status"] == "successful", ended["problem"]
+    assert re.search(r"worker \S+ was lost with 1 task.* of render; they run again", served.log_of(job))
+    assert [e["data"]["status"] for e in events if e["kind"] == "status"] == ["accepted", "running", "successful"]
+    assert served.render_worker().pid != render_worker.pid
+    again = served.client.submit(scan, preset="draft", options=OPTIONS)["jobID"]
+    served.client.watch(again, lambda event: None)
+    pictures = [{a["name"]: a["sha256"] for a in served.client.artifacts(id) if a["name"].endswith((".png", ".splatpress"))} for id in (job, again)]
+    assert len(pictures[0]) == 25 and pictures[0] == pictures[1]
+
+
+def test_service__ten_equal_jobs_without_a_key_are_ten_and_share_what_they_make(served, tmp_path):
+    id = served.client.upload(photo_scan(tmp_path / "ten", n_side=24))["id"]
+
+    def submit(_: int) -> str:
+        request = {"scan": id, "preset": "draft", "options": {**OPTIONS, "iterations": 1}}
+        return httpx.post(served.url + "/v1/jobs", json=request, timeout=60).json()["jobID"]
+
+    with ThreadPoolExecutor(10) as pool:
+        jobs = list(pool.map(submit, range(10)))
+    assert len(set(jobs)) == 10
+    assert {served.client.watch(job, lambda event: None)["status"] for job in jobs} == {"successful"}
+    logs = [served.log_of(job) for job in jobs]
+    assert sum(bool(re.search(r"resample: [0-9.]+ s", log)) for log in logs) == 1  # the others waited for it and took it
+    hashes = {a["sha256"] for job in jobs for a in served.client.artifacts(job) if a["name"] == "ten.splatpress"}
+    assert len(hashes) == 1
+
+
+def test_service__a_job_dismissed_in_a_reduction_whose_worker_hangs_stops_and_a_retry_packs_the_same(served, tmp_path):
+    """The worker is frozen between the last task of a k-SVD update and its summary: there `finalise` runs."""
+    scan, options = photo_scan(tmp_path / "frozen", n_side=40), {**OPTIONS, "iterations": 6}
+    scan_id = served.client.upload(scan)["id"]
+    job = served.client.submit(scan_id, preset="draft", options=options)["jobID"]
+    frozen = _frozen_in_a_reduction(served, served.data / "work" / scan_id)
+    served.client.cancel(job)
+    until(lambda: "what it made so far stays" in served.log_of(job), 12)
+    left = [w for w in frozen if w.is_running() and w.status() == psutil.STATUS_STOPPED]
+    [w.resume() for w in left]
+    assert len(left) == len(frozen) - 1  # the one that had it was ended
+    served.client.retry(job)
+    assert served.client.watch(job, lambda event: None)["status"] == "successful"
+    compress(scan, tmp_path / "out", settings_for("draft", **options), SerialExecutor(), Heard(), render=False)
+    served.client.fetch(job, tmp_path, ["frozen.splatpress"])
+    assert (tmp_path / "frozen.splatpress").read_bytes() == (tmp_path / "out" / "frozen.splatpress").read_bytes()
+
+
+def _frozen_in_a_reduction(served, work: Path) -> list:
+    workers = served.workers()
+    deadline = time.monotonic() + 90
+    while time.monotonic() < deadline:
+        for folder in work.glob("ksvd-update-*[!k]"):
+            if (folder / "results" / "000000.json").exists() and not (folder / "summary.json").exists():
+                [w.suspend() for w in workers]
+                time.sleep(0.2)  # what the runner may have been told before
+                if not (folder / "summary.json").exists():
+                    return workers
+                [w.resume() for w in workers]
+        time.sleep(0.002)
+    raise AssertionError("no reduction was met")
 
 
 def test_service__an_upload_goes_on_where_a_killed_api_left_it(served, scan, tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import json
 from pathlib import Path
 
@@ -10,9 +12,10 @@ import pytest
 
 from pipeline.executors import DaskExecutor, SerialExecutor
 from pipeline.settings import settings_for
+from pipeline.task import run_call, run_task
 from services import workflow
 from services.workflow import compress, report
-from storage.errors import InvalidScan
+from storage.errors import InvalidScan, ResourceExhausted
 from storage.packed import PackedFile
 from tests.services.scans import photo_scan, point_scan
 from tests.pipeline.test_stage import Heard
@@ -71,6 +74,37 @@ def test_workflow__dask_packs_the_same_bytes(scan, packed_serially, tmp_path, n_
         compress(scan, tmp_path / "out", SETTINGS, executor, Heard(), render=False)
     name = "wavy plane.splatpress"
     assert (tmp_path / "out" / name).read_bytes() == (packed_serially[0] / name).read_bytes()
+
+
+class Haunted(SerialExecutor):
+    """Every task and every finalise runs twice, and those of the stage before once more when this one begins: as where a
+    worker was given up but is still at it."""
+
+    def __init__(self) -> None:
+        self._before, self._now = [], []
+
+    def run(self, stage, folder, indices, on_done):
+        for late in self._before:
+            with contextlib.suppress(ResourceExhausted):  # what only finalise needs is gone by then
+                late()
+        self._now = [functools.partial(run_task, stage, folder, index) for index in indices]
+        for index, task in zip(indices, self._now):
+            task()
+            on_done(index, task())
+
+    def call(self, name, function, *arguments):
+        self._before = [*self._now, functools.partial(run_call, name, function, *arguments)]
+        self._before[-1]()
+        return run_call(name, function, *arguments)
+
+
+def test_workflow__tasks_that_run_twice_or_late_change_no_byte(tmp_path):
+    scan = photo_scan(tmp_path / "wavy plane", n_side=50)
+    for name, executor in (("once", SerialExecutor()), ("haunted", Haunted())):
+        compress(scan, tmp_path / name, SETTINGS, executor, Heard(), render=False, work=tmp_path / f"work {name}")
+    once, haunted = ((tmp_path / name / "wavy plane.splatpress").read_bytes() for name in ("once", "haunted"))
+    assert once == haunted
+    assert not [p for p in (tmp_path / "work haunted").rglob("*") if ".partial" in p.name]
 
 
 def test_workflow__the_packed_file_measures_what_the_coder_said(scan, packed_serially, tmp_path):
