@@ -18,7 +18,9 @@ class Settings:
     max_atoms: int = MAX_ATOMS
     target_psnr_db: float = 40.0
     iterations: int = 6
+    least_gain_db: float = 0.01
     training_splats: int = 40_000
+    subspace_floor_db: float = 10.0
     radius: float | None = None
     seed: int = 0
     effects: str = ""  # what is asked of effects, as pipeline.effects.request writes it; "" leaves all to the scan

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,16 +71,24 @@ def make_previews(
     device = renderer.context.info["GL_RENDERER"]
     gpu_scene = GpuScene(scene, renderer.context)
     photos = PhotoSplats(gpu_scene, read_photo) if read_photo else None
-    rows = []
+    waiting: list[Future] = []
+
+    def finish(i: int, view: Camera, packed: Picture, baseline: Picture | None) -> dict:
+        photo = resized(read_photo(chosen[i]), view.width_px, view.height_px) if read_photo else None
+        pictures = _save(Path(folder), names[i], packed, baseline, photo)
+        return _row(view, packed, baseline, photo) | {"device": device, "pictures": pictures}
+
     try:
-        for i, (view, name) in enumerate(zip(views, names, strict=True)):
-            if i == 0:  # compiles the shaders, so that the passes of the first view are timed as the others are
-                _draw(renderer, gpu_scene, photos, view_of(view, WARM_UP_PX))
-            packed, baseline = _draw(renderer, gpu_scene, photos, view)
-            photo = resized(read_photo(chosen[i]), view.width_px, view.height_px) if read_photo else None
-            pictures = _save(Path(folder), name, packed, baseline, photo)
-            rows.append(_row(view, packed, baseline, photo) | {"device": device, "pictures": pictures})
-            progress(i + 1, len(views))
+        with ThreadPoolExecutor(1) as pool:  # compares and writes a view while the next one is drawn
+            for i, view in enumerate(views):
+                if i == 0:  # compiles the shaders, so that the passes of the first view are timed as the others are
+                    _draw(renderer, gpu_scene, photos, view_of(view, WARM_UP_PX))
+                waiting.append(pool.submit(finish, i, view, *_draw(renderer, gpu_scene, photos, view)))
+                if i:  # no more than two views' pictures at a time
+                    waiting[i - 1].result()
+                    progress(i, len(views))
+            rows = [done.result() for done in waiting]
+            progress(len(views), len(views))
     finally:
         if photos:
             photos.release()

@@ -32,7 +32,7 @@ from pipeline.stages.partition import Partition
 from pipeline.stages.patches import Resample
 from pipeline.stages.quantization import Quantization
 from pipeline.stages.splats import Splats
-from pipeline.stages.training import TrainingSet
+from pipeline.stages.training import Components, TrainingSet
 from pipeline.texture.resample import PATCH_DIM
 from renderer.report import build_report, write_report
 from renderer.report_page import write_page
@@ -157,13 +157,15 @@ def code_patches(run: Run, patches: StageRecord, settings: Settings) -> Coded:
     training = run.do(TrainingSet(patches.folder, tolerance, settings.training_splats, settings.seed))
     quantized, learning, n_taken_back = None, [], 0
     if settings.max_atoms and training.summary["n_patches"]:
-        learned, learning = _learn(run, training, settings, tolerance)
-        quantized, n_taken_back = _quantize_best(run, training, learned, settings, tolerance)
+        components = run.do(Components(training.folder, tolerance * 10 ** (-settings.subspace_floor_db / 10)))
+        learned, learning = _learn(run, training, components, settings, tolerance)
+        quantized, n_taken_back = _quantize_best(run, components, learned, settings, tolerance)
         n_taken_back += sum(not row["accepted"] for row in learning)
     codes = encode(run, patches.folder, quantized, settings)
     return Coded(patches, codes, quantized, learning, quantized.summary["n_atoms"] if quantized else 0, n_taken_back)
 
 
+<<<<<<< HEAD
 def encode(run: Run, patches: Path, quantized: StageRecord | None, settings: Settings) -> StageRecord:
     """Code patches by a dictionary that is there; None gives every splat its average colour alone."""
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
@@ -172,25 +174,42 @@ def encode(run: Run, patches: Path, quantized: StageRecord | None, settings: Set
 
 def _learn(run: Run, training: StageRecord, settings: Settings, tolerance: float) -> tuple[StageRecord, list[dict]]:
     """The last iteration, and the learning curve as estimates for the whole scan: of the best dictionary so far."""
+=======
+def _learn(run: Run, training: StageRecord, components: StageRecord, settings: Settings,
+           tolerance: float) -> tuple[StageRecord, list[dict]]:
+    """The last iteration, and the learning curve as estimates for the whole scan: of the best dictionary so far.
+
+    Ends early where an iteration gains less than `least_gain_db`.
+    """
+>>>>>>> 4944b7b (coding: dictionaries are learned in principal components; sums without a matrix of residuals; renderer: SSIM row by row, compared while the next view is drawn)
     begun = time.perf_counter()
     n_atoms = max(1, min(2**settings.dictionary_bits, training.summary["n_patches"] // PATCHES_AN_ATOM))
-    learned = run.do(DictionarySeed(training.folder, n_atoms, settings.seed)).folder
+    learned = run.do(DictionarySeed(components.folder, n_atoms, settings.seed)).folder
     curve = []
     for iteration in range(settings.iterations):
-        record = run.do(KsvdUpdate(training.folder, learned, settings.max_atoms, tolerance, iteration))
+        record = run.do(KsvdUpdate(components.folder, learned, settings.max_atoms, tolerance, iteration))
         learned, found = record.folder, record.summary
         curve.append({"seconds": time.perf_counter() - begun, "replaced_atoms": found["n_replaced"],
                       "accepted": found["accepted"], "psnr_db": estimated_psnr_db(training.summary, found)})
+        if _is_settled(curve, settings.least_gain_db):
+            break
     return record, curve
 
 
-def _quantize_best(run: Run, training: StageRecord, learned: StageRecord, settings: Settings, tolerance: float):
+def _is_settled(curve: list[dict], least_gain_db: float) -> bool:
+    """Whether the last iteration was one that did better, by less than that."""
+    if len(curve) < 2 or not curve[-1]["accepted"] or curve[-1]["psnr_db"] is None:
+        return False
+    return curve[-1]["psnr_db"] - curve[-2]["psnr_db"] < least_gain_db
+
+
+def _quantize_best(run: Run, components: StageRecord, learned: StageRecord, settings: Settings, tolerance: float):
     """The better of the last dictionary and the best before it, in bytes, and whether (0 or 1) the last was taken back.
 
     Quantising codes the training set once more, so the last dictionary, which no iteration has measured, is measured
     there. The one before it is quantised too only where the last looks worse.
     """
-    stages = (Quantization(training.folder, learned.folder, settings.max_atoms, tolerance, settings.weight_bits, name)
+    stages = (Quantization(components.folder, learned.folder, settings.max_atoms, tolerance, settings.weight_bits, name)
               for name in ("dictionary", "best"))
     last = run.do(next(stages))
     if last.summary["squared_error"] <= learned.summary["squared_error"]:

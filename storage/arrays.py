@@ -65,6 +65,21 @@ def read(folder: Path, name: str, start: int = 0, stop: int | None = None) -> np
     return np.asarray(opened(folder, name)[start:stop])
 
 
+def read_rows(folder: Path, name: str, rows: np.ndarray) -> np.ndarray:
+    """The rows with these numbers, ascending, of an array whose chunks are whole rows; only they are read from disk."""
+    array = opened(folder, name)
+    n_rows, *rest = array.chunks
+    assert array.shape[1:] == tuple(rest) and not array.compressors, (array.shape, array.chunks)
+    result = np.empty((len(rows), *rest), array.dtype)
+    ends = np.searchsorted(rows, np.arange(0, array.shape[0] + n_rows, n_rows))
+    for chunk, (first, end) in enumerate(zip(ends, ends[1:])):
+        if first < end:
+            path = folder / f"{name}.zarr" / "c" / str(chunk) / "/".join("0" * len(rest))
+            stored = np.memmap(path, array.dtype, "r", shape=tuple(array.chunks))
+            result[first:end] = stored[rows[first:end] - chunk * n_rows]
+    return result
+
+
 def write(folder: Path, name: str, start: int, rows: np.ndarray) -> None:
     """Rows from `start` on. The caller owns every chunk that they touch."""
     opened(folder, name, "r+")[start : start + len(rows)] = rows

@@ -62,9 +62,11 @@ def split_by(dictionary: np.ndarray, basis: np.ndarray, short: np.ndarray, rest:
         dictionary, basis, short, rest, short @ short.T if len(dictionary) <= MOST_WITH_GRAM else _none())
 
 
-def unshortened(dictionary: np.ndarray) -> ShortDictionary:
-    """The dictionary in its own components: for exact search where a Gram matrix would be too large."""
-    return ShortDictionary(dictionary, _none(), dictionary, np.zeros(len(dictionary), np.float32), _none())
+def unshortened(dictionary: np.ndarray, gram: np.ndarray | None = None) -> ShortDictionary:
+    """The dictionary in its own components, which leave no rest: for exact search where it is large. Without its Gram
+    matrix (k, k) every step takes a GEMM."""
+    return ShortDictionary(dictionary, _none(), dictionary, np.zeros(len(dictionary), np.float32),
+                           _none() if gram is None else gram)
 
 
 def principal_components(rows: np.ndarray, n: int) -> np.ndarray:

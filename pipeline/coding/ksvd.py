@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from pipeline.coding.omp import Pursuit, pursue_patches, reconstruct
+from pipeline.coding.omp import Pursuit, pursue_patches
 
 BLOCK = 8192  # patches whose sums are made in one go; part of the result, as float sums depend on their order
 WORST = 512  # how many badly represented patches a block offers as replacements
@@ -61,8 +61,7 @@ def block_sums(patches: np.ndarray, dictionary: np.ndarray, pursuit: Pursuit) ->
     n_atoms, dim = dictionary.shape
     moment = np.zeros((n_atoms, dim), np.float32)
     gain, n_users = np.zeros(n_atoms), np.zeros(n_atoms, np.int64)
-    residual = patches - reconstruct(codes, dictionary)
-    _accumulate(residual, codes.atom_index, codes.weight, codes.n_atoms, moment, gain, n_users)
+    _accumulate(patches, dictionary, codes.atom_index, codes.weight, codes.n_atoms, moment, gain, n_users)
     worst = np.argsort(-error, kind="stable")[:WORST]
     rows = patches[worst].astype(np.float32)
     norms = np.linalg.norm(rows, axis=1, keepdims=True)
@@ -149,14 +148,14 @@ def learn_dictionary(
     n_atoms: int,
     *,
     max_atoms: int = 8,
-    tolerance: float = 0.0,
+    tolerance: float | np.ndarray = 0.0,
     iterations: int = 10,
     seed: int = 0,
     on_iteration: Callable[[int, float], None] = lambda iteration, mean_squared_error: None,
 ) -> np.ndarray:
     """Learn unit atoms (m, patch_dim) float32 from patches; m is `n_atoms`, or fewer where patches are too alike.
 
-    `tolerance` is the cut-off of `sparse_encode`, a squared residual norm. `on_iteration` gets the mean squared residual
+    `tolerance` is the cut-off of `sparse_encode`, a squared residual norm, for all patches or one each. `on_iteration` gets the mean squared residual
     norm of the best dictionary so far, each iteration before its update and once more at the end. The stages of the
     pipeline run these same sums block by block.
 
@@ -178,25 +177,35 @@ def learn_dictionary(
     return best.dictionary
 
 
-def _measured(patches: np.ndarray, dictionary: np.ndarray, max_atoms: int, tolerance: float) -> Sums:
+def _measured(patches: np.ndarray, dictionary: np.ndarray, max_atoms: int, tolerance: float | np.ndarray) -> Sums:
     """What one pass over all patches says of a dictionary."""
     blocks = []
+    tolerance = np.broadcast_to(np.asarray(tolerance, np.float64), len(patches))
     for start in range(0, len(patches), BLOCK):
-        part = patches[start : start + BLOCK]
-        pursuit = pursue_patches(part, dictionary, max_atoms=min(max_atoms, len(dictionary)), tolerance=tolerance)
-        blocks.append(block_sums(part, dictionary, pursuit))
+        part = slice(start, start + BLOCK)
+        pursuit = pursue_patches(patches[part], dictionary, max_atoms=min(max_atoms, len(dictionary)), tolerance=tolerance[part])
+        blocks.append(block_sums(patches[part], dictionary, pursuit))
     return merge_in_order(blocks.__getitem__, 0, len(blocks))
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
-def _accumulate(residual, atom_index, weight, n_atoms, moment, gain, n_users):
-    """Add each patch's share to the sums of its atoms, with v_ik = x_ik."""
-    for i in range(residual.shape[0]):
+def _add_row(row, other, x):
+    for d in range(row.shape[0]):
+        row[d] += x * other[d]
+
+
+@numba.njit(cache=True, nogil=True)
+def _accumulate(patches, dictionary, atom_index, weight, n_atoms, moment, gain, n_users):
+    """Add each patch's share to the sums of its atoms, with v_ik = x_ik. The residual lives for its patch alone: a
+    matrix of them, written and read again, took twice as long."""
+    residual = np.empty(patches.shape[1], np.float32)
+    for i in range(patches.shape[0]):
+        residual[:] = patches[i]
+        for t in range(n_atoms[i]):
+            _add_row(residual, dictionary[atom_index[i, t]], -weight[i, t])
         for t in range(n_atoms[i]):
             atom, x = atom_index[i, t], weight[i, t]
-            row = moment[atom]
-            for d in range(row.shape[0]):
-                row[d] += x * residual[i, d]
+            _add_row(moment[atom], residual, x)
             gain[atom] += np.float64(x) * x
             n_users[atom] += 1
 

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coding.certified import MOST_WITH_GRAM, ShortDictionary, shorten, split_by
+from pipeline.coding.certified import (
+    FEWEST_ATOMS, MOST_WITH_GRAM, ShortDictionary, shorten, split_by, unshortened,
+)
 from pipeline.coding.omp import Pursuit, pursue_patches
 from storage import arrays
 
@@ -24,12 +26,15 @@ class Atoms:
     split: ShortDictionary | None
     gram: np.ndarray | None
 
-    def pursue(self, patches: np.ndarray, max_atoms: int, tolerance: float, levels: np.ndarray | None = None) -> Pursuit:
+    def pursue(self, patches: np.ndarray, max_atoms: int, tolerance: float | np.ndarray,
+               levels: np.ndarray | None = None) -> Pursuit:
         """The pursuit of patches (n, d) on one thread, with the atoms that exact search takes."""
-        most = min(max_atoms, len(self.dictionary))
-        search = "exact" if self.split is None else "certified"
-        return pursue_patches(patches, self.split or self.dictionary, max_atoms=most, tolerance=tolerance,
-                              weight_levels=levels, gram=self.gram, search=search)
+        most, split = min(max_atoms, len(self.dictionary)), self.split
+        if split is None and self.gram is not None and len(self.dictionary) >= FEWEST_ATOMS:
+            # As exact, and for 4,096 atoms of 128 components in two thirds of the time: groups of atoms share bounds.
+            split = unshortened(self.dictionary, self.gram)
+        return pursue_patches(patches, split or self.dictionary, max_atoms=most, tolerance=tolerance, weight_levels=levels,
+                              gram=self.gram, search="exact" if split is None else "certified")
 
 
 def store_atoms(folder: Path, dictionary: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""Patches -> dictionary: a random start, then k-SVD, one stage an iteration."""
+"""Patches in components -> dictionary in components: a random start, then k-SVD, one stage an iteration."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.coding.ksvd import Best, Sums, block_sums, initial_dictionary, judge, merge_in_order, next_trial
 from pipeline.stages.atoms import load_atoms, store_atoms
-from pipeline.stages.training import training_patches
+from pipeline.stages.training import training_part
 from storage import arrays, work
 
 
@@ -30,7 +30,7 @@ class DictionarySeed:
         share = -(-2 * self.n_atoms // n_tasks)  # twice as many as needed: twins are passed over
         pool = []
         for task in range(n_tasks):
-            patches = training_patches(self.training, task)
+            patches = training_part(self.training, task).coefficients
             pool.append(patches[np.random.default_rng([self.seed, task]).permutation(len(patches))[:share]])
         dictionary = initial_dictionary(np.concatenate(pool), self.n_atoms, self.seed)
         store_atoms(folder, dictionary)
@@ -59,8 +59,9 @@ class KsvdUpdate:
 
     def run(self, folder: Path, index: int) -> dict:
         atoms = load_atoms(self.previous)
-        patches = training_patches(self.training, index)
-        pursuit = atoms.pursue(patches, self.max_atoms, self.tolerance)
+        patches, rest = training_part(self.training, index)
+        found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0))
+        pursuit = found._replace(residual=found.residual + rest)  # errors are those of whole patches
         sums = block_sums(patches, atoms.dictionary, pursuit)
         work.write_parts(work.parts(folder) / f"sums-{index}.npz", **vars(sums))
         return {"n_splats": len(patches), "n_atoms_used": int(pursuit.codes.n_atoms.sum())}

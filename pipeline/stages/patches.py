@@ -10,7 +10,12 @@ import numpy as np
 from pipeline.accuracy import psnr_db
 from pipeline.geometry.frame import Direction, tangent_frames
 from pipeline.stages.splats import decoded_centres
+<<<<<<< HEAD
 from pipeline.texture.patches import Patches, make_patches
+=======
+from pipeline.stages.strata import census
+from pipeline.texture.patches import make_patches
+>>>>>>> 4944b7b (coding: dictionaries are learned in principal components; sums without a matrix of residuals; renderer: SSIM row by row, compared while the next view is drawn)
 from pipeline.texture.resample import PATCH_DIM
 from storage import arrays, work
 from storage.schema import Camera
@@ -42,13 +47,14 @@ class Resample:
         arrays.write(folder, "average", start, patches.average)
         arrays.write(folder, "energy", start, patches.energy)
         return {"n_splats": stop - start, "resampling_error": patches.resampling_error, "n_probes": patches.n_probes,
-                "n_flagged": patches.n_flagged,
+                "n_flagged": patches.n_flagged, "census": census(patches.energy).tolist(),
                 "energy": float(patches.energy.sum(dtype=np.float64))}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         error, n_probes = (sum(r[k] for r in results) for k in ("resampling_error", "n_probes"))
         return {"resampling_psnr_db": psnr_db(error, n_probes), "energy": sum(r["energy"] for r in results),
-                "n_flagged": sum(r["n_flagged"] for r in results)}
+                "n_flagged": sum(r["n_flagged"] for r in results),
+                "census": np.sum([r["census"] for r in results], axis=0).tolist()}
 
 
 def resampled_block(photos: Path, partition: Path, splats: Path, radius: float, up: Direction, ahead: Direction,

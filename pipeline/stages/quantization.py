@@ -8,21 +8,25 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coding.quantize import dequantize_atoms, mip_levels, quantize_atoms, train_weight_levels
+from pipeline.coding.subspace import lift
 from pipeline.stages.atoms import load_atoms, store_atoms
-from pipeline.stages.training import training_patches
+from pipeline.stages.training import training_part
 from storage import arrays, work
 from storage.schema import MAX_ATOMS, MIP_SIZES
+
+IN_COMPONENTS = "in-components"
 
 
 @dataclass(frozen=True)
 class Quantization:
-    """A task a part of the training set: it is coded with exact weights by the atoms as they will be decoded.
+    """A task a part of the training set: it is coded with exact weights by the atoms as they will be decoded, less what
+    of them lies outside the components.
 
     Arrays: those of the packed file's dictionary (atoms_<s>, atom_scale, weight_levels), and those of `atoms` for the
-    decoded atoms.
+    decoded atoms, and in a folder `in-components` for what of them the components hold.
     """
 
-    training: Path
+    training: Path  # in components
     learned: Path
     max_atoms: int
     tolerance: float
@@ -31,8 +35,12 @@ class Quantization:
     name = "quantise"
 
     def init(self, folder: Path) -> int:
-        texels, scale = quantize_atoms(arrays.read(self.learned, self.learned_array))
-        store_atoms(folder, dequantize_atoms(texels, scale))
+        basis = arrays.read(self.training, "basis")
+        texels, scale = quantize_atoms(lift(arrays.read(self.learned, self.learned_array), basis))
+        decoded = dequantize_atoms(texels, scale)
+        store_atoms(folder, decoded)
+        short = decoded @ basis
+        store_atoms(folder / IN_COMPONENTS, short / np.linalg.norm(short, axis=1, keepdims=True))
         contents = {"atom_scale": scale}
         contents |= {f"atoms_{s}": level for s, level in zip(MIP_SIZES, mip_levels(texels))}
         for name, rows in contents.items():
@@ -40,10 +48,16 @@ class Quantization:
         return work.summary(self.training)["n_tasks"]
 
     def run(self, folder: Path, index: int) -> dict:
-        found = load_atoms(folder).pursue(training_patches(self.training, index), self.max_atoms, self.tolerance)
+        patches, rest = training_part(self.training, index)
+        found = load_atoms(folder / IN_COMPONENTS).pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0))
         codes = found.codes
+<<<<<<< HEAD
         work.write_parts(work.parts(folder) / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
         return {"n_splats": len(codes.n_atoms), "squared_error": float(found.residual.sum())}
+=======
+        np.savez(folder / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
+        return {"n_splats": len(codes.n_atoms), "squared_error": float((found.residual + rest).sum())}
+>>>>>>> 4944b7b (coding: dictionaries are learned in principal components; sums without a matrix of residuals; renderer: SSIM row by row, compared while the next view is drawn)
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         samples: list[list[np.ndarray]] = [[] for _ in range(MAX_ATOMS)]

@@ -1,15 +1,30 @@
-"""Which patches the dictionary is learned from: a random part of those that their average colour does not settle."""
+"""Which patches the dictionary is learned from: a part of those that their average colour does not settle, chosen by
+hash within octaves of contrast (`strata`), as coefficients of principal components (`pipeline/coding/subspace.py`)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from pipeline.accuracy import psnr_db
 from pipeline.coding.ksvd import BLOCK as TASK_SPLATS
+from pipeline.coding.subspace import HALF, find_components, halves_suffice, project
+from pipeline.stages.strata import octave_of, shares
 from pipeline.texture.patches import centred
+from pipeline.threads import one_blas_thread
 from storage import arrays, work
+
+ROWS = 1024  # patches in float32 at a time: 12 MiB
+
+
+class TrainingPart(NamedTuple):
+    """The patches of one task, in components."""
+
+    coefficients: np.ndarray  # (m, p) float32
+    rest: np.ndarray  # (m,) float64: squared norm of what the components leave of each
 
 
 @dataclass(frozen=True)
@@ -26,20 +41,13 @@ class TrainingSet:
     name = "training-set"
 
     def init(self, folder: Path) -> int:
-        n = arrays.opened(self.patches, "energy").shape[0]
-        n_active, settled_energy = 0, 0.0
-        for block in range(arrays.n_blocks(n)):
-            energy = self._energy(block, n)
-            active = energy > self.tolerance
-            n_active += int(active.sum())
-            settled_energy += float(energy[~active].sum(dtype=np.float64))
-        work.write_json(folder / "share.json", {
-            "n_splats": n, "n_active": n_active, "settled_energy": settled_energy,
-            "share": min(1.0, self.n_wanted / max(1, n_active)),
-        })
-        return max(1, min(arrays.n_blocks(n), -(-min(self.n_wanted, n_active) // TASK_SPLATS)))
+        counts = np.array(work.summary(self.patches)["census"])
+        share = shares(counts, self.tolerance, self.n_wanted)
+        work.write_json(folder / "share.json", {"n_splats": int(counts.sum()), "share": share.tolist()})
+        return max(1, min(arrays.n_blocks(counts.sum()), -(-int(counts @ share) // TASK_SPLATS)))
 
     def run(self, folder: Path, index: int) -> dict:
+<<<<<<< HEAD
         n = arrays.opened(self.patches, "energy").shape[0]
         n_tasks = work.read_json(folder / "plan.json")["n_tasks"]
         share = work.read_json(folder / "share.json")["share"]
@@ -52,18 +60,76 @@ class TrainingSet:
         for name, rows in (("texel", np.concatenate(texel)), ("average", np.concatenate(average))):
             arrays.store(folder, f"{name}_{index}", rows, rows.shape)
         return {"n_splats": sum(map(len, average))}
+=======
+        plan, n_tasks = work.read_json(folder / "share.json"), work.read_json(folder / "plan.json")["n_tasks"]
+        n, share = plan["n_splats"], np.array(plan["share"])
+        start, stop = (min(n, arrays.n_blocks(n) * i // n_tasks * arrays.BLOCK) for i in (index, index + 1))
+        energy = arrays.read(self.patches, "energy", start, stop)
+        active = energy > self.tolerance
+        chosen = start + np.flatnonzero(active & (uniform_hash(start, stop, self.seed) < share[octave_of(energy)]))
+        for name in ("texel", "average"):
+            rows = arrays.read_rows(self.patches, name, chosen)
+            arrays.create(folder, f"{name}_{index}", rows.shape, "uint8", rows.shape)[:] = rows
+        return {"n_splats": len(chosen), "n_active": int(active.sum()),
+                "settled_energy": float(energy[~active].sum(dtype=np.float64))}
+>>>>>>> 4944b7b (coding: dictionaries are learned in principal components; sums without a matrix of residuals; renderer: SSIM row by row, compared while the next view is drawn)
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
-        share = work.read_json(folder / "share.json")
-        return {"n_tasks": len(results), "n_patches": sum(r["n_splats"] for r in results), **share}
-
-    def _energy(self, block: int, n: int) -> np.ndarray:
-        return arrays.read(self.patches, "energy", *arrays.block_range(block, n))
+        return {"n_tasks": len(results), "n_patches": sum(r["n_splats"] for r in results),
+                "n_splats": work.read_json(folder / "share.json")["n_splats"],
+                "n_active": sum(r["n_active"] for r in results), "settled_energy": sum(r["settled_energy"] for r in results)}
 
 
-def training_patches(folder: Path, index: int) -> np.ndarray:
-    """The patches of one task, less their averages, (m, d) float32."""
-    return centred(arrays.read(folder, f"texel_{index}"), arrays.read(folder, f"average_{index}"))
+@dataclass(frozen=True)
+class Components:
+    """The training set in its principal components, a task a task of it.
+
+    Arrays: basis (d, p) float32; of task t: coefficient_<t> (m, p) float16, or float32 where that would be felt, and
+    rest_<t> (m,) float32. `floor` is what the components may leave of a patch on average, a squared norm.
+    """
+
+    training: Path
+    floor: float
+    name = "components"
+
+    def init(self, folder: Path) -> int:
+        n_tasks = work.summary(self.training)["n_tasks"]
+        share = -(-2 * HALF // n_tasks)
+        with one_blas_thread():
+            sample = np.concatenate([self._patches(task, slice(share)) for task in range(n_tasks)])
+            basis, left = find_components(sample, self.floor)
+            dtype = "float16" if halves_suffice(sample @ basis, self.floor) else "float32"
+        arrays.create(folder, "basis", basis.shape, "float32", basis.shape)[:] = basis
+        work.write_json(folder / "components.json", {"n_components": basis.shape[1], "dtype": dtype, "left": left})
+        return n_tasks
+
+    def run(self, folder: Path, index: int) -> dict:
+        basis, dtype = arrays.read(folder, "basis"), work.read_json(folder / "components.json")["dtype"]
+        n = arrays.opened(self.training, f"average_{index}").shape[0]
+        coefficients, rest = np.empty((n, basis.shape[1]), np.float32), np.empty(n)
+        for at in range(0, n, ROWS):
+            rows = slice(at, at + ROWS)
+            coefficients[rows], rest[rows] = project(self._patches(index, rows), basis)
+        for name, dtype, values in (("coefficient", dtype, coefficients), ("rest", "float32", rest)):
+            arrays.create(folder, f"{name}_{index}", values.shape, dtype, values.shape)[:] = values
+        return {"n_splats": n, "rest": float(rest.sum())}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        found = work.read_json(folder / "components.json")
+        n = sum(r["n_splats"] for r in results)
+        floor = psnr_db(sum(r["rest"] for r in results), n * arrays.opened(folder, "basis").shape[0])
+        return {"n_tasks": len(results), "n_patches": n, "n_components": found["n_components"], "dtype": found["dtype"],
+                "floor_psnr_db": floor}
+
+    def _patches(self, index: int, rows: slice) -> np.ndarray:
+        texel, average = (arrays.opened(self.training, f"{name}_{index}")[rows] for name in ("texel", "average"))
+        return centred(np.asarray(texel), np.asarray(average))
+
+
+def training_part(folder: Path, index: int) -> TrainingPart:
+    """The patches of one task of `Components`."""
+    coefficients = arrays.read(folder, f"coefficient_{index}").astype(np.float32, copy=False)
+    return TrainingPart(coefficients, arrays.read(folder, f"rest_{index}").astype(np.float64))
 
 
 def uniform_hash(start: int, stop: int, seed: int) -> np.ndarray:

@@ -15,6 +15,7 @@ from pipeline.coding.omp import pursue_patches
 from pipeline.stage import run_stage
 from pipeline.stages import dictionary as stages
 from pipeline.stages.dictionary import DictionarySeed, KsvdUpdate
+from pipeline.stages.training import TrainingPart
 from pipeline.executors import SerialExecutor
 from storage import arrays
 from tests import reference
@@ -140,7 +141,8 @@ def test_learning__replacements_of_unused_atoms_are_taken_back_with_a_trial_that
 def staged(tmp_path, monkeypatch):
     """The stages of learning on patches of this file, without the stages before them."""
     patches = always_together(2, noise=0.05)
-    monkeypatch.setattr(stages, "training_patches", lambda folder, index: patches[750 * index : 750 * index + 750])
+    monkeypatch.setattr(stages, "training_part", lambda folder, index:
+                        TrainingPart(patches[750 * index : 750 * index + 750], np.zeros(750)))
     monkeypatch.setattr(stages.work, "summary", lambda folder, read=stages.work.summary:
                         {"n_tasks": 2} if folder.name == "training" else read(folder))
     return tmp_path, patches

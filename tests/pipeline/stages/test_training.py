@@ -1,0 +1,47 @@
+"""The training set: what is chosen, and that only those rows are read."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.stages.strata import FEWEST, N_OCTAVES, census, octave_of, shares
+from storage import arrays
+
+
+def test_strata__an_octave_is_a_factor_of_two():
+    energy = np.float32(2.0) ** np.arange(-14, 12)
+    octaves = octave_of(energy)
+    assert (np.diff(octaves[2:]) == 1).all() and octaves.max() < N_OCTAVES and octave_of(np.zeros(1))[0] < N_OCTAVES
+    assert (octave_of(energy[3:] * np.float32(1.99)) == octaves[3:]).all()
+    assert census(energy).sum() == len(energy)
+
+
+def test_strata__make_the_number_wanted_and_leave_out_what_is_settled():
+    counts = np.zeros(N_OCTAVES, int)
+    counts[5:20] = 100_000
+    share = shares(counts, 1.0, 30_000)
+    below = octave_of(np.array([1.0]))[0]
+    assert (share[:below] == 0).all() and counts @ share == pytest.approx(30_000, rel=1e-9)
+
+
+def test_strata__what_is_rare_is_learned_from_too():
+    counts = np.zeros(N_OCTAVES, int)
+    counts[14], counts[20], counts[21] = 1_000_000, 900, 100
+    share = shares(counts, 1.0, 10_000)
+    assert counts[20] * share[20] == pytest.approx(FEWEST) and share[21] == 1
+    assert (share[counts == 0] == 0).all()
+
+
+def test_strata__a_small_scan_is_taken_whole_and_an_empty_one_not_at_all():
+    counts = np.bincount([15], minlength=N_OCTAVES) * 300
+    assert shares(counts, 1.0, 40_000)[15] == 1
+    assert not shares(np.zeros(N_OCTAVES, int), 1.0, 40_000).any()
+
+
+@pytest.mark.parametrize("rows", [[], [0], [9], [3, 4, 5, 9], list(range(10))])
+def test_arrays__rows_alone_are_those_of_the_whole(tmp_path, rows):
+    whole = np.arange(10 * 6, dtype=np.float32).reshape(10, 6)
+    arrays.create(tmp_path, "rows", whole.shape, "float32", (4, 6))[:] = whole
+    found = arrays.read_rows(tmp_path, "rows", np.array(rows, int))
+    assert found.dtype == whole.dtype and (found == whole[rows]).all()
