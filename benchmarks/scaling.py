@@ -18,7 +18,7 @@ from pipeline.executors import DaskExecutor
 from pipeline.settings import settings_for
 from services.workflow import compress
 
-LEARNING = ("training-set", "dictionary-seed", "ksvd-update", "quantise")
+LEARNING = ("training-set", "components", "dictionary-seed", "ksvd-update", "quantise")
 
 
 def measure(n_splats: int, n_workers: int, bits: int) -> dict:

@@ -11,8 +11,8 @@ from services.workflow import estimated_psnr_db
 
 # Shares of a whole job's time: fountain_p11, 329,992 points, preset balanced, two workers.
 SHARES = {
-    "ingest": 3, "partition": 1, "neighbours": 4, "depth-maps": 3, "splats": 2, "resample": 9, "training-set": 2,
-    "dictionary-seed": 1, "ksvd-update": 10, "quantise": 1, "encode": 8, "pack": 1, "render": 58,
+    "ingest": 3, "partition": 1, "neighbours": 4, "depth-maps": 3, "splats": 2, "resample": 9, "training-set": 1,
+    "components": 1, "dictionary-seed": 1, "ksvd-update": 2, "quantise": 1, "encode": 8, "pack": 1, "render": 30,
 }
 TELL_EVERY_S = 0.5
 FIRST_ESTIMATE = 3  # percent; before that a guess of the time left says nothing
@@ -60,6 +60,8 @@ class JobProgress:
         """A stage is done, now or by an earlier runner."""
         share = SHARES.get(record.name, 1)
         self._done += share / self._iterations if record.name == "ksvd-update" else share
+        if record.name == "quantise" and self.learning:  # passes that were not called for
+            self._done += SHARES["ksvd-update"] * max(0.0, 1 - len(self.learning) / self._iterations)
         if record.name == "training-set":
             self._training = record.summary
         if record.name == "ksvd-update":

@@ -165,23 +165,18 @@ def code_patches(run: Run, patches: StageRecord, settings: Settings) -> Coded:
     return Coded(patches, codes, quantized, learning, quantized.summary["n_atoms"] if quantized else 0, n_taken_back)
 
 
-<<<<<<< HEAD
 def encode(run: Run, patches: Path, quantized: StageRecord | None, settings: Settings) -> StageRecord:
     """Code patches by a dictionary that is there; None gives every splat its average colour alone."""
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
     return run.do(Encode(patches, quantized.folder if quantized else None, settings.max_atoms, tolerance))
 
 
-def _learn(run: Run, training: StageRecord, settings: Settings, tolerance: float) -> tuple[StageRecord, list[dict]]:
-    """The last iteration, and the learning curve as estimates for the whole scan: of the best dictionary so far."""
-=======
 def _learn(run: Run, training: StageRecord, components: StageRecord, settings: Settings,
            tolerance: float) -> tuple[StageRecord, list[dict]]:
     """The last iteration, and the learning curve as estimates for the whole scan: of the best dictionary so far.
 
     Ends early where an iteration gains less than `least_gain_db`.
     """
->>>>>>> 4944b7b (coding: dictionaries are learned in principal components; sums without a matrix of residuals; renderer: SSIM row by row, compared while the next view is drawn)
     begun = time.perf_counter()
     n_atoms = max(1, min(2**settings.dictionary_bits, training.summary["n_patches"] // PATCHES_AN_ATOM))
     learned = run.do(DictionarySeed(components.folder, n_atoms, settings.seed)).folder

@@ -20,11 +20,8 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-<<<<<<< HEAD
 import numpy as np
 
-=======
->>>>>>> 4944b7b (coding: dictionaries are learned in principal components; sums without a matrix of residuals; renderer: SSIM row by row, compared while the next view is drawn)
 LAYOUT_VERSION = 3  # raised when a stage's output changes for equal inputs
 
 

@@ -10,12 +10,8 @@ import numpy as np
 from pipeline.accuracy import psnr_db
 from pipeline.geometry.frame import Direction, tangent_frames
 from pipeline.stages.splats import decoded_centres
-<<<<<<< HEAD
-from pipeline.texture.patches import Patches, make_patches
-=======
 from pipeline.stages.strata import census
-from pipeline.texture.patches import make_patches
->>>>>>> 4944b7b (coding: dictionaries are learned in principal components; sums without a matrix of residuals; renderer: SSIM row by row, compared while the next view is drawn)
+from pipeline.texture.patches import Patches, make_patches
 from pipeline.texture.resample import PATCH_DIM
 from storage import arrays, work
 from storage.schema import Camera

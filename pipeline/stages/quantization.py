@@ -51,13 +51,8 @@ class Quantization:
         patches, rest = training_part(self.training, index)
         found = load_atoms(folder / IN_COMPONENTS).pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0))
         codes = found.codes
-<<<<<<< HEAD
         work.write_parts(work.parts(folder) / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
-        return {"n_splats": len(codes.n_atoms), "squared_error": float(found.residual.sum())}
-=======
-        np.savez(folder / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
         return {"n_splats": len(codes.n_atoms), "squared_error": float((found.residual + rest).sum())}
->>>>>>> 4944b7b (coding: dictionaries are learned in principal components; sums without a matrix of residuals; renderer: SSIM row by row, compared while the next view is drawn)
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         samples: list[list[np.ndarray]] = [[] for _ in range(MAX_ATOMS)]

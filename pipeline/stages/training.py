@@ -14,7 +14,6 @@ from pipeline.coding.ksvd import BLOCK as TASK_SPLATS
 from pipeline.coding.subspace import HALF, find_components, halves_suffice, project
 from pipeline.stages.strata import octave_of, shares
 from pipeline.texture.patches import centred
-from pipeline.threads import one_blas_thread
 from storage import arrays, work
 
 ROWS = 1024  # patches in float32 at a time: 12 MiB
@@ -47,20 +46,6 @@ class TrainingSet:
         return max(1, min(arrays.n_blocks(counts.sum()), -(-int(counts @ share) // TASK_SPLATS)))
 
     def run(self, folder: Path, index: int) -> dict:
-<<<<<<< HEAD
-        n = arrays.opened(self.patches, "energy").shape[0]
-        n_tasks = work.read_json(folder / "plan.json")["n_tasks"]
-        share = work.read_json(folder / "share.json")["share"]
-        texel, average = [], []
-        for block in range(*(arrays.n_blocks(n) * i // n_tasks for i in (index, index + 1))):
-            start, stop = arrays.block_range(block, n)
-            chosen = (self._energy(block, n) > self.tolerance) & (uniform_hash(start, stop, self.seed) < share)
-            texel.append(arrays.read(self.patches, "texel", start, stop)[chosen])
-            average.append(arrays.read(self.patches, "average", start, stop)[chosen])
-        for name, rows in (("texel", np.concatenate(texel)), ("average", np.concatenate(average))):
-            arrays.store(folder, f"{name}_{index}", rows, rows.shape)
-        return {"n_splats": sum(map(len, average))}
-=======
         plan, n_tasks = work.read_json(folder / "share.json"), work.read_json(folder / "plan.json")["n_tasks"]
         n, share = plan["n_splats"], np.array(plan["share"])
         start, stop = (min(n, arrays.n_blocks(n) * i // n_tasks * arrays.BLOCK) for i in (index, index + 1))
@@ -69,10 +54,9 @@ class TrainingSet:
         chosen = start + np.flatnonzero(active & (uniform_hash(start, stop, self.seed) < share[octave_of(energy)]))
         for name in ("texel", "average"):
             rows = arrays.read_rows(self.patches, name, chosen)
-            arrays.create(folder, f"{name}_{index}", rows.shape, "uint8", rows.shape)[:] = rows
+            arrays.store(folder, f"{name}_{index}", rows, rows.shape)
         return {"n_splats": len(chosen), "n_active": int(active.sum()),
                 "settled_energy": float(energy[~active].sum(dtype=np.float64))}
->>>>>>> 4944b7b (coding: dictionaries are learned in principal components; sums without a matrix of residuals; renderer: SSIM row by row, compared while the next view is drawn)
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         return {"n_tasks": len(results), "n_patches": sum(r["n_splats"] for r in results),
@@ -95,11 +79,10 @@ class Components:
     def init(self, folder: Path) -> int:
         n_tasks = work.summary(self.training)["n_tasks"]
         share = -(-2 * HALF // n_tasks)
-        with one_blas_thread():
-            sample = np.concatenate([self._patches(task, slice(share)) for task in range(n_tasks)])
-            basis, left = find_components(sample, self.floor)
-            dtype = "float16" if halves_suffice(sample @ basis, self.floor) else "float32"
-        arrays.create(folder, "basis", basis.shape, "float32", basis.shape)[:] = basis
+        sample = np.concatenate([self._patches(task, slice(share)) for task in range(n_tasks)])
+        basis, left = find_components(sample, self.floor)
+        dtype = "float16" if halves_suffice(sample @ basis, self.floor) else "float32"
+        arrays.store(folder, "basis", basis, basis.shape)
         work.write_json(folder / "components.json", {"n_components": basis.shape[1], "dtype": dtype, "left": left})
         return n_tasks
 
@@ -110,8 +93,8 @@ class Components:
         for at in range(0, n, ROWS):
             rows = slice(at, at + ROWS)
             coefficients[rows], rest[rows] = project(self._patches(index, rows), basis)
-        for name, dtype, values in (("coefficient", dtype, coefficients), ("rest", "float32", rest)):
-            arrays.create(folder, f"{name}_{index}", values.shape, dtype, values.shape)[:] = values
+        for name, values in (("coefficient", coefficients.astype(dtype)), ("rest", rest.astype(np.float32))):
+            arrays.store(folder, f"{name}_{index}", values, values.shape)
         return {"n_splats": n, "rest": float(rest.sum())}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
