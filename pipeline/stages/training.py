@@ -43,7 +43,7 @@ class TrainingSet:
         counts = np.array(work.summary(self.patches)["census"])
         share = shares(counts, self.tolerance, self.n_wanted)
         work.write_json(folder / "share.json", {"n_splats": int(counts.sum()), "share": share.tolist()})
-        return max(1, min(arrays.n_blocks(counts.sum()), -(-int(counts @ share) // TASK_SPLATS)))
+        return max(1, min(arrays.n_blocks(int(counts.sum())), -(-int(counts @ share) // TASK_SPLATS)))
 
     def run(self, folder: Path, index: int) -> dict:
         plan, n_tasks = work.read_json(folder / "share.json"), work.read_json(folder / "plan.json")["n_tasks"]
