@@ -15,4 +15,4 @@ def effects_of(scan: Path, settings: Settings, executor: Executor, progress: Pro
     """The rows of a scan's plan; the stages up to its splats are run for it, in `work` or thrown away."""
     with tempfile.TemporaryDirectory(prefix="splatpress-effects-") as folder:
         run = Run(work or Path(folder), executor, progress)
-        return plan_scan(run, splats_of(run, scan, settings.radius).sources, parse_request(settings.effects)).to_json()
+        return plan_scan(run, splats_of(run, scan, settings.radius).sources, parse_request(settings.effects))[0].to_json()

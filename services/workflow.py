@@ -107,8 +107,8 @@ def fingerprint(scan: Path) -> str:
 def prepare(run: Run, scan: Path, radius: float | None, request: str = "", held_out: tuple[int, ...] = ()) -> Prepared:
     """The scan as splats, and with the effects that they call for; the photographs `held_out` texture none."""
     prepared = splats_of(run, scan, radius, held_out)
-    plan = plan_scan(run, prepared.sources, parse_request(request))
-    stages = ((name, effects()[name].build(prepared.sources, plan.outcomes[name])) for name in plan.enabled)
+    plan, surveys = plan_scan(run, prepared.sources, parse_request(request))
+    stages = ((name, effects()[name].build(prepared.sources, plan.outcomes[name], surveys.get(name))) for name in plan.enabled)
     built = tuple((name, run.do(stage).folder) for name, stage in stages if stage is not None)
     return replace(prepared, effects=plan, built=built)
 
@@ -128,15 +128,15 @@ def splats_of(run: Run, scan: Path, radius: float | None, held_out: tuple[int, .
     return Prepared(ingest, partition, neighbours, splats, radius, sources)
 
 
-def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> EffectPlan:
-    """Measure the scan for every effect that the request leaves open, and plan."""
+def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[EffectPlan, dict[str, Path]]:
+    """Measure the scan for every effect that the request leaves open, and plan; and what the surveys of effects made."""
     names = measured_effects(request)
     if not names:
-        return plan_effects({}, request, sources.n_splats)
+        return plan_effects({}, request, sources.n_splats), {}
     stages = ((name, effects()[name].survey(sources)) for name in names)
     surveys = tuple((name, run.do(stage).folder) for name, stage in stages if stage is not None)
     found = run.do(MeasureEffects(sources, names, surveys)).summary
-    return plan_effects(measures_of(found), request, sources.n_splats)
+    return plan_effects(measures_of(found), request, sources.n_splats), dict(surveys)
 
 
 def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
@@ -222,7 +222,8 @@ def estimated_psnr_db(training: dict, update: dict) -> float:
 def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, name: str, path: Path) -> StageRecord:
     """Write the packed file to `path`."""
     scan = prepared.scan.summary
-    extras = tuple((flag, folder) for flag, folder in prepared.built if flag in {e.flag for e in EXTRAS})
+    flag_of = {extra.stream: extra.flag for extra in EXTRAS}  # an effect is named as its stream
+    extras = tuple((flag_of[name], folder) for name, folder in prepared.built if name in flag_of)
     batches = batches_of(scan["n_points"], coded.codes.folder if coded else None, extras)
     margin = prepared.effects.outcomes.get("depth_margin", {"margin_radii": LEAST_RADII})["margin_radii"]
     up, ahead = directions_of(scan["cameras"])

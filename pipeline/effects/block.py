@@ -84,6 +84,12 @@ class Block:
         return self.camera != NO_CAMERA
 
     @cached_property
+    def station(self) -> np.ndarray:  # (n,) int64, -1 where there is none
+        if not arrays.exists(self.sources.partition, "station"):
+            return np.full(self.rows[1] - self.rows[0], -1)
+        return self.read(self.sources.partition, "station").astype(np.int64)
+
+    @cached_property
     def spacing(self) -> np.ndarray:  # (n,) float32: distance to the 4th neighbour
         return self.read(self.sources.neighbours, "spacing")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from pipeline.effects.block import Block, Sources
 from pipeline.stage import Stage
@@ -46,6 +47,6 @@ class Effect:
     measure_block: Callable[[Block], dict] = lambda block: {}  # JSON-able sums of one block of splats
     conclude: Callable[[list[dict], Sources], Measured] = lambda sums, sources: Measured(0.0)
     survey: Callable[[Sources], Stage | None] = lambda sources: None  # what must be there before blocks are measured
-    build: Callable[[Sources, dict], Stage | None] = lambda sources, outcome: None  # its encoder; takes the outcome
+    build: Callable[[Sources, dict, Path | None], Stage | None] = lambda sources, outcome, survey: None  # its encoder
     by_request: bool = False
     order: int = 50  # of its row in the plan

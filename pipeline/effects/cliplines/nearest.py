@@ -1,0 +1,66 @@
+"""Survey: for every cell of an eye's picture, which of the points that it sees is nearest to that cell.
+
+A scan's edges are known to half a spacing: somewhere between the last point in front and the first one behind. Handing
+every cell to its nearest point puts the edge in the middle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from pipeline.effects.block import Sources
+from pipeline.effects.cliplines.eyes import cells_of, eyes_of, seen_by_eye
+from storage import arrays, work
+
+CELLS_A_RADIUS = 3.0
+UNKNOWN = np.float32(np.nan)
+
+
+@dataclass(frozen=True)
+class NearestPoints:
+    """A task an eye; it streams all points. Array nearest_<i> (h, w, 3) float32: the position, against the scan's origin,
+    of the point nearest to each cell of eye i, or NaN throughout where it sees nothing."""
+
+    sources: Sources
+    name = "nearest-points"
+
+    def init(self, folder: Path) -> int:
+        return len(eyes_of(self.sources))
+
+    def run(self, folder: Path, index: int) -> dict:
+        s = self.sources
+        eye = eyes_of(s)[index]
+        scale = eye.scale_for(self._median_distance(index), s.radius, CELLS_A_RADIUS)
+        position = np.full((*eye.shape(scale), 3), UNKNOWN, np.float32)
+        distance = np.full(eye.shape(scale), np.inf)
+        for block in map(s.block, range(arrays.n_blocks(s.n_splats))):
+            points = block.position[seen_by_eye(block, index)]
+            row, column, inside = cells_of(eye, scale, points + s.origin)
+            _keep_nearest(position, distance, row[inside], column[inside], points[inside], eye.project(points[inside] + s.origin)[2])
+        if np.isfinite(distance).any():
+            row, column = distance_transform_edt(~np.isfinite(distance), return_distances=False, return_indices=True)
+            position = position[row, column]
+        arrays.create(folder, f"nearest_{index}", position.shape, "float32", position.shape)[:] = position
+        return {"scale": scale}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        return {"scale": [r["scale"] for r in results]}
+
+    def _median_distance(self, index: int) -> float:
+        """Of the middles of the blocks that lie in the eye's picture; 1 where none does."""
+        points = work.summary(self.sources.partition)
+        middle = (np.array(points["block_low"]) + points["block_high"]) / 2 + self.sources.origin
+        distance = eyes_of(self.sources)[index].project(middle)[2]
+        return float(np.nanmedian(distance)) if np.isfinite(distance).any() else 1.0
+
+
+def _keep_nearest(position, distance, row, column, points, away) -> None:
+    """Let each cell have, of the points that fall into it, the one nearest to the eye; the first of equals."""
+    order = np.lexsort((-np.arange(len(away)), -away))  # the last to be written stays
+    nearer = order[away[order] < distance[row[order], column[order]]]
+    distance[row[nearer], column[nearer]] = away[nearer]
+    position[row[nearer], column[nearer]] = points[nearer]

@@ -1,0 +1,79 @@
+"""The cliplines of all splats, from the nearest points of the eye that each was textured from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.effects.block import Block, Sources
+from pipeline.effects.cliplines.eyes import cells_of, eye_of_splats, eyes_of
+from pipeline.effects.cliplines.lines import best_lines, disc_points
+from storage import arrays, work
+
+ROWS = 2048  # splats at a time
+# How far from a splat's plane a point belongs to another surface, in radii; and the share of a disc's weight that its line
+# must gain.
+FOREIGN_RADII = 1.0
+LEAST_GAIN = 0.12
+
+
+@dataclass(frozen=True)
+class Cliplines:
+    """A task a block. Arrays: has_clipline (n,) bool, clipline (n,) uint32."""
+
+    sources: Sources
+    nearest: Path
+    foreign_radii: float = FOREIGN_RADII
+    least_gain: float = LEAST_GAIN
+    name = "cliplines"
+
+    def init(self, folder: Path) -> int:
+        n = self.sources.n_splats
+        arrays.create(folder, "has_clipline", (n,), "bool")
+        arrays.create(folder, "clipline", (n,), "uint32")
+        return arrays.n_blocks(n)
+
+    def run(self, folder: Path, index: int) -> dict:
+        block = self.sources.block(index)
+        code, has = cliplines_of(block, self.nearest, self.foreign_radii, self.least_gain)
+        arrays.write(folder, "has_clipline", block.rows[0], has)
+        arrays.write(folder, "clipline", block.rows[0], code)
+        return {"n_splats": len(has), "n_clipped": int(has.sum())}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        return {"n_clipped": sum(r["n_clipped"] for r in results)}
+
+
+def cliplines_of(
+    block: Block, nearest: Path, foreign_radii: float = FOREIGN_RADII, least_gain: float = LEAST_GAIN, every: int = 1
+) -> tuple[np.ndarray, np.ndarray]:
+    """Codes (n,) uint32 of the splats of a block, and which are worth one, (n,) bool; of every n-th splat, zeros between."""
+    code, has = np.zeros(len(block.centre), np.uint32), np.zeros(len(block.centre), bool)
+    eye = np.where(np.arange(len(code)) % every, -1, eye_of_splats(block))
+    for i in np.unique(eye[eye >= 0]):
+        position = arrays.read(nearest, f"nearest_{i}")
+        for rows in _pieces(np.flatnonzero(eye == i)):
+            foreign = _foreign(block, rows, int(i), work.summary(nearest)["scale"][i], position, foreign_radii)
+            some = rows[foreign.any(axis=1)]
+            code[some], gain = best_lines(foreign[foreign.any(axis=1)])
+            has[some] = gain >= least_gain
+    code[~has] = 0
+    return code, has
+
+
+def _pieces(rows: np.ndarray) -> list[np.ndarray]:
+    return [rows[at : at + ROWS] for at in range(0, len(rows), ROWS)]
+
+
+def _foreign(block: Block, rows: np.ndarray, eye: int, scale: float, nearest: np.ndarray, foreign_radii: float) -> np.ndarray:
+    """Which of the disc's points belong to another surface, (n, m) bool."""
+    s, (u, v, normal) = block.sources, (axis[rows] for axis in block.frame)
+    points, _ = disc_points()
+    offset = s.radius * (points[:, 0, None] * u[:, None] + points[:, 1, None] * v[:, None])
+    on_disc = (block.centre[rows][:, None] + offset).reshape(-1, 3)
+    row, column, inside = cells_of(eyes_of(s)[eye], scale, on_disc + s.origin)
+    found = nearest[row, column].reshape(len(rows), len(points), 3)
+    off = ((found - block.centre[rows][:, None]) * normal[:, None]).sum(axis=2)
+    return inside.reshape(off.shape) & (np.abs(off) > foreign_radii * s.radius)
