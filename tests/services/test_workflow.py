@@ -57,8 +57,8 @@ def test_workflow__the_report_has_its_keys_and_its_figures_agree(packed_serially
     assert 0 < made["atoms"]["mean"] < 8 and made["sizes"]["file_bytes"] == (out / "wavy plane.splatpress").stat().st_size
     assert len(made["learning"]) == 2 and made["learning"][1]["psnr_db"] > made["learning"][0]["psnr_db"]
     names = [s["name"] for s in made["stages"]]
-    assert names == ["ingest", "partition", "neighbours", "splats", "measure-effects", "resample", "training-set", "components",
-                     "dictionary-seed", "ksvd-update", "quantise", "encode", "pack"]
+    assert names == ["ingest", "partition", "neighbours", "splats", "nearest-points", "measure-effects", "resample",
+                     "training-set", "components", "dictionary-seed", "ksvd-update", "quantise", "encode", "pack"]
     assert all(s["seconds"] > 0 and s["peak_rss_bytes"] > 1e7 for s in made["stages"])
 
 
