@@ -65,6 +65,7 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
         ("n_dictionary", h.n_dictionary, h.n_dictionary >= 0 and needed_bits <= h.dictionary_bits,
          f"0 or more, counted in {h.dictionary_bits} bits"),
         ("batches", atoms, 0 < len(set(batches)) == len(batches), "different from each other, and at least one"),
+        ("batches", batches, not any(batch.clipline and batch.ellipsoid for batch in batches), "without a clipline where they are ellipsoids"),
         ("n_atoms", atoms, all(0 <= n <= MAX_ATOMS for n in atoms), f"0..{MAX_ATOMS}"),
         ("n_atoms", atoms, h.n_dictionary > 0 or not any(atoms), "0 where there is no dictionary"),
         ("cameras", len(cameras), len(cameras) <= NO_CAMERA, f"at most {NO_CAMERA}"),

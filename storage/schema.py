@@ -17,6 +17,7 @@ MAX_ATOMS = 8
 PATCH_SIZE = 32
 MIP_SIZES = (32, 16, 8, 4, 2, 1)
 CLIPLINE_BITS = 12
+ELLIPSOID_FIELD_BITS, ELLIPSOID_FIELDS = 8, 4  # so an ellipsoid is one whole word
 NO_CAMERA = 0xFFFF
 DEFAULT_UP, DEFAULT_AHEAD = (0, 0, 1), (1, 0, 0)
 LONGEST_DIRECTION = 36  # so that 100 (up . normal)^2 of whole numbers stays within 32 bits
@@ -88,10 +89,11 @@ class Camera:
 
 @dataclass(frozen=True)
 class Batch:
-    """Splats that one shader draws: the same atom count, all with or all without a clipline."""
+    """Splats that one shader draws: the same atom count, all discs, all discs with a clipline, or all ellipsoids."""
 
     n_atoms: int
     clipline: bool = False
+    ellipsoid: bool = False
 
     @property
     def kind(self) -> tuple:
@@ -110,7 +112,10 @@ class Extra:
     n_fields: int = 1  # of a splat
 
 
-EXTRAS = (Extra("clipline", "cliplines", "clipline_word", CLIPLINE_BITS),)
+EXTRAS = (
+    Extra("clipline", "cliplines", "clipline_word", CLIPLINE_BITS),
+    Extra("ellipsoid", "ellipsoids", "ellipsoid_word", ELLIPSOID_FIELD_BITS, ELLIPSOID_FIELDS),
+)
 
 
 @dataclass(frozen=True)
@@ -148,6 +153,8 @@ class Header:
 
     def to_json(self) -> dict:
         header = {"format": FORMAT_NAME, "version": FORMAT_VERSION, **asdict(self)}
+        header["batches"] = tuple(
+            batch if batch["ellipsoid"] else {k: v for k, v in batch.items() if k != "ellipsoid"} for batch in header["batches"])
         return header if self.effects else {name: value for name, value in header.items() if name != "effects"}
 
     @staticmethod
@@ -158,7 +165,7 @@ class Header:
         return _typed(
             Header, {"effects": {}} | data,
             origin=_numbers(data["origin"], 3), up=_whole_numbers(data["up"], 3), ahead=_whole_numbers(data["ahead"], 3),
-            batches=tuple(_typed(Batch, batch) for batch in _list(data["batches"])),
+            batches=tuple(_typed(Batch, {"ellipsoid": False} | batch) for batch in _list(data["batches"])),
             cameras=tuple(map(Camera.from_json, _list(data["cameras"]))),
         )
 
@@ -190,6 +197,8 @@ ARRAYS = (
       for s in MIP_SIZES),
     Array("clipline_word", ("g",), "uint32", "geometry", "first word of each group's cliplines"),
     Array("cliplines", ("e",), "uint32", "geometry", "3 x 4 bits a splat of the batches that have cliplines"),
+    Array("ellipsoid_word", ("g",), "uint32", "geometry", "first word of each group's ellipsoids"),
+    Array("ellipsoids", ("e",), "uint32", "geometry", "4 x 8 bits a splat of the batches that are ellipsoids"),
     Array("camera", ("n",), "uint16", "provenance", "the camera each splat was textured from; 65535 none; not for GPUs"),
 )
 BY_NAME = {array.name: array for array in ARRAYS}

@@ -29,6 +29,7 @@ class Case:
     n_dictionary: int = 5
     atom_counts: tuple[int, ...] = (0, 1, 3, 8)
     cliplines: bool = False
+    ellipsoids: bool = False
     n_cameras: int = 2
     period: int = 1 << 40
     up: tuple[int, int, int] = (0, 0, 1)
@@ -51,7 +52,8 @@ def header_of(case: Case) -> Header:
         n_splats=case.n_splats, radius=0.25, unit="metre", origin=(450000.0, 5400000.0, 100.0), up=case.up, ahead=case.ahead,
         depth_margin=0.5, n_dictionary=case.n_dictionary, dictionary_bits=case.dictionary_bits,
         weight_bits=case.weight_bits,
-        batches=plain + (tuple(Batch(n, clipline=True) for n in case.atom_counts) if case.cliplines else ()),
+        batches=plain + (tuple(Batch(n, clipline=True) for n in case.atom_counts) if case.cliplines else ())
+        + (tuple(Batch(n, ellipsoid=True) for n in case.atom_counts) if case.ellipsoids else ()),
         cameras=(camera,) * case.n_cameras, scan={"name": "tiny", "format": "ply", "n_points": case.n_splats},
         settings={"preset": "draft"},
     )
@@ -127,7 +129,7 @@ def _streams(case: Case, header: Header, batch_count: np.ndarray) -> dict[str, n
                 weight = noise(int(n_fields), 50 + group, 2**header.weight_bits, case.period)
                 field = atom | weight << header.dictionary_bits
             else:
-                field = noise(int(n_fields), 90 + group, 4096, case.period)
+                field = noise(int(n_fields), 90 + group, 2**stream.width, case.period)
             words.append(_packed(field, stream.width))
         lengths = np.array([len(w) for w in words])
         arrays[stream.table] = (np.cumsum(lengths) - lengths).astype(np.uint32)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from pipeline.geometry.frame import tangent_frames
 from storage.scene import PackedScene
 from storage.schema import CHUNK, CLIPLINE_BITS, GROUP
 
@@ -47,6 +49,20 @@ def decode_clipline(scene: PackedScene, splat: int) -> list[float] | None:
     first_bit = 32 * int(scene.arrays["clipline_word"][splat // GROUP]) + CLIPLINE_BITS * row
     field = read_field(scene.arrays["cliplines"], first_bit, CLIPLINE_BITS)
     return [(field >> shift & 15) / 7 - 1 for shift in (0, 4, 8)]
+
+
+def decode_ellipsoid(scene: PackedScene, splat: int) -> list[list[float]] | None:
+    """The three half axes, by turning the tangent frame about the normal with a rotation matrix."""
+    header, batches = scene.header, scene.header.batches
+    if not batches[batch_of(scene, splat)].ellipsoid:
+        return None
+    row = sum(batches[batch_of(scene, i)].ellipsoid for i in splats_before(scene, splat))
+    word = int(scene.arrays["ellipsoids"][int(scene.arrays["ellipsoid_word"][splat // GROUP]) + row])
+    turn, *steps = word.to_bytes(4, "little")
+    u, v, normal = (rows[0] for rows in tangent_frames(scene.arrays["normal"][splat:splat + 1], header.up, header.ahead))
+    rotation = Rotation.from_rotvec(np.radians(180 * turn / 256) * normal)
+    lengths = [header.radius * 2 ** (step / 32) / 2 ** (191 / 32) for step in steps]
+    return [(length * rotation.apply(axis)).tolist() for length, axis in zip(lengths, (u, v, normal))]
 
 
 def decode_position(scene: PackedScene, splat: int) -> list[float]:

@@ -12,7 +12,7 @@ from zarr.storage import ZipStore
 from storage import schema
 from storage.layout import ATOMS_PER_ZARR_CHUNK, GROUPS_PER_ZARR_CHUNK, WORDS_PER_ZARR_CHUNK
 from storage.packed import PackedFile
-from storage.schema import ARRAYS, CHUNK, CLIPLINE_BITS, GROUP, MIP_SIZES, Camera, Header
+from storage.schema import ARRAYS, CHUNK, CLIPLINE_BITS, ELLIPSOID_FIELD_BITS, ELLIPSOID_FIELDS, GROUP, MIP_SIZES, Camera, Header
 from storage.seal import SEAL_BYTES
 from tests.packed_files import Case, write_packed_file
 from tests.reference_packed import decode_patch
@@ -58,6 +58,7 @@ def test_format__bits_a_splat_add_up():
     assert rows["chunk box"].startswith(f"{box_bits}:")
     assert float(rows["geometry without a clipline"]) == without == 41.75
     assert float(rows["geometry with a clipline"]) == without + CLIPLINE_BITS == 53.75
+    assert float(rows["geometry of an ellipsoid"]) == without + ELLIPSOID_FIELDS * ELLIPSOID_FIELD_BITS == 73.75
     assert f"{3 * sum(size * size for size in MIP_SIZES)} bytes an atom" in TEXT
 
 

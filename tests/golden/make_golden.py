@@ -29,6 +29,7 @@ CASES = {
     "v1-cliplines": Case(cliplines=True, atom_counts=(0, 2, 5)),
     "v1-two-groups": Case(n_splats=8192 + 130, period=128),
     "v2-oblique": Case(up=(-5, -35, 6), ahead=(1, 5, 30)),
+    "v2-ellipsoids": Case(ellipsoids=True, cliplines=True, atom_counts=(0, 2, 5), up=(-5, -35, 6), ahead=(1, 5, 30)),
 }
 
 
@@ -41,7 +42,8 @@ def decoded_numbers(scene: PackedScene) -> dict:
     n = scene.header.n_splats
     chosen = sorted({0, 1, 127, 128, n // 2, n - 2, n - 1})
     digests = {name: hashlib.sha256(values.tobytes()).hexdigest() for name, values in sorted(scene.arrays.items())}
-    return {"header": asdict(scene.header), "sha256": digests,
+    header = asdict(scene.header) | {"batches": scene.header.to_json()["batches"]}
+    return {"header": header, "sha256": digests,
             "splats": {str(i): _splat_numbers(scene, i) for i in chosen}}
 
 
@@ -51,8 +53,13 @@ def _splat_numbers(scene: PackedScene, i: int) -> dict:
     return {
         "position": reference_packed.decode_position(scene, i), "normal": normal, "u": u, "v": v,
         "color": scene.arrays["color"][i].tolist(), "code": reference_packed.decode_code(scene, i),
-        "clipline": reference_packed.decode_clipline(scene, i), "texels": patch[[0, 9, 31], [31, 20, 0]].tolist(),
+        "clipline": reference_packed.decode_clipline(scene, i), **_ellipsoid_numbers(scene, i), "texels": patch[[0, 9, 31], [31, 20, 0]].tolist(),
     }
+
+
+def _ellipsoid_numbers(scene: PackedScene, i: int) -> dict:
+    axes = reference_packed.decode_ellipsoid(scene, i)
+    return {} if axes is None else {"ellipsoid": axes}
 
 
 def main() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.geometry.cliplines import decode_cliplines
+from pipeline.geometry.ellipsoids import decode_ellipsoids
 from pipeline.geometry.normals import decode_normals
 from pipeline.geometry.positions import Boxes, decode_positions
 from storage.bits import unpack_bits
@@ -99,3 +100,15 @@ def test_golden__cliplines_in_use_agree(scenes, expected):
         first_bit = np.array([32 * int(first_word[i // GROUP]) + CLIPLINE_BITS * row[i]])
         code = unpack_bits(scene.arrays["cliplines"], first_bit, CLIPLINE_BITS)
         assert_close(decode_cliplines(code)[0].tolist(), wanted[str(i)]["clipline"])
+
+
+def test_golden__ellipsoids_in_use_agree(scenes, expected):
+    scene, wanted = scenes["v2-ellipsoids"], expected["v2-ellipsoids"]["splats"]
+    header, row, first_word = scene.header, scene.rows.extra["ellipsoid"], scene.arrays["ellipsoid_word"]
+    some = [i for i in map(int, wanted) if "ellipsoid" in wanted[str(i)]]
+    assert some and [i for i in map(int, wanted) if row[i] >= 0] == some
+    for i in some:
+        word = scene.arrays["ellipsoids"][int(first_word[i // GROUP]) + row[i]]
+        fields = np.frombuffer(word.tobytes(), np.uint8)[None]
+        axes = decode_ellipsoids(fields, scene.arrays["normal"][i : i + 1], header.up, header.ahead, header.radius)
+        assert_close(axes[0].tolist(), wanted[str(i)]["ellipsoid"], 1e-9)

@@ -23,7 +23,7 @@ from storage.seal import SEAL_BYTES, UNSEALED, write_seal
 from tests.packed_files import Case, arrays_for, fill_folder, header_of, noise, write_arrays, write_packed_file
 from tests.reference_packed import decode_code
 
-SMALL = Case(n_splats=200, n_dictionary=3, cliplines=True)
+SMALL = Case(n_splats=200, n_dictionary=3, cliplines=True, ellipsoids=True)
 MANY_GROUPS = Case(n_splats=9 * GROUP + 500, cliplines=True, period=128)  # in two zarr chunks of splats
 
 
@@ -354,6 +354,7 @@ HUGE, NOT_A_NUMBER = 2**60, float("nan")
     ("weight_bits", 0), ("weight_bits", 9), ("weight_bits", 5), ("weight_bits", HUGE), ("weight_bits", "4"),
     ("batches", []), ("batches", {}), ("batches", [{"n_atoms": 9, "clipline": False}]),
     ("batches", [{"n_atoms": -1, "clipline": False}]), ("batches", [{"n_atoms": 1}]), ("batches", [1, 2]),
+    ("batches", [{"n_atoms": 1, "clipline": False, "ellipsoid": 1}]), ("batches", [{"n_atoms": 1, "clipline": True, "ellipsoid": True}]),
     ("batches", [{"n_atoms": 1, "clipline": 0}]), ("batches", [{"n_atoms": 1, "clipline": False}] * 2),
     ("cameras", None), ("cameras", []), ("cameras", [{}]), ("cameras", "photo"), ("scan", "tiny"), ("settings", []),
 ])
@@ -585,6 +586,19 @@ def longer(name):
     changed("camera", 9, 65534), longer("codes"), longer("cliplines"),
 ])
 def test_packed__refuses_tables_that_do_not_fit(tmp_path, edit):
+    header = header_of(SMALL)
+    arrays = arrays_for(SMALL, header)
+    edit(arrays)
+    path = write_arrays(header, arrays, tmp_path / "a.splatpress")
+    assert_refused(path)
+    with PackedFile(path) as opened, pytest.raises(InvalidPackedFile):
+        opened.group(0)
+
+
+@pytest.mark.parametrize("edit", [
+    changed("ellipsoid_word", 0, 1), changed("ellipsoid_word", 0, 2**32 - 1), longer("ellipsoids"), changed("batch_count", (0, 9), 128),
+])
+def test_packed__refuses_ellipsoids_that_do_not_fit(tmp_path, edit):
     header = header_of(SMALL)
     arrays = arrays_for(SMALL, header)
     edit(arrays)

@@ -1,13 +1,14 @@
 """Disc or ellipsoid: what the 2020 paper leaves open (sections 5.3.1 and 6).
 
 A splat is a disc wherever a plane explains its neighbourhood, or a plane up to one straight line (what a clipline can
-cut): interiors, borders, creases, corners. It is an ellipsoid where no plane through it does: on what is thinner than
-the disc or more curved than the disc can follow.
+cut): interiors, borders, creases, corners, either face of a board. It is an ellipsoid where no plane through it does:
+on what is thinner than the disc or more curved than the disc can follow.
 
-"Explains" is measured as an arc. Of the members that lie within a tolerance of the plane and on the kept side of the
-line, those in a ring around the splat are sorted by direction; the longest run of directions without a wide gap is
-the arc. Inside a plane it is the full turn, at a border half of it, at a corner a quarter; on a rope it is as narrow
-as the rope, at either end; on a ball next to nothing, as all that lies a radius away is off the plane.
+"Explains" is measured as an arc. A plane is tried with every line that leaves all that stands above the plane behind it
+(what lies below, such as the other face of a board, does not speak against the plane). Of the members within a
+tolerance of the plane and on the kept side, those in a ring around the splat are sorted by direction; the longest run
+of directions without a wide gap is the arc. Inside a plane it is the full turn, at a border half of it; on a rope it is
+as narrow as the rope, at either end; on a ball next to nothing, as all that lies a radius away is off the plane.
 """
 
 from __future__ import annotations
@@ -20,20 +21,20 @@ import numpy as np
 
 from pipeline.effects.ellipsoids.neighbourhoods import LEAST_AFTER_OUTLIERS, Neighbourhood
 
-# Lengths in splat radii, angles in radians. Tuned on the room of tests/thin_scene.py with seeds 0..3 and noise of
-# 0.05 to 0.3 radii; the test measures other seeds.
+# Lengths in splat radii, angles in radians. Tuned on the room of tests/thin_scene.py, seeds 0 to 2, with noise of
+# 0.05 to 0.23 radii; the test measures other seeds.
 REACH_RADII = 2.5  # of the neighbourhood that decides
-RING_RADII = 1.0  # members nearer than this say nothing of whether a disc of one radius is filled
-WIDEST_GAP = math.radians(80)  # half a ring has 10 members at the median density: gaps between them stay below
-LEAST_ARC = math.radians(75)
+RING_RADII = 1.25  # members nearer than this say nothing of whether a disc of one radius is filled
+WIDEST_GAP = math.radians(65)  # half a ring has 10 members at the median density: most gaps between them stay below
+LEAST_ARC = math.radians(110)
 TOLERANCE_RADII = 0.3
-TOLERANCE_SIGMAS = 2.5  # of the scan's noise, where that is more
+TOLERANCE_SIGMAS = 4.0  # of the scan's noise, where that is more
 MOST_TOLERANCE_RADII = 0.8  # noise beyond it hides whatever is thinner than a disc
-HYPOTHESES = 24  # planes through the splat and two neighbours; a third of the pairs at a crease lie on one side of it
+HYPOTHESES = 32  # planes through three members; a quarter of the threes at a crease lie on one side of it
 LINES = 16  # directions a line may have
 # A neighbourhood whose second deviation is at most this is thin whatever a plane explains: half a disc of REACH_RADII
 # has 0.66, a rope of one radius across its own 0.35. One above the second figure that is flat is no rope.
-LINE_RADII = 0.3
+LINE_RADII = 0.45
 WIDE_RADII = 0.7
 
 
@@ -61,7 +62,7 @@ def decide(around: Neighbourhood, deviation: np.ndarray, radius: float, noise: f
     return Verdict(enough & ~flat & (arc < LEAST_ARC), arc)
 
 
-@numba.njit(nogil=True)
+@numba.njit(cache=True, nogil=True)
 def _best_arcs(offset, count, tolerance):
     """The longest arc (n,) of any hypothesis; stops at the first that is long enough."""
     n, most, _ = offset.shape
@@ -69,44 +70,49 @@ def _best_arcs(offset, count, tolerance):
     height, x, y = np.empty(most), np.empty(most), np.empty(most)
     for i in range(n):
         for h in range(HYPOTHESES):
-            first, second = _pair(h, count[i])
-            if not _project(offset[i], count[i], offset[i, first], offset[i, second], height, x, y):
+            a, b, c = _three(h, count[i])
+            if not _project(offset[i], count[i], offset[i, a], offset[i, b], offset[i, c], height, x, y):
                 continue
+            if abs(height[0]) > tolerance:
+                continue
+            best[i] = max(best[i], _arc_of_plane(count[i], height, x, y, tolerance))
+            height[: count[i]] *= -1
             best[i] = max(best[i], _arc_of_plane(count[i], height, x, y, tolerance))
             if best[i] >= LEAST_ARC:
                 break
     return best
 
 
-@numba.njit(nogil=True)
-def _pair(hypothesis, count):
-    """Two members, the point itself (the first) left out: by a fixed hash, so that equal inputs are decided equally."""
+@numba.njit(cache=True, nogil=True)
+def _three(hypothesis, count):
+    """Three members, by a fixed hash, so that equal neighbourhoods are decided equally."""
     state = np.uint64(hypothesis + 1) * np.uint64(0x9E3779B97F4A7C15)
     state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    others = np.uint64(count - 1)
-    return 1 + np.int64((state >> np.uint64(8)) % others), 1 + np.int64((state >> np.uint64(36)) % others)
+    n = np.uint64(count)
+    return np.int64((state >> np.uint64(4)) % n), np.int64((state >> np.uint64(24)) % n), np.int64((state >> np.uint64(44)) % n)
 
 
-@numba.njit(nogil=True)
-def _project(offset, count, a, b, height, x, y):
-    """Members in the frame of the plane through the point along `a` and `b`; False where those are nearly parallel."""
-    normal = np.cross(a, b)
-    area, length = math.sqrt((normal * normal).sum()), math.sqrt((a * a).sum())
-    if area <= 0.2 * length * math.sqrt((b * b).sum()):
+@numba.njit(cache=True, nogil=True)
+def _project(offset, count, a, b, c, height, x, y):
+    """Members in the frame of the plane through `a`, `b` and `c`; False where those are nearly on a line."""
+    p, q = b - a, c - a
+    normal = np.cross(p, q)
+    area, length = math.sqrt((normal * normal).sum()), math.sqrt((p * p).sum())
+    if area <= 0.2 * length * math.sqrt((q * q).sum()):
         return False
-    normal, along = normal / area, a / length
+    normal, along = normal / area, p / length
     across = np.cross(normal, along)
     for j in range(count):
-        p = offset[j]
-        height[j] = abs(p[0] * normal[0] + p[1] * normal[1] + p[2] * normal[2])
-        x[j] = p[0] * along[0] + p[1] * along[1] + p[2] * along[2]
-        y[j] = p[0] * across[0] + p[1] * across[1] + p[2] * across[2]
+        o = offset[j]
+        height[j] = (o[0] - a[0]) * normal[0] + (o[1] - a[1]) * normal[1] + (o[2] - a[2]) * normal[2]
+        x[j] = o[0] * along[0] + o[1] * along[1] + o[2] * along[2]
+        y[j] = o[0] * across[0] + o[1] * across[1] + o[2] * across[2]
     return True
 
 
-@numba.njit(nogil=True)
+@numba.njit(cache=True, nogil=True)
 def _arc_of_plane(count, height, x, y, tolerance):
-    """The longest arc on the kept side of any line that leaves all members off the plane behind, and the point not."""
+    """The longest arc on the kept side of any line that leaves all members above the plane behind, and the point not."""
     clean = True
     for j in range(count):
         clean = clean and height[j] <= tolerance
@@ -122,14 +128,14 @@ def _arc_of_plane(count, height, x, y, tolerance):
             continue
         kept = 0
         for j in range(count):
-            if height[j] <= tolerance and c * x[j] + s * y[j] >= cut and x[j] * x[j] + y[j] * y[j] >= RING_RADII**2:
+            if abs(height[j]) <= tolerance and c * x[j] + s * y[j] >= cut and x[j] * x[j] + y[j] * y[j] >= RING_RADII**2:
                 direction[kept] = math.atan2(y[j], x[j])
                 kept += 1
         best = max(best, _longest_run(np.sort(direction[:kept])))
     return best
 
 
-@numba.njit(nogil=True)
+@numba.njit(cache=True, nogil=True)
 def _longest_run(direction):
     """The longest arc whose sorted directions (m,) lie no further than WIDEST_GAP apart, around the turn."""
     m = len(direction)

@@ -1,0 +1,153 @@
+"""Disc or ellipsoid: right on ropes, balls and flat things with edges, as a scanner sees them."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from pipeline.effects.ellipsoids.decision import REACH_RADII, decide
+from pipeline.effects.ellipsoids.fit import moments, principal_axes
+from pipeline.effects.ellipsoids.neighbourhoods import LEAST, MOST, gather, thinned
+from pipeline.effects.ellipsoids.noise import NEAREST, noise_of
+from tests.thin_scene import BALL, FLAT, ROPE, THICK, THIN, joined, room, scan
+
+SCANNERS = ((2.6, -1.6, 1.6), (-2.4, -2.0, 1.2))
+
+
+def verdicts(position, radius=None):
+    """Which points become ellipsoids, and the noise that was found, in radii."""
+    radius = radius or np.median(cKDTree(position).query(position, k=5)[0][:, 4])
+    around = gather(position, thinned(position, 0.5 * radius), REACH_RADII * radius)
+    near = np.minimum(around.count, NEAREST)
+    third = principal_axes(moments(around.offset, near)[1])[0][near == NEAREST, 2]
+    noise = noise_of(third)
+    deviation, _ = principal_axes(moments(around.offset, around.count)[1])
+    return decide(around, deviation, radius, noise).ellipsoid, noise / radius
+
+
+def grid(n, spacing=1.0, jitter=0.2, seed=0):
+    """Points (n^2, 3) of a square in z = 0, its middle at 0."""
+    rng = np.random.default_rng(seed)
+    x, y = (a.ravel() * spacing for a in np.meshgrid(np.arange(n) - (n - 1) / 2, np.arange(n) - (n - 1) / 2))
+    flat = np.column_stack([x, y, np.zeros(n * n)])
+    return flat + rng.normal(0, jitter * spacing, flat.shape) * [1, 1, 0]
+
+
+@pytest.mark.parametrize("seed, step, noise", [(11, 0.0035, 0.0020), (13, 0.0040, 0.0010)])
+def test_decide__is_right_on_19_of_20_points_of_a_room_of_ropes_balls_and_flat_things(seed, step, noise):
+    rng = np.random.default_rng(seed)
+    shapes = room(rng)
+    seen = joined([scan(shapes, eye, step, noise, rng) for eye in SCANNERS])
+    thin, _ = verdicts(seen.position)
+    right = thin == np.isin(seen.kind, THIN)
+    shares = {kind: right[seen.kind == kind].mean() for kind in (FLAT, THICK, ROPE, BALL)}
+    assert right.mean() >= 0.95
+    assert shares[FLAT] >= 0.99 and shares[BALL] >= 0.95
+    assert shares[ROPE] >= 0.88  # where two ropes cross, what is seen is as good as a plane
+    assert np.mean([shares[FLAT], shares[ROPE], shares[BALL]]) >= 0.95
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.3])
+def test_decide__a_plane_is_discs_to_its_corners(noise):
+    position = grid(60) + np.random.default_rng(1).normal(0, noise, (3600, 3)) * [0, 0, 1]
+    thin, found = verdicts(position)
+    assert thin.mean() <= 0.01
+    assert abs(found - noise / 1.0) <= 0.1
+
+
+@pytest.mark.parametrize("degrees", [60, 90, 140])
+def test_decide__a_crease_is_discs(degrees):
+    half = grid(50)
+    half = half[half[:, 0] > 0]
+    turned = half @ np.array([[np.cos(a := np.radians(degrees)), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
+    thin, _ = verdicts(np.concatenate([half, turned]))
+    assert thin.mean() <= 0.02
+
+
+@pytest.mark.parametrize("thickness", [0.6, 1.5, 3.0])
+def test_decide__both_faces_of_a_board_are_discs(thickness):
+    thin, _ = verdicts(np.concatenate([grid(40), grid(40, seed=5) + [0, 0, thickness]]), radius=1.25)
+    assert thin.mean() <= 0.01
+
+
+def test_decide__a_corner_of_a_box_is_discs():
+    quarter = grid(40)
+    quarter = quarter[(quarter[:, :2] > 0).all(axis=1)]
+    thin, _ = verdicts(np.concatenate([np.roll(quarter, k, axis=1) for k in range(3)]))
+    assert thin.mean() <= 0.05
+
+
+@pytest.mark.parametrize("radius", [0.1, 0.5])
+def test_decide__a_wire_before_a_wall_is_ellipsoids(radius):
+    rng = np.random.default_rng(2)
+    angle, along = rng.uniform(0, 2 * np.pi, 120), rng.uniform(-25, 25, 120)
+    wire = np.column_stack([along, radius * np.cos(angle), radius * np.sin(angle) + 6])
+    thin, _ = verdicts(np.concatenate([grid(60), wire]))
+    assert thin[3600:].mean() >= 0.95 and thin[:3600].mean() <= 0.01
+
+
+def test_decide__turning_scaling_and_moving_a_scan_changes_next_to_nothing():
+    rng = np.random.default_rng(3)
+    shapes = room(rng)
+    position = scan(shapes, SCANNERS[0], 0.005, 0.002, rng).position
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    here, _ = verdicts(position)
+    there, _ = verdicts(3.0 * position @ turn + [100, 200, -50])
+    assert (here != there).mean() <= 0.02  # cells of the thinning fall elsewhere
+
+
+def test_decide__points_without_neighbours_and_equal_points_are_discs():
+    apart = np.arange(12.0)[:, None] * [1000.0, 0, 0]
+    assert not verdicts(apart, radius=1.0)[0].any()
+    around = gather(np.zeros((5, 3)), np.zeros((1, 3)), 1.0)
+    assert not decide(around, principal_axes(moments(around.offset, around.count)[1])[0], 1.0, 0.0).ellipsoid.any()
+    nothing = gather(np.zeros((0, 3)), np.zeros((0, 3)), 1.0)
+    assert decide(nothing, np.zeros((0, 3)), 1.0, 0.0).ellipsoid.shape == (0,)
+
+
+# --- neighbourhoods, section 3.1 ------------------------------------------------------------------------------------
+
+
+def test_gather__takes_all_within_reach_or_the_nearest_without_outliers_or_none():
+    many = np.column_stack([np.linspace(0, 1, 9), np.zeros(9), np.zeros(9)])
+    assert gather(np.zeros((1, 3)), many, 1.0).count.tolist() == [9]
+    few = np.array([[0, 0, 0], [0.5, 0, 0], [2.0, 0, 0], [2.5, 0, 0], [2.9, 0, 0], [3.5, 0, 0], [9, 0, 0]])
+    assert gather(np.zeros((1, 3)), few, 1.0).count.tolist() == [5]
+    assert gather(np.zeros((1, 3)), few, 1.2).count.tolist() == [LEAST]
+    assert gather(np.zeros((1, 3)), few[[0, 1, 5, 6]], 1.0).count.tolist() == [0]
+
+
+def test_gather__agrees_with_brute_force():
+    rng = np.random.default_rng(4)
+    points = rng.normal(size=(300, 3))
+    found = gather(points, points, 0.6)
+    distance = np.linalg.norm(points[:, None] - points, axis=2)
+    for i in range(300):
+        near = np.sort(distance[i][distance[i] <= 0.6])
+        wanted = near if len(near) >= LEAST else np.sort(distance[i])[:LEAST][np.sort(distance[i])[:LEAST] <= 1.8]
+        wanted = wanted[:MOST] if len(wanted) >= 3 else wanted[:0]
+        np.testing.assert_allclose(np.linalg.norm(found.offset[i, : found.count[i]], axis=1), wanted, atol=1e-12)
+        assert not found.offset[i, found.count[i] :].any() or found.count[i] < LEAST or (near <= 0.6).all()
+
+
+def test_thinned__leaves_one_point_a_cell_whatever_the_order():
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-3, 3, (2000, 3))
+    kept = thinned(points, 0.7)
+    cells = np.floor(kept / 0.7).astype(int)
+    assert len(np.unique(cells, axis=0)) == len(kept) == len(np.unique(np.floor(points / 0.7).astype(int), axis=0))
+    assert (thinned(points[rng.permutation(2000)], 0.7) == kept).all()
+
+
+# --- fit --------------------------------------------------------------------------------------------------------------
+
+
+def test_moments__are_those_of_numpy():
+    rng = np.random.default_rng(6)
+    offset, count = rng.normal(size=(40, 12, 3)), rng.integers(2, 13, 40)
+    mean, covariance = moments(offset, count)
+    for i in range(40):
+        np.testing.assert_allclose(mean[i], offset[i, : count[i]].mean(axis=0), atol=1e-12)
+        np.testing.assert_allclose(covariance[i], np.cov(offset[i, : count[i]].T), atol=1e-12)
+    deviation, axes = principal_axes(covariance)
+    np.testing.assert_allclose(np.einsum("nai,na,naj->nij", axes, deviation**2, axes), covariance, atol=1e-12)
+    assert (np.diff(deviation, axis=1) <= 0).all() and (np.linalg.det(axes) > 0).all()
