@@ -1,4 +1,4 @@
-"""The dictionary as one texture: the six mip levels of the packed file as bands, one below the other.
+"""The dictionary as one texture: the mip levels of the packed file as bands, one below the other.
 
 A band is the level's atoms side by side, row after row. A texture array would not do, since drivers end at 2048 layers.
 GL's own mip levels would, in the same bytes; but fetches at a level that differs from splat to splat cost llvmpipe a
@@ -23,11 +23,14 @@ _RGB8_SNORM = 0x8F96
 
 @dataclass(frozen=True)
 class AtlasLayout:
-    """Where an atom's texels lie: at level l of size s, atom k is cell k of rows of width // s, below `bands[l]`."""
+    """Where an atom's texels lie: at level l of size s, atom k is cell k of rows of width // s, below `bands[l]`.
+
+    Levels count from that of 32 texels, whether or not the dictionary has it.
+    """
 
     width: int
     height: int
-    bands: tuple[int, ...]  # the first row of each level
+    bands: tuple[int, ...]  # the first row of each level, 0 of those that are not there
 
     def corner(self, atom: int, level: int) -> tuple[int, int]:
         """Column and row of the atom's first texel; splat_codes.glsl computes the same."""
@@ -36,18 +39,18 @@ class AtlasLayout:
         return column * size, self.bands[level] + row * size
 
 
-def atlas_layout(n_atoms: int) -> AtlasLayout:
+def atlas_layout(n_atoms: int, atom_size: int = PATCH_SIZE) -> AtlasLayout:
     """The layout of a dictionary; about as wide as its finest level is high."""
-    width = PATCH_SIZE * ceil(sqrt(n_atoms))
-    heights = [-(-n_atoms // (width // size)) * size for size in MIP_SIZES]
+    width = atom_size * ceil(sqrt(n_atoms))
+    heights = [-(-n_atoms // (width // size)) * size if size <= atom_size else 0 for size in MIP_SIZES]
     ends = np.cumsum(heights).tolist()
     return AtlasLayout(width, ends[-1], (0, *ends[:-1]))
 
 
 def atlas_picture(levels: list[np.ndarray], layout: AtlasLayout) -> np.ndarray:
-    """All levels' atoms, (k, s, s, 3) int8 for each s of MIP_SIZES, as one (height, width, 3) picture."""
+    """All levels' atoms, (k, s, s, 3) int8 each, the finest first, as one (height, width, 3) picture."""
     picture = np.zeros((layout.height, layout.width, 3), np.int8)
-    for atoms, size, top in zip(levels, MIP_SIZES, layout.bands, strict=True):
+    for atoms, size, top in zip(levels, MIP_SIZES[-len(levels) :], layout.bands[-len(levels) :], strict=True):
         columns = layout.width // size
         rows = -(-len(atoms) // columns)
         cells = np.zeros((rows * columns, size, size, 3), np.int8)
@@ -59,7 +62,7 @@ def atlas_picture(levels: list[np.ndarray], layout: AtlasLayout) -> np.ndarray:
 
 def upload_atlas(context: moderngl.Context, levels: list[np.ndarray]) -> tuple[moderngl.Texture, int]:
     """The texture of a dictionary, and its bytes."""
-    layout = atlas_layout(len(levels[0]))
+    layout = atlas_layout(*levels[0].shape[:2])
     limit = context.info["GL_MAX_TEXTURE_SIZE"]
     if max(layout.width, layout.height) > limit:
         raise ResourceExhausted(

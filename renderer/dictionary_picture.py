@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from storage.packed import PackedScene
-from storage.schema import GROUP, PATCH_SIZE
+from storage.schema import GROUP
 
 MAX_SHOWN = 256
 GAP_PX = 2
@@ -20,7 +20,7 @@ def atom_uses(scene: PackedScene) -> np.ndarray:
         stop = start + _SPLATS_A_PIECE
         atom, _ = scene.codes(start, stop)
         used = np.arange(atom.shape[1]) < scene.n_atoms[start:stop, None]
-        uses += np.bincount(atom[used], minlength=len(uses))
+        uses += np.bincount(atom[used] // scene.header.n_turns, minlength=len(uses))
     return uses
 
 
@@ -31,13 +31,14 @@ def dictionary_picture(scene: PackedScene, max_shown: int = MAX_SHOWN) -> np.nda
     """
     if not scene.header.n_dictionary:
         return None
+    size = scene.header.atom_size
     order = np.argsort(-atom_uses(scene), kind="stable")[:max_shown]
-    texels = scene.arrays[f"atoms_{PATCH_SIZE}"][order].astype(np.int16)
+    texels = scene.arrays[f"atoms_{size}"][order].astype(np.int16)
     columns = int(np.ceil(np.sqrt(len(order))))
     rows = -(-len(order) // columns)
-    cell = PATCH_SIZE + GAP_PX
+    cell = size + GAP_PX
     picture = np.full((rows * cell + GAP_PX, columns * cell + GAP_PX, 3), WHITE, np.uint8)
     for i, atom in enumerate(texels):
         top, left = GAP_PX + i // columns * cell, GAP_PX + i % columns * cell
-        picture[top:top + PATCH_SIZE, left:left + PATCH_SIZE] = GREY + atom
+        picture[top:top + size, left:left + size] = GREY + atom
     return picture

@@ -41,7 +41,7 @@ def variant_name(name: str, defines: dict[str, int]) -> str:
     words = [name]
     if "N_ATOMS" in defines:
         words.append(f"atoms={defines['N_ATOMS']}")
-    words += [flag.lower().replace("_", " ") for flag in ("CLIPLINE", "BY_BATCH", "PHOTO") if defines.get(flag)]
+    words += [flag.lower().replace("_", " ") for flag in ("CLIPLINE", "TURNED", "BY_BATCH", "PHOTO") if defines.get(flag)]
     return " ".join(words)
 
 

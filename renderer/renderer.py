@@ -128,7 +128,8 @@ class Renderer:
         self._begin_attributes(frame)
         for batch, kind in enumerate(gpu_scene.scene.header.batches):
             n_atoms = min(kind.n_atoms, max_atoms)
-            self._draw_batch(frame, gpu_scene, batch, "attribute", N_ATOMS=n_atoms, CLIPLINE=int(kind.clipline))
+            turned = int(gpu_scene.scene.header.n_turns > 1 and n_atoms > 0)
+            self._draw_batch(frame, gpu_scene, batch, "attribute", N_ATOMS=n_atoms, CLIPLINE=int(kind.clipline), TURNED=turned)
 
     def _begin_attributes(self, frame: _Frame) -> None:
         frame.targets.attribute.use()

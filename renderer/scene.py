@@ -120,7 +120,7 @@ class GpuScene:
             if header.n_dictionary:
                 self._upload(CODES, "codes", arrays["codes"], "codes")
                 self._upload(WEIGHTS, "dictionary", weight_table(arrays), "weights")
-                self.atlas, n_bytes = upload_atlas(self.context, [arrays[f"atoms_{size}"] for size in MIP_SIZES])
+                self.atlas, n_bytes = upload_atlas(self.context, [arrays[f"atoms_{size}"] for size in header.mip_sizes])
                 self.bytes_by_part["dictionary"] += n_bytes
             self.buffers[DRAWS] = self.context.buffer(reserve=header.n_groups * (len(header.batches) + 1) * DRAW_BYTES)
             self.uniforms = self.context.buffer(self._uniform_block())
@@ -156,10 +156,10 @@ class GpuScene:
 
     def _uniform_block(self) -> bytes:
         header = self.scene.header
-        layout = atlas_layout(max(1, header.n_dictionary))
+        layout = atlas_layout(max(1, header.n_dictionary), header.atom_size)
         return struct.pack(
-            "4i4if6I4x6I2f", *header.up, 0, *header.ahead, 0, header.radius, header.n_splats, len(header.batches), header.dictionary_bits,
-            header.weight_bits, header.n_groups, layout.width, *layout.bands, 1 / layout.width, 1 / layout.height,
+            "4i4if7I6I2f", *header.up, 0, *header.ahead, 0, header.radius, header.n_splats, len(header.batches), header.dictionary_bits,
+            header.weight_bits, header.n_groups, layout.width, MIP_SIZES.index(header.atom_size), *layout.bands, 1 / layout.width, 1 / layout.height,
         )
 
 

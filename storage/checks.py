@@ -12,7 +12,9 @@ from math import isfinite
 from zipfile import ZIP_STORED, ZipFile
 
 from storage.layout import ROOT_MEMBER, chunk_count, members_of, metadata_member, metadata_of, shape_of
-from storage.schema import FORMAT_NAME, LONGEST_DIRECTION, MAX_ATOMS, NO_CAMERA, READABLE_VERSIONS, Array, Header, arrays_of
+from storage.schema import (
+    ATOM_SIZES, FORMAT_NAME, LONGEST_DIRECTION, MAX_ATOMS, NO_CAMERA, READABLE_VERSIONS, TURN_COUNTS, Array, Header, arrays_of,
+)
 from storage.seal import SEAL, SEAL_BYTES
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -50,7 +52,7 @@ def read_header(archive: ZipFile) -> Header:
 def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
     """Field, value, whether it is in its range, and that range in words."""
     h, batches, cameras = header, header.batches, header.cameras
-    needed_bits = max(0, h.n_dictionary - 1).bit_length()
+    needed_bits = max(0, h.n_indices - 1).bit_length()
     atoms = [batch.n_atoms for batch in batches]
     return [
         ("n_splats", h.n_splats, h.n_splats >= 1, "1 or more"),
@@ -63,7 +65,9 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
         ("dictionary_bits", h.dictionary_bits, 0 <= h.dictionary_bits <= 16, "0..16"),
         ("weight_bits", h.weight_bits, 1 <= h.weight_bits <= 8, "1..8"),
         ("n_dictionary", h.n_dictionary, h.n_dictionary >= 0 and needed_bits <= h.dictionary_bits,
-         f"0 or more, counted in {h.dictionary_bits} bits"),
+         f"0 or more, counted with their {h.n_turns} turns in {h.dictionary_bits} bits"),
+        ("atom_size", h.atom_size, h.atom_size in ATOM_SIZES, f"one of {ATOM_SIZES}"),
+        ("n_turns", h.n_turns, h.n_turns in TURN_COUNTS, f"one of {TURN_COUNTS}"),
         ("batches", atoms, 0 < len(set(batches)) == len(batches), "different from each other, and at least one"),
         ("batches", batches, not any(batch.clipline and batch.ellipsoid for batch in batches), "without a clipline where they are ellipsoids"),
         ("n_atoms", atoms, all(0 <= n <= MAX_ATOMS for n in atoms), f"0..{MAX_ATOMS}"),

@@ -84,8 +84,8 @@ def check_tables(scene: PackedScene) -> None:
         if len(arrays[stream.name]) != n_words.sum() + 1 or not (arrays[stream.table] == starts).all():
             raise ValueError(f"{stream.table} and {stream.name} do not fit batch_count")
     for start in range(0, header.n_splats, GROUP):  # the codes of the whole scene would not fit beside it
-        if scene.codes(start, start + GROUP)[0].max() >= max(1, header.n_dictionary):
-            raise ValueError(f"an atom index beyond the dictionary's {header.n_dictionary}")
+        if scene.codes(start, start + GROUP)[0].max() >= max(1, header.n_indices):
+            raise ValueError(f"an atom index beyond the dictionary's {header.n_indices}")
     if header.cameras:
         camera = arrays["camera"]
         if ((camera >= len(header.cameras)) & (camera != NO_CAMERA)).any():

@@ -9,13 +9,15 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, fields
 
 FORMAT_NAME = "splatpress"
-FORMAT_VERSION = 2
-READABLE_VERSIONS = (1, 2)
+FORMAT_VERSION = 3
+READABLE_VERSIONS = (1, 2, 3)
 CHUNK = 128
 GROUP = 8192
 MAX_ATOMS = 8
 PATCH_SIZE = 32
 MIP_SIZES = (32, 16, 8, 4, 2, 1)
+ATOM_SIZES = (32, 16, 8)
+TURN_COUNTS = (1, 8)  # ways in which an atom is used: as it is, or turned and mirrored too
 CLIPLINE_BITS = 12
 ELLIPSOID_FIELD_BITS, ELLIPSOID_FIELDS = 8, 4  # so an ellipsoid is one whole word
 NO_CAMERA = 0xFFFF
@@ -137,6 +139,18 @@ class Header:
     scan: dict  # name, format, n_points as read
     settings: dict  # what the job asked for
     effects: dict = field(default_factory=dict)  # of those that are on: what shaders and comparisons need of them
+    atom_size: int = PATCH_SIZE  # texels to a side of an atom's finest level
+    n_turns: int = 1  # ways in which an atom is used, one of TURN_COUNTS
+
+    @property
+    def mip_sizes(self) -> tuple[int, ...]:
+        """Of the dictionary's levels, the finest first."""
+        return tuple(size for size in MIP_SIZES if size <= self.atom_size)
+
+    @property
+    def n_indices(self) -> int:
+        """Atoms that an index may name: each of the dictionary's in every turn."""
+        return self.n_dictionary * self.n_turns
 
     @property
     def n_chunks(self) -> int:
@@ -148,7 +162,7 @@ class Header:
 
     @property
     def entry_bits(self) -> int:
-        """Bits of one atom of one code: its index, then its weight."""
+        """Bits of one atom of one code: its index, of the turn and above it the atom, then its weight."""
         return self.dictionary_bits + self.weight_bits
 
     def to_json(self) -> dict:
@@ -162,6 +176,8 @@ class Header:
         """The header of attributes as `to_json` makes or made them; KeyError or TypeError where they differ."""
         if data["version"] == 1:
             data = data | _directions_of_version_1(data["up_axis"])
+        if data["version"] < 3:
+            data = data | {"atom_size": PATCH_SIZE, "n_turns": 1}
         return _typed(
             Header, {"effects": {}} | data,
             origin=_numbers(data["origin"], 3), up=_whole_numbers(data["up"], 3), ahead=_whole_numbers(data["ahead"], 3),
@@ -209,6 +225,7 @@ def arrays_of(header: Header) -> tuple[Array, ...]:
     absent = set()
     if not header.n_dictionary:
         absent |= {a.name for a in ARRAYS if a.part == "dictionary"} | {"codes", "group_word"}
+    absent |= {f"atoms_{size}" for size in MIP_SIZES if size > header.atom_size}
     for extra in EXTRAS:
         if not any(getattr(batch, extra.flag) for batch in header.batches):
             absent |= {extra.stream, extra.table}

@@ -14,7 +14,7 @@ import numpy as np
 from storage.batches import group_batch_counts
 from storage.packed import begin_packed, create_array, seal_packed
 from storage.scene import streams_of
-from storage.schema import BY_NAME, CHUNK, MAX_ATOMS, MIP_SIZES, NO_CAMERA, Batch, Camera, Header
+from storage.schema import BY_NAME, CHUNK, MAX_ATOMS, NO_CAMERA, Batch, Camera, Header
 
 LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 
@@ -34,6 +34,8 @@ class Case:
     period: int = 1 << 40
     up: tuple[int, int, int] = (0, 0, 1)
     ahead: tuple[int, int, int] = (1, 0, 0)
+    atom_size: int = 32
+    n_turns: int = 1
 
 
 def noise(n: int, seed: int, below: int, period: int = 1 << 40) -> np.ndarray:
@@ -55,7 +57,7 @@ def header_of(case: Case) -> Header:
         batches=plain + (tuple(Batch(n, clipline=True) for n in case.atom_counts) if case.cliplines else ())
         + (tuple(Batch(n, ellipsoid=True) for n in case.atom_counts) if case.ellipsoids else ()),
         cameras=(camera,) * case.n_cameras, scan={"name": "tiny", "format": "ply", "n_points": case.n_splats},
-        settings={"preset": "draft"},
+        settings={"preset": "draft"}, atom_size=case.atom_size, n_turns=case.n_turns,
     )
 
 
@@ -125,7 +127,7 @@ def _streams(case: Case, header: Header, batch_count: np.ndarray) -> dict[str, n
         words = []
         for group, n_fields in enumerate(per_group @ stream.fields):
             if stream.name == "codes":
-                atom = noise(int(n_fields), 9 + group, header.n_dictionary, case.period)
+                atom = noise(int(n_fields), 9 + group, header.n_indices, case.period)
                 weight = noise(int(n_fields), 50 + group, 2**header.weight_bits, case.period)
                 field = atom | weight << header.dictionary_bits
             else:
@@ -154,7 +156,7 @@ def _dictionary(header: Header) -> dict[str, np.ndarray]:
         "weight_levels": (np.arange(MAX_ATOMS * levels).reshape(MAX_ATOMS, levels) / 64 - 1).astype(np.float32),
         "atom_scale": (1 / (64 + np.arange(k))).astype(np.float32),
     }
-    for size in MIP_SIZES:
+    for size in header.mip_sizes:
         factor = 32 // size
         mean = texels.reshape(k, size, factor, size, factor, 3).mean(axis=(2, 4))
         arrays[f"atoms_{size}"] = np.round(mean).astype(np.int8)

@@ -80,12 +80,34 @@ def decode_position(scene: PackedScene, splat: int) -> list[float]:
 
 def decode_patch(scene: PackedScene, splat: int, size: int = 32) -> np.ndarray:
     """(size, size, 3) float64, sRGB, not yet clamped to [0, 1]."""
-    arrays = scene.arrays
-    patch = np.tile(arrays["color"][splat] / 255, (size, size, 1))
-    for rank, (atom, weight) in enumerate(decode_code(scene, splat)):
+    arrays, finest = scene.arrays, min(size, scene.header.atom_size)
+    patch = np.tile(arrays["color"][splat] / 255, (finest, finest, 1))
+    for rank, (index, weight) in enumerate(decode_code(scene, splat)):
+        atom, turn = divmod(index, scene.header.n_turns)
         amount = float(arrays["weight_levels"][rank, weight]) * float(arrays["atom_scale"][atom])
-        patch += amount * arrays[f"atoms_{size}"][atom].astype(np.float64)
-    return patch
+        patch += amount * turned(arrays[f"atoms_{finest}"][atom].astype(np.float64), turn)
+    return patch if finest == size else magnified(patch, size)
+
+
+def turned(texels: np.ndarray, turn: int) -> np.ndarray:
+    """Texels (s, s, 3) of an atom in a turn, one by one."""
+    result, last = np.empty_like(texels), len(texels) - 1
+    for row in range(last + 1):
+        for column in range(last + 1):
+            y, x = (column, row) if turn & 4 else (row, column)
+            result[row, column] = texels[last - y if turn & 2 else y, last - x if turn & 1 else x]
+    return result
+
+
+def magnified(texels: np.ndarray, size: int) -> np.ndarray:
+    """(size, size, 3): bilinear lookups in texels (s, s, 3), edges repeated."""
+    s = len(texels)
+    at = np.clip((np.arange(size) + 0.5) * s / size - 0.5, 0, s - 1)
+    first = np.minimum(at.astype(int), s - 2)
+    share = (at - first)[:, None, None]
+    rows = texels[first] * (1 - share) + texels[first + 1] * share
+    share = share[:, :, 0]
+    return rows[:, first] * (1 - share) + rows[:, first + 1] * share
 
 
 def every_normal() -> tuple[np.ndarray, np.ndarray]:

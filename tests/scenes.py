@@ -35,10 +35,11 @@ class Splats:
 class Dictionary:
     """Atoms and weights; `atoms` are texels of the finest level, and the mip levels are their means."""
 
-    atoms: np.ndarray  # (k, 32, 32, 3) int8, -127..127
+    atoms: np.ndarray  # (k, s, s, 3) int8, -127..127; s is 32, 16 or 8
     scale: np.ndarray  # (k,) float32
     weight_levels: np.ndarray  # (8, 2^weight_bits) float32
     dictionary_bits: int = 8
+    n_turns: int = 1
 
 
 @dataclass(frozen=True)
@@ -85,9 +86,9 @@ def random_dictionary(rng: np.random.Generator, n_atoms: int = 20, weight_bits: 
 
 
 def mip_levels(atoms: np.ndarray) -> dict[str, np.ndarray]:
-    """The arrays atoms_32 .. atoms_1 of atoms (k, 32, 32, 3) int8: each level the mean of the one before."""
+    """The arrays atoms_s .. atoms_1 of atoms (k, s, s, 3) int8: each level the mean of the one before."""
     level, arrays = atoms.astype(np.float64), {}
-    for size in MIP_SIZES:
+    for size in MIP_SIZES[MIP_SIZES.index(atoms.shape[1]) :]:
         arrays[f"atoms_{size}"] = np.round(level).astype(np.int8)
         if size > 1:
             level = level.reshape(len(level), size // 2, 2, size // 2, 2, 3).mean(axis=(2, 4))
@@ -123,6 +124,7 @@ def build_scene_and_order(
         dictionary_bits=dictionary.dictionary_bits if dictionary else 8,
         weight_bits=dictionary.weight_levels.shape[1].bit_length() - 1 if dictionary else 4,
         batches=batches, cameras=settings.cameras, scan={}, settings={},
+        **({"atom_size": dictionary.atoms.shape[1], "n_turns": dictionary.n_turns} if dictionary else {}),
     )
     boxes = fit_boxes(local[order])
     position = encode_positions(local[order], boxes).astype("<u4").view(np.uint8).reshape(n, 4)[:, :3]

@@ -64,7 +64,7 @@ def test_format__bits_a_splat_add_up():
 
 @pytest.mark.parametrize("case", [
     Case(n_splats=GROUP + 300, cliplines=True, period=128), Case(dictionary_bits=16, weight_bits=8, n_dictionary=300),
-    Case(dictionary_bits=12, n_dictionary=300),
+    Case(dictionary_bits=12, n_dictionary=300), Case(dictionary_bits=12, n_dictionary=300, atom_size=8, n_turns=8),
 ])
 def test_format__its_example_decodes_single_patches(case, tmp_path):
     example = {}
@@ -75,6 +75,6 @@ def test_format__its_example_decodes_single_patches(case, tmp_path):
     with ZipStore(path, mode="r") as store:
         opened = zarr.open_group(store, mode="r")
         for splat in (0, 1, 127, 128, 200, case.n_splats // 2, case.n_splats - 1):
-            for size in (32, 4):
+            for size in (32, 8, 4):
                 expected = decode_patch(scene, splat, size).clip(0, 1)
                 np.testing.assert_allclose(example["patch"](opened, splat, size), expected, atol=1e-5)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.accuracy import psnr_db
+from pipeline.coding.grid import shown, turned_texels
 from pipeline.coding.quantize import dequantize_atoms
 from pipeline.geometry.frame import tangent_frames
 from pipeline.geometry.positions import Boxes, decode_positions
@@ -17,7 +18,7 @@ from pipeline.texture.patches import Patches, make_patches, patch_errors
 from pipeline.texture.resample import PATCH_DIM
 from storage import arrays, work
 from storage.packed import PackedFile, PackedScene
-from storage.schema import GROUP, MAX_ATOMS, MIP_SIZES
+from storage.schema import GROUP, MAX_ATOMS
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,7 @@ class Measure:
     def run(self, folder: Path, index: int) -> dict:
         with PackedFile(self.packed, verify=False) as packed:
             scene = packed.group(index)
-            atoms = decoded_atoms(packed) if packed.header.n_dictionary else np.zeros((1, PATCH_DIM), np.float32)
-            levels = packed.read("weight_levels") if packed.header.n_dictionary else np.zeros((MAX_ATOMS, 1), np.float32)
+            atoms, levels = decoded_atoms(packed)
         patches = self._resample(scene, index * GROUP)
         texel = patches.texel
         squared, weighted = 0.0, 0.0
@@ -79,8 +79,7 @@ def splat_errors(ingest: Path, packed: Path, index: int) -> SplatErrors:
     """Those of group `index` of a packed file."""
     with PackedFile(packed, verify=False) as opened:
         scene = opened.group(index)
-        atoms = decoded_atoms(opened) if opened.header.n_dictionary else np.zeros((1, PATCH_DIM), np.float32)
-        levels = opened.read("weight_levels") if opened.header.n_dictionary else np.zeros((MAX_ATOMS, 1), np.float32)
+        atoms, levels = decoded_atoms(opened)
     texel = Measure(ingest, packed, "")._resample(scene, index * GROUP).texel
     error, plain = np.empty(len(texel)), np.empty(len(texel))
     for at in range(0, len(texel), ROWS):
@@ -100,17 +99,24 @@ def decoded_positions(scene: PackedScene) -> np.ndarray:
     return decode_positions(code, Boxes(a["box_low"], a["box_size"], a["box_bits"]))
 
 
-def decoded_atoms(packed: PackedFile) -> np.ndarray:
-    """The dictionary (k, PATCH_DIM) float32 of a packed file."""
-    return dequantize_atoms(packed.read(f"atoms_{MIP_SIZES[0]}"), packed.read("atom_scale"))
+def decoded_atoms(packed: PackedFile) -> tuple[np.ndarray, np.ndarray]:
+    """Texels (n_indices, 3 atom_size^2) float32 of what each index of a packed file names, and its weight levels."""
+    header = packed.header
+    if not header.n_dictionary:
+        return np.zeros((1, PATCH_DIM), np.float32), np.zeros((MAX_ATOMS, 1), np.float32)
+    size = header.atom_size
+    texels = packed.read(f"atoms_{size}").reshape(-1, size, size, 3)
+    turned = np.stack([turned_texels(texels, turn) for turn in range(header.n_turns)], axis=1)
+    scale = np.repeat(packed.read("atom_scale"), header.n_turns)
+    return dequantize_atoms(turned.reshape(header.n_indices, -1), scale), packed.read("weight_levels")
 
 
 def decode_patches(scene: PackedScene, rows: slice, atoms: np.ndarray, levels: np.ndarray) -> np.ndarray:
     """What the atoms of some splats add to their averages, (n, PATCH_DIM) float32."""
     atom, code = scene.codes(rows.start, rows.stop)
-    decoded = np.zeros((len(atom), PATCH_DIM), np.float32)
+    decoded = np.zeros((len(atom), atoms.shape[1]), np.float32)
     add_atoms(decoded, atoms, atom, levels[np.arange(MAX_ATOMS), code], scene.n_atoms[rows])
-    return decoded
+    return shown(decoded, scene.header.atom_size)
 
 
 def ingest_fits(ingest: Path, packed_names: list[str]) -> bool:

@@ -7,6 +7,18 @@ layout(binding = 0) uniform sampler2D atlas;
 flat in vec3 atoms[N_ATOMS];
 flat in vec2 coarser[N_ATOMS];
 flat in float level;
+#ifdef TURNED
+flat in uint turns;  // 3 bits a rank
+
+// Where an atom is looked up: bit 2 mirrors at the diagonal, then bit 0 from left to right, bit 1 from top to bottom.
+vec2 turned(vec2 on_disc, int rank) {
+    uint turn = turns >> (3 * rank);
+    vec2 at = (turn & 4u) != 0u ? on_disc.yx : on_disc;
+    return vec2((turn & 1u) != 0u ? -at.x : at.x, (turn & 2u) != 0u ? -at.y : at.y);
+}
+#else
+#define turned(on_disc, rank) on_disc
+#endif
 
 vec3 atlas_color(vec2 texel) { return textureLod(atlas, texel * scene.atlas_texel, 0.0).rgb; }
 
@@ -17,15 +29,13 @@ vec2 inside_atom(vec2 on_disc, float size) {
 vec3 sum_of_atoms(vec2 on_disc) {
     float finer = floor(level), blend = level - finer;
     float size = exp2(5.0 - finer);
-    vec2 inside = inside_atom(on_disc, size);
     vec3 sum = vec3(0.0);
     for (int rank = 0; rank < N_ATOMS; ++rank)
-        sum += atoms[rank].z * atlas_color(atoms[rank].xy + inside);
+        sum += atoms[rank].z * atlas_color(atoms[rank].xy + inside_atom(turned(on_disc, rank), size));
     if (blend > 0.0) {
         vec3 coarser_sum = vec3(0.0);
-        inside = inside_atom(on_disc, 0.5 * size);
         for (int rank = 0; rank < N_ATOMS; ++rank)
-            coarser_sum += atoms[rank].z * atlas_color(coarser[rank] + inside);
+            coarser_sum += atoms[rank].z * atlas_color(coarser[rank] + inside_atom(turned(on_disc, rank), 0.5 * size));
         sum = mix(sum, coarser_sum, blend);
     }
     return sum;

@@ -32,7 +32,7 @@ void main() {
     place = quad.place;
 #ifdef N_ATOMS
     average = decode_color(splat);
-    level = mip_level(ATOM_AREA, quad.area_px);
+    level = max(mip_level(ATOM_AREA, quad.area_px), float(scene.finest_level));
     read_atoms(group, row);
 #else
     average = to_linear(decode_color(splat));

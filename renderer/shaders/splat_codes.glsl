@@ -7,6 +7,9 @@ uniform uint atoms_stored;  // of each code of this batch; N_ATOMS of them are d
 flat out vec3 atoms[N_ATOMS];    // corner of each atom's finer level in the atlas, and weight of a texel of 1.0
 flat out vec2 coarser[N_ATOMS];  // corner of the level after that
 flat out float level;
+#ifdef TURNED
+flat out uint turns;  // 3 bits a rank
+#endif
 
 // Where an atom's texels begin; see corner() of renderer/atlas.py.
 vec2 atom_corner(uint atom, uint at_level) {
@@ -22,9 +25,16 @@ void read_atoms(uint group, uint row) {
     uint entry_bits = scene.dictionary_bits + scene.weight_bits;
     uint first_bit = (first_entry(group) + row * atoms_stored) * entry_bits;
     uint word = code_word(group);
+#ifdef TURNED
+    turns = 0u;
+#endif
     for (uint rank = 0u; rank < uint(N_ATOMS); ++rank, first_bit += entry_bits) {
         uint entry = READ_BITS(codes, word, first_bit, entry_bits);
         uint atom = entry & ((1u << scene.dictionary_bits) - 1u);
+#ifdef TURNED
+        turns |= (atom & 7u) << (3u * rank);
+        atom >>= 3u;
+#endif
         float weight = weights[rank * n_levels + (entry >> scene.dictionary_bits)] * weights[8u * n_levels + atom];
         atoms[rank] = vec3(atom_corner(atom, finer), 127.0 * weight);
         coarser[rank] = atom_corner(atom, min(finer + 1u, 5u));

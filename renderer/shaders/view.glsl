@@ -17,6 +17,7 @@ layout(std140, binding = 1) uniform Scene {
     uint weight_bits;
     uint n_groups;
     uint atlas_width;
+    uint finest_level;  // of the atoms: 0 where they have 32 texels to a side, 1 for 16, 2 for 8
     uvec4 atlas_bands;  // first row of the mip levels 0 to 3
     uvec2 atlas_bands_beyond;  // of the levels 4 and 5
     vec2 atlas_texel;  // one texel in texture coordinates

@@ -30,6 +30,8 @@ CASES = {
     "v1-two-groups": Case(n_splats=8192 + 130, period=128),
     "v2-oblique": Case(up=(-5, -35, 6), ahead=(1, 5, 30)),
     "v2-ellipsoids": Case(ellipsoids=True, cliplines=True, atom_counts=(0, 2, 5), up=(-5, -35, 6), ahead=(1, 5, 30)),
+    "v3-turned-8": Case(dictionary_bits=6, atom_size=8, n_turns=8),
+    "v3-small-16": Case(atom_size=16),
 }
 
 

@@ -16,6 +16,7 @@ from pipeline.geometry.positions import Boxes, decode_positions
 from storage.bits import unpack_bits
 from storage.packed import PackedScene
 from storage.schema import CLIPLINE_BITS, GROUP, MIP_SIZES, NO_CAMERA, Camera
+from tests.reference_packed import turned
 
 NEAR_IN_RADII = 0.01
 ROUNDING = 1e-5
@@ -48,15 +49,18 @@ class Fragments:
 def render(scene: PackedScene, view: Camera, max_atoms: int = 8) -> tuple[np.ndarray, np.ndarray]:
     """Picture (h, w, 3) in [0, 1], sRGB, and coverage (h, w)."""
     atom, weight_code = scene.codes()
+    header = scene.header
+    finest = MIP_SIZES.index(header.atom_size)
 
     def color(splat: int, fragments: Fragments) -> np.ndarray:
         level = mip_level(ATOM_AREA, fragments.area_px, 5)
         total = np.tile(scene.arrays["color"][splat] / 255.0, (len(fragments.x), 1))
         for rank in range(min(max_atoms, scene.n_atoms[splat])):
-            index = atom[splat, rank]
+            index, turn = divmod(atom[splat, rank], header.n_turns)
             weight = scene.arrays["weight_levels"][rank, weight_code[splat, rank]] * scene.arrays["atom_scale"][index]
-            levels = [scene.arrays[f"atoms_{size}"][index] for size in MIP_SIZES]
-            total += float(weight) * sample(levels, texel_of(fragments.x), texel_of(fragments.y), level)
+            levels = [turned(scene.arrays[f"atoms_{size}"][index].astype(np.float64), turn) for size in header.mip_sizes]
+            x, y = (texel_of(at, header.atom_size) for at in (fragments.x, fragments.y))
+            total += float(weight) * sample(levels, x, y, max(level - finest, 0))
         return np.clip(total, 0, 1)
 
     return blend(scene, view, color)
@@ -179,8 +183,8 @@ def mip_level(area_texels: float, area_px: float | None, last: int) -> float:
     return float(np.clip(0.5 * np.log2(area_texels / max(area_px, 0.25)), 0, last))
 
 
-def texel_of(on_disc: np.ndarray) -> np.ndarray:
-    return (np.clip(on_disc, -1, 1) + 1) * 16
+def texel_of(on_disc: np.ndarray, size: int) -> np.ndarray:
+    return (np.clip(on_disc, -1, 1) + 1) * size / 2
 
 
 def sample(levels: list[np.ndarray], x: np.ndarray, y: np.ndarray, level: float) -> np.ndarray:

@@ -59,6 +59,18 @@ def test_renderer__draws_every_mip_level(renderer, distance):
     assert_agrees(renderer, scene, view)
 
 
+@pytest.mark.parametrize(("size", "distance"), [(8, 0.5), (8, 8.0), (16, 1.0), (16, 3.0), (32, 0.5)])
+def test_renderer__turns_atoms_of_every_size(renderer, size, distance):
+    rng = np.random.default_rng(23)
+    whole = random_dictionary(rng)
+    means = whole.atoms.reshape(20, size, 32 // size, size, 32 // size, 3).mean(axis=(2, 4)).round().astype(np.int8)
+    dictionary = Dictionary(means, whole.scale, whole.weight_levels, n_turns=8)
+    scene = build_scene(sheet(rng, 120, **coded(rng, 120, 8 * 20)), Settings(radius=0.15), dictionary)
+    view = camera_looking((0.1 * distance, -distance, 0), (0, 0, 0), (64, 48), (50 * distance**0.7, 45 * distance**0.7))
+    picture = assert_agrees(renderer, scene, view)
+    assert any("turned" in name for name in picture.programs)
+
+
 @pytest.mark.parametrize("distance", [1.0, 4.0, 10.0])
 def test_renderer__does_not_mix_in_the_neighbours_of_an_atom(renderer, distance):
     rng = np.random.default_rng(17)

@@ -68,6 +68,7 @@ def same_arrays(found: dict, expected: dict) -> bool:
 
 @pytest.mark.parametrize("case", [
     Case(), SMALL, Case(n_splats=1), Case(n_splats=128), Case(dictionary_bits=16, weight_bits=8, n_dictionary=260),
+    Case(dictionary_bits=6, atom_size=8, n_turns=8),
     Case(n_dictionary=0, atom_counts=(0,), n_cameras=0), Case(n_dictionary=0, atom_counts=(0,), cliplines=True),
     Case(atom_counts=(0,)),
 ])
@@ -340,7 +341,7 @@ HUGE, NOT_A_NUMBER = 2**60, float("nan")
 
 
 @pytest.mark.parametrize("field, value", [
-    ("format", "otherpress"), ("format", None), ("version", 0), ("version", 3), ("version", "1"), ("version", True), ("version", 1),
+    ("format", "otherpress"), ("format", None), ("version", 0), ("version", 4), ("version", "1"), ("version", True), ("version", 1),
     ("n_splats", 0), ("n_splats", -1), ("n_splats", 201), ("n_splats", 199), ("n_splats", HUGE), ("n_splats", 200.0),
     ("n_splats", "200"), ("n_splats", True), ("n_splats", 10**400),
     ("radius", NOT_A_NUMBER), ("radius", float("inf")), ("radius", 0), ("radius", -1.0), ("radius", "0.25"),
@@ -351,6 +352,8 @@ HUGE, NOT_A_NUMBER = 2**60, float("nan")
     ("depth_margin", NOT_A_NUMBER), ("depth_margin", float("inf")), ("depth_margin", -1),
     ("n_dictionary", 0), ("n_dictionary", -1), ("n_dictionary", 4), ("n_dictionary", 257), ("n_dictionary", HUGE),
     ("dictionary_bits", -1), ("dictionary_bits", 1), ("dictionary_bits", 17), ("dictionary_bits", HUGE),
+    ("atom_size", 16), ("atom_size", 64), ("atom_size", 0), ("atom_size", HUGE), ("n_turns", 0), ("n_turns", 2), ("n_turns", -8),
+    ("n_turns", 8.0), ("n_turns", HUGE),
     ("weight_bits", 0), ("weight_bits", 9), ("weight_bits", 5), ("weight_bits", HUGE), ("weight_bits", "4"),
     ("batches", []), ("batches", {}), ("batches", [{"n_atoms": 9, "clipline": False}]),
     ("batches", [{"n_atoms": -1, "clipline": False}]), ("batches", [{"n_atoms": 1}]), ("batches", [1, 2]),
