@@ -12,6 +12,7 @@ is all there is:
     numerics  {dropped_points, degenerate_normals, flagged_projections, replaced_atoms, safeguard_steps}: counts of the
               hard cases that were met, see docs/NUMERICS.md
     settings  {name: value}
+    estimate  {seconds, peak_memory_bytes, gpu_bytes, texture_psnr_db: {value, low, high, happened}}, up to the packed file
     effects   [{effect, enabled, share, measure, threshold, reason, ...}]: the plan, see pipeline/effects/plan.py
 """
 
@@ -38,7 +39,7 @@ def build_report(scene: PackedScene, file_bytes: int, record: dict | None = None
     `file_bytes` is the length of the packed file on disk, `record` the run record (above), `views` what
     `renderer.previews` returned.
 
-    Guarantees: the keys scan, splats, sizes, quality, atoms, learning, numerics, stages, settings, effects and warnings are
+    Guarantees: the keys scan, splats, sizes, quality, atoms, learning, numerics, stages, settings, effects, estimate and warnings are
     always there;
     what was not measured is None or an empty list, never a guess; nothing is NaN or infinite.
     """
@@ -57,6 +58,7 @@ def build_report(scene: PackedScene, file_bytes: int, record: dict | None = None
         "numerics": dict.fromkeys(NUMERICS) | (record.get("numerics") or {}) | {"accumulation": accumulation_of(views)},
         "stages": [{"name": None, "seconds": None, "peak_rss_bytes": None} | stage for stage in record.get("stages") or ()],
         "settings": record.get("settings") or header.settings,
+        "estimate": record.get("estimate"),
         "effects": list(record.get("effects") or ()),
         "warnings": list(scan.get("warnings") or ()),
     })

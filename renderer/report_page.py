@@ -46,7 +46,7 @@ def page_of(report: dict, scene: PackedScene, folder: Path) -> str:
         views=views, summary=report_words.summary(report), parts=report_words.PARTS,
         part_colors=report_plots.PART_COLORS, series=report_plots.SERIES,
         figures=report_words.QUALITY, geometry_figures=report_words.GEOMETRY,
-        numerics=report_words.numerics(report["numerics"]),
+        numerics=report_words.numerics(report["numerics"]), estimate_figures=report_words.ESTIMATE,
         passes=report_words.PASSES, pass_seconds=report_words.mean_pass_seconds(views, "seconds"),
         baseline_seconds=report_words.mean_pass_seconds(views, "baseline_seconds"),
         pictures=_embedded(views, folder),

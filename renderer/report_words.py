@@ -98,6 +98,12 @@ def duration(seconds: float | None) -> str:
     return f"{minutes} min {rest} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
 
 
+ESTIMATE = (  # key, title, in words
+    ("seconds", "Time", duration), ("peak_memory_bytes", "Peak memory of a worker", size),
+    ("gpu_bytes", "Bytes on the GPU", size), ("texture_psnr_db", "Texture PSNR", decibels),
+)
+
+
 def in_unit(value: float | None, unit: str) -> str:
     return NOT_MEASURED if value is None else f"{number(value)} {unit}"
 

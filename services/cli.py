@@ -149,6 +149,28 @@ def _evaluate(options: argparse.Namespace) -> int:
     return OK
 
 
+def _estimate(options: argparse.Namespace) -> int:
+    from services.estimate import estimate
+
+    settings, scan = settings_of(options), _scan_path(options.scan)
+    work = Path(options.work) if options.work else None
+    if work:
+        work.mkdir(parents=True, exist_ok=True)
+    with _executor(options) as executor:
+        found = estimate(scan, settings, executor, _progress(), work)
+    print(json.dumps(found) if options.json else _estimate_lines(found))
+    return OK
+
+
+def _estimate_lines(found: dict) -> str:
+    from renderer.report_words import ESTIMATE
+
+    lines = [f"{title:<24} {say(figure['value']):>14}   {say(figure['low'])} to {say(figure['high'])}"
+             for name, title, say in ESTIMATE if (figure := found[name])]
+    lines.append(f"{'Bytes a splat':<24} {found['bytes_per_splat']:>14.2f}")
+    return "\n".join([*lines, f"from {found['sample']['n_splats']:,} of {found['splats']:,} splats; up to the packed file, with {found['n_workers']} workers"])
+
+
 def _table_1(rows: list[dict]) -> str:
     lines = [f"{'textures':<28}{'texture bytes':>15}{'B a splat':>11}{'PSNR dB':>9}{'visible':>9}{'seconds':>9}"]
     for row in rows:
@@ -300,6 +322,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_running(demo)
     demo.set_defaults(command=_demo)
     _add_evaluate(commands)
+    _add_estimate(commands)
     add_service_verbs(commands)
     return parser
 
@@ -336,6 +359,16 @@ def _add_evaluate(commands) -> None:
     evaluate.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
     _add_measuring(evaluate)
     evaluate.set_defaults(command=_evaluate)
+
+
+def _add_estimate(commands) -> None:
+    estimate = commands.add_parser("estimate", help="what compress would take in seconds, memory and bytes, and give in PSNR")
+    estimate.add_argument("scan", metavar="SCAN")
+    add_settings(estimate)
+    estimate.add_argument("--work", metavar="DIR", help="keep what the job will use again there, and the estimate for its report")
+    estimate.add_argument("--json", action="store_true", help="the estimate as the last line of stdout")
+    _add_executor(estimate)
+    estimate.set_defaults(command=_estimate)
 
 
 def _add_running(command: argparse.ArgumentParser) -> None:

@@ -6,11 +6,9 @@ the tasks without a recorded result run. What a job made is committed only while
 
 from __future__ import annotations
 
-import fcntl
 import time
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 from dbos import DBOS
@@ -26,11 +24,11 @@ from services.rendering import previews_of
 from services.scheduler_link import SchedulerLink
 from services.scans import file_hash, scan_path, work_folder
 from services.settings import ServiceSettings
+from services.stage_lock import stage_lock
 from services.store import FAILED, SUCCESSFUL, Store
 from services.workflow import Run, make
 from storage.work import stage_folder, write_json
 
-LOCK_POLL_S = 0.2
 LEARNING, PERFORMANCE = "learning.json", "dask-performance.html"
 
 
@@ -93,7 +91,7 @@ class JobRunner:
         def step(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
             def bring_about() -> StageRecord:
                 check_room(self.settings, stage.name)
-                with _lock(stage_folder(work, stage), check):
+                with stage_lock(stage_folder(work, stage), check):
                     return do()
 
             record = DBOS.run_step({"name": stage.name}, bring_about)
@@ -133,20 +131,6 @@ class JobRunner:
                 raise Dismissed
 
         return check
-
-
-@contextmanager
-def _lock(folder: Path, check: Callable[[], None]) -> Iterator[None]:
-    """One writer a stage's folder: jobs on the same scan share it. The kernel frees the lock of a process that died."""
-    with open(folder.with_name(folder.name + ".lock"), "w") as lock:
-        while True:
-            check()
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                time.sleep(LOCK_POLL_S)
-        yield
 
 
 def artifacts_in(out: Path) -> list[dict]:

@@ -34,8 +34,9 @@ from pipeline.stages.quantization import Quantization
 from pipeline.stages.splats import Splats
 from pipeline.stages.training import Components, TrainingSet
 from pipeline.texture.resample import PATCH_DIM
-from renderer.report import build_report, write_report
+from renderer.report import build_report, sizes_of, write_report
 from renderer.report_page import write_page
+from services.kept_estimates import against, known_estimate
 from services.rendering import previews_of
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile
@@ -106,7 +107,11 @@ def fingerprint(scan: Path) -> str:
 
 def prepare(run: Run, scan: Path, radius: float | None, request: str = "", held_out: tuple[int, ...] = ()) -> Prepared:
     """The scan as splats, and with the effects that they call for; the photographs `held_out` texture none."""
-    prepared = splats_of(run, scan, radius, held_out)
+    return with_effects(run, splats_of(run, scan, radius, held_out), request)
+
+
+def with_effects(run: Run, prepared: Prepared, request: str) -> Prepared:
+    """Splats with the effects that they call for."""
     plan, surveys = plan_scan(run, prepared.sources, parse_request(request))
     stages = ((name, effects()[name].build(prepared.sources, plan.outcomes[name], surveys.get(name))) for name in plan.enabled)
     built = tuple((name, run.do(stage).folder) for name, stage in stages if stage is not None)
@@ -115,10 +120,20 @@ def prepare(run: Run, scan: Path, radius: float | None, request: str = "", held_
 
 def splats_of(run: Run, scan: Path, radius: float | None, held_out: tuple[int, ...] = ()) -> Prepared:
     """Read the scan, put its points in chunk order, and make splats of them."""
+    return splats_from(run, *points_of(run, scan), str(scan), radius, held_out)
+
+
+def points_of(run: Run, scan: Path) -> tuple[StageRecord, StageRecord]:
+    """Read the scan, and put its points in chunk order."""
     ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
-    partition = run.do(Partition(ingest.folder))
+    return ingest, run.do(Partition(ingest.folder))
+
+
+def splats_from(run: Run, ingest: StageRecord, partition: StageRecord, scan: str, radius: float | None,
+                held_out: tuple[int, ...] = ()) -> Prepared:
+    """Make splats of points in chunk order."""
     neighbours = run.do(Neighbourhoods(partition.folder))
-    radius = radius_of(neighbours.summary, radius, str(scan))
+    radius = radius_of(neighbours.summary, radius, scan)
     depth = None
     if ingest.summary["cameras"] and not ingest.summary["has_visibility"]:
         depth = run.do(DepthMaps(ingest.folder, partition.folder, radius)).folder
@@ -224,11 +239,12 @@ def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, 
     scan = prepared.scan.summary
     flag_of = {extra.stream: extra.flag for extra in EXTRAS}  # an effect is named as its stream
     extras = tuple((flag_of[name], folder) for name, folder in prepared.built if name in flag_of)
-    batches = batches_of(scan["n_points"], coded.codes.folder if coded else None, extras)
+    n_splats = prepared.splats.summary["n_splats"]
+    batches = batches_of(n_splats, coded.codes.folder if coded else None, extras)
     margin = prepared.effects.outcomes.get("depth_margin", {"margin_radii": LEAST_RADII})["margin_radii"]
     up, ahead = directions_of(scan["cameras"])
     header = Header(
-        n_splats=scan["n_points"], radius=prepared.radius, unit=scan["unit"],
+        n_splats=n_splats, radius=prepared.radius, unit=scan["unit"],
         origin=tuple(prepared.partition.summary["origin"]), up=up, ahead=ahead,
         depth_margin=margin * prepared.radius, n_dictionary=coded.n_dictionary if coded else 0,
         dictionary_bits=settings.dictionary_bits, weight_bits=settings.weight_bits,
@@ -280,8 +296,21 @@ def finish(run: Run, path: Path, prepared: Prepared, coded: Coded | None, settin
         "scan": _scan_record(prepared), "quality": _quality(prepared, coded),
         "learning": coded.learning if coded else [], "numerics": _numerics(prepared, coded), "settings": asdict(settings),
         "effects": prepared.effects.to_json(),
+        "estimate": _estimate(run, path, coded, settings),
     }
     return write_outputs(run, path, prepared.scan.folder, record, out, render)
+
+
+def _estimate(run: Run, path: Path, coded: Coded | None, settings: Settings) -> dict | None:
+    """What was estimated for this job, beside what happened up to its packed file, in stages run now or before."""
+    estimate = known_estimate(run.work, settings)
+    if estimate is None:
+        return None
+    with PackedFile(path, verify=False) as packed:
+        n_bytes = sizes_of(packed.load(), 0)["gpu_bytes"]
+    return against(estimate, {
+        "seconds": sum(r.made_seconds for r in run.records), "peak_memory_bytes": max(r.peak_rss_bytes for r in run.records),
+        "gpu_bytes": n_bytes, "texture_psnr_db": coded.codes.summary["texture_psnr_db"] if coded else None})
 
 
 def write_outputs(run: Run, path: Path, ingest: Path, record: dict, out: Path, render: bool) -> dict:

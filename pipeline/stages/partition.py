@@ -30,7 +30,7 @@ class Partition:
 
     def init(self, folder: Path) -> int:
         n = work.summary(self.ingest)["n_points"]
-        for name, dtype in _columns(self.ingest).items():
+        for name, dtype in columns_of(self.ingest).items():
             arrays.create(folder, name, (n, *dtype.shape), str(dtype.base))
         return 1
 
@@ -38,7 +38,7 @@ class Partition:
         points = work.summary(self.ingest)
         n = points["n_points"]
         scratch = [work.parts(folder) / f"{uuid.uuid4().hex}.bin" for _ in range(2)]
-        record = np.dtype([(name, dtype.base, dtype.shape) for name, dtype in _columns(self.ingest).items()])
+        record = np.dtype([(name, dtype.base, dtype.shape) for name, dtype in columns_of(self.ingest).items()])
         try:
             _copy_records(self.ingest, scratch[0], record, n, np.array(_origin(points)))
             _split(scratch, record, 0, n, folder)
@@ -62,7 +62,7 @@ def _origin(points: dict) -> list[float]:
     return [(a + b) / 2 for a, b in zip(points["low"], points["high"])]
 
 
-def _columns(ingest: Path) -> dict[str, np.dtype]:
+def columns_of(ingest: Path) -> dict[str, np.dtype]:
     names = ("position", "normal", "color", "intensity", "station", "candidate")
     found = {name: arrays.opened(ingest, name) for name in names if arrays.exists(ingest, name)}
     return {name: np.dtype((array.dtype, array.shape[1:])) for name, array in found.items()}

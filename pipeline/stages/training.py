@@ -109,6 +109,14 @@ class Components:
         return centred(np.asarray(texel), np.asarray(average))
 
 
+def membership(stage: TrainingSet, folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of every splat: whether its average colour leaves it unsettled, whether it is in the training set, its octave."""
+    energy = arrays.read(stage.patches, "energy")
+    octave, share = octave_of(energy), np.array(work.read_json(folder / "share.json")["share"])
+    active = energy > stage.tolerance
+    return active, active & (uniform_hash(0, len(energy), stage.seed) < share[octave]), octave
+
+
 def training_part(folder: Path, index: int) -> TrainingPart:
     """The patches of one task of `Components`."""
     coefficients = arrays.read(folder, f"coefficient_{index}").astype(np.float32, copy=False)

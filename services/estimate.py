@@ -1,0 +1,237 @@
+"""What a job would take, before it runs: a pilot of the real stages on a stratified sample, scaled to the whole scan.
+
+Reading the scan and putting its points in order are done in full: a job in the same work folder uses them again. All
+else runs on SAMPLE splats. Nothing here knows how a stage works; three things are known of it: whether its tasks are of
+splats, of training patches, or neither.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.settings import Settings
+from pipeline.stage import Executor, Progress, Stage, StageRecord
+from pipeline.stages.sampled import SampledPartition
+from pipeline.stages.training import TrainingSet, membership
+from renderer.report import sizes_of
+from services.kept_estimates import keep_estimate
+from services.stage_lock import stage_lock
+from services.workflow import (
+    PATCHES_AN_ATOM, Coded, Prepared, Run, code_patches, pack, points_of, resample, splats_from, with_effects,
+)
+from storage import arrays, work
+from storage.packed import SUFFIX, PackedFile
+
+SAMPLE = 2 * arrays.BLOCK + arrays.BLOCK // 4  # two tasks that warm workers up, and one that meets them warm
+MOST_TRAINING = 16_384  # patches that the pilot learns from
+MOST_ATOMS = MOST_TRAINING // PATCHES_AN_ATOM
+# Passes of learning that the pilot affords, in products of a patch and an atom: all that a preset asks for with 256 atoms.
+MOST_PRODUCTS = 8 * MOST_TRAINING * 256
+LEAST_COMPARED = 50  # splats of an octave on either side
+BANDS = {"seconds": 0.25, "gpu_bytes": 0.05, "texture_psnr_db": 0.5, "peak_memory_bytes": 0.25}
+
+
+@dataclass(frozen=True)
+class _Pilot:
+    """What the sample showed."""
+
+    prepared: Prepared
+    coded: Coded | None
+    settings: Settings  # the pilot's own
+    sizes: dict
+    stages: list[tuple[Stage, StageRecord]]
+    points: list[StageRecord]  # ingest and partition, in full
+    n_workers: int
+
+    @property
+    def n_splats(self) -> int:
+        return self.prepared.scan.summary["n_points"]
+
+    @property
+    def n_sample(self) -> int:
+        return self.prepared.splats.summary["n_splats"]
+
+    @property
+    def share(self) -> float:
+        return self.n_sample / self.n_splats
+
+
+def estimate(scan: Path, settings: Settings, executor: Executor, progress: Progress, work_folder: Path | None = None) -> dict:
+    """Seconds up to the packed file (previews not among them), peak memory of a worker, bytes on the GPU and texture
+    PSNR, each with a band, and what each stage adds to the seconds.
+
+    With `work_folder` the full part stays there, and so does the estimate, for the report of the job that follows.
+
+    Raises: what compress raises for a scan that cannot be read.
+    """
+    scratch = Path(tempfile.mkdtemp(prefix=".estimate-", dir=work_folder)) if work_folder else Path(tempfile.mkdtemp(prefix="splatpress-estimate-"))
+    try:
+        run = Run(work_folder or scratch, executor, progress)
+        run.step = lambda stage, do: _one_at_a_time(work.stage_folder(run.work, stage), do)
+        found = _scaled(_pilot(run, scan, settings, scratch), settings)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    if work_folder:
+        keep_estimate(work_folder, settings, found)
+    return found
+
+
+def _one_at_a_time(folder: Path, do: Callable[[], StageRecord]) -> StageRecord:
+    with stage_lock(folder):
+        return do()
+
+
+# --- the pilot --------------------------------------------------------------------------------------------------------
+
+
+def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
+    ingest, partition = points_of(run, scan)
+    stages: list[Stage] = []
+
+    def noted(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
+        stages.append(stage)
+        return do()
+
+    pilot = Run(scratch / "pilot", run.executor, run.progress, step=noted)
+    pilot.work.mkdir(parents=True, exist_ok=True)
+    sample = pilot.do(SampledPartition(partition.folder, SAMPLE))
+    prepared = with_effects(pilot, splats_from(pilot, ingest, sample, str(scan), settings.radius), settings.effects)
+    coded, own = None, settings
+    if prepared.splats.summary["n_without_camera"] < prepared.splats.summary["n_splats"]:
+        patches = resample(pilot, prepared)
+        own = _affordable(settings, patches, prepared)
+        coded = code_patches(pilot, patches, own)
+    path = scratch / f"pilot{SUFFIX}"
+    pack(pilot, prepared, coded, own, "pilot", path)
+    with PackedFile(path) as packed:
+        sizes = sizes_of(packed.load(), path.stat().st_size)
+    ran = [(s, r) for s, r in zip(stages, pilot.records, strict=True) if s.name != SampledPartition.name]
+    return _Pilot(prepared, coded, own, sizes, ran, [ingest, partition], run.executor.n_workers)
+
+
+def _affordable(settings: Settings, patches: StageRecord, prepared: Prepared) -> Settings:
+    """The settings, with as little learning as seconds allow: patches for the atoms that the job will have, and passes."""
+    n_atoms = min(2**settings.dictionary_bits, settings.training_splats // PATCHES_AN_ATOM, MOST_ATOMS)
+    n_training = min(settings.training_splats, max(MOST_TRAINING // 2, n_atoms * PATCHES_AN_ATOM))
+    passes = max(2, MOST_PRODUCTS // (n_training * n_atoms))
+    return replace(settings, training_splats=n_training, iterations=min(settings.iterations, passes))
+
+
+# --- from the sample to the scan --------------------------------------------------------------------------------------
+
+
+def _scaled(pilot: _Pilot, settings: Settings) -> dict:
+    learning = _learning(pilot, settings)
+    rows = [{"name": r.name, "seconds": r.made_seconds, "pilot_seconds": r.made_seconds} for r in pilot.points]
+    for stage, record in pilot.stages:
+        rows.append({"name": record.name, "seconds": _stage_seconds(pilot, stage, record, settings, learning),
+                     "pilot_seconds": record.made_seconds})
+    rows = _merged(rows)
+    sizes = _sizes(pilot, learning)
+    quality = pilot.coded.codes.summary if pilot.coded else {}
+    memory = max(r.peak_rss_bytes for r in [*pilot.points, *(record for _, record in pilot.stages)])
+    figures = {"seconds": sum(row["seconds"] for row in rows), "peak_memory_bytes": memory,
+               "gpu_bytes": sizes["gpu_bytes"], "texture_psnr_db": quality.get("texture_psnr_db")}
+    return {name: _banded(name, value) for name, value in figures.items()} | {
+        "bytes_per_splat": sizes["gpu_bytes"] / pilot.n_splats, "splats": pilot.n_splats, "n_workers": pilot.n_workers,
+        "sizes": sizes, "stages": rows, "learning": learning, "preset": settings.preset,
+        "sample": {"n_splats": pilot.n_sample, "n_training": learning.get("n_patches_pilot"), "iterations": pilot.settings.iterations,
+                   "seconds": sum(row["pilot_seconds"] for row in rows)}}
+
+
+def _banded(name: str, value: float | None) -> dict | None:
+    """A figure from `low` to `high`."""
+    if value is None:
+        return None
+    off = BANDS[name] if name == "texture_psnr_db" else BANDS[name] * value
+    return {"value": value, "low": value - off, "high": value + off}
+
+
+def _learning(pilot: _Pilot, settings: Settings) -> dict:
+    """Patches and atoms of the job's learning, and of the pilot's."""
+    if pilot.coded is None or pilot.coded.quantized is None:
+        return {}
+    training = next(record for _, record in pilot.stages if record.name == "training-set").summary
+    n_active = training["n_active"] / pilot.share
+    n_patches = min(settings.training_splats, n_active)
+    n_atoms = max(1, min(2**settings.dictionary_bits, int(n_patches) // PATCHES_AN_ATOM))
+    return {"n_active": int(n_active), "n_patches": int(n_patches), "n_patches_pilot": training["n_patches"],
+            "n_atoms": n_atoms, "n_atoms_pilot": pilot.coded.n_dictionary}
+
+
+def _stage_seconds(pilot: _Pilot, stage: Stage, record: StageRecord, settings: Settings, learning: dict) -> float:
+    """A stage's wall time: what its tasks take, by the splat or the patch, shared by the workers, and what it takes once."""
+    tasks = [(r["seconds"], r.get("n_splats", 0)) for _, r in sorted(work.finished_tasks(record.folder).items())]
+    busy, rounds = sum(seconds for seconds, _ in tasks), -(-len(tasks) // pilot.n_workers)
+    once = max(0.0, record.made_seconds - rounds * busy / max(1, len(tasks)))
+    if hasattr(stage, "training"):
+        if not record.n_splats:
+            return record.made_seconds
+        factor = learning["n_patches"] / max(1, learning["n_patches_pilot"])
+        atoms = learning["n_atoms"] / max(1, learning["n_atoms_pilot"])
+        passes = _passes(pilot, settings) if record.name == "ksvd-update" else 1
+        return passes * atoms * (once + _shared(busy * factor, len(tasks) * factor, pilot.n_workers))
+    per_splat = min((seconds / n for seconds, n in tasks if n), default=None)
+    whole = busy / pilot.share if per_splat is None else per_splat * pilot.n_splats
+    if record.name == "encode" and learning:
+        whole *= learning["n_atoms"] / max(1, learning["n_atoms_pilot"])
+    return once + _shared(whole, len(tasks) / pilot.share, pilot.n_workers)
+
+
+def _passes(pilot: _Pilot, settings: Settings) -> float:
+    """Passes of the job for one of the pilot, which may have ended early as the job will."""
+    n_run = len(pilot.coded.learning)
+    return 1.0 if n_run < pilot.settings.iterations else settings.iterations / n_run
+
+
+def _shared(busy: float, n_tasks: float, n_workers: int) -> float:
+    """Wall time of `n_tasks` equal tasks: the last round may leave workers idle."""
+    n_tasks = max(1, int(np.ceil(n_tasks)))
+    return busy / n_tasks * -(-n_tasks // n_workers)
+
+
+def _merged(rows: list[dict]) -> list[dict]:
+    merged: dict[str, dict] = {}
+    for row in rows:
+        known = merged.setdefault(row["name"], {"name": row["name"], "seconds": 0.0, "pilot_seconds": 0.0})
+        known["seconds"] += row["seconds"]
+        known["pilot_seconds"] += row["pilot_seconds"]
+    return list(merged.values())
+
+
+def _sizes(pilot: _Pilot, learning: dict) -> dict:
+    """Bytes by part: the dictionary by its atoms, all else by the splat."""
+    sizes = {name: pilot.sizes[f"{name}_bytes"] / pilot.share for name in ("geometry", "codes", "colors")}
+    sizes["dictionary"] = pilot.sizes["dictionary_bytes"] * (learning["n_atoms"] / learning["n_atoms_pilot"] if learning else 1)
+    if learning:
+        sizes["codes"] *= _atoms_factor(pilot, learning)
+    return {f"{name}_bytes": int(n) for name, n in sizes.items()} | {"gpu_bytes": int(sum(sizes.values()))}
+
+
+def _atoms_factor(pilot: _Pilot, learning: dict) -> float:
+    """How many atoms the job's splats take, for one that the pilot's do.
+
+    Splats that a dictionary was learned from do better with it than others, and the others worse than with the best one,
+    by as much: both gaps shrink as the number of patches grows. What the pilot's two sorts of splats take tells them,
+    octave by octave of contrast, for the training set prefers the higher ones.
+    """
+    stage, record = next(pair for pair in pilot.stages if isinstance(pair[0], TrainingSet))
+    active, learned, octave = membership(stage, record.folder)
+    n_atoms = arrays.read(pilot.coded.codes.folder, "n_atoms").astype(float)
+    shrink = min(1.0, learning["n_patches_pilot"] / learning["n_patches"])
+    in_job = min(1.0, learning["n_patches"] / max(1, learning["n_active"]))
+    wanted = n_atoms[active].sum()
+    for o in np.unique(octave[active]):
+        here = active & (octave == o)
+        inside, outside = n_atoms[here & learned], n_atoms[here & ~learned]
+        if min(len(inside), len(outside)) >= LEAST_COMPARED:
+            gap = (outside.mean() - inside.mean()) / 2
+            middle = (outside.mean() + inside.mean()) / 2
+            wanted += here.sum() * (middle + (1 - 2 * in_job) * gap * shrink) - n_atoms[here].sum()
+    return float(wanted / max(1e-9, n_atoms[active].sum()))
