@@ -136,7 +136,7 @@ def _coded_row(e: _Evaluation, key: str, coder: str, **changes) -> None:
 
 
 def _photo_row(e: _Evaluation, key: str, lod: int, codec: str, bytes_per_pixel: float | None = None) -> None:
-    variant = e.run.do(PhotoVariant(e.prepared.scan.folder, lod, codec, bytes_per_pixel))
+    variant = e.run.do(PhotoVariant(e.prepared.photos, lod, codec, bytes_per_pixel))
     errors = e.run.do(VariantErrors(variant.folder, e.prepared.partition.folder, e.prepared.splats.folder, e.patches.folder,
                                     e.prepared.radius, *directions_of(e.prepared.scan.summary["cameras"])))
     kind = CODECS[codec]
@@ -215,7 +215,7 @@ def _pictures(e: _Evaluation, out: Path) -> dict:
     variants = _variants(e)
     begun = time.perf_counter()
     e.run.progress.begin("pictures", 2)
-    close_ups = draw_close_ups(variants, e.packed[chosen], e.prepared.scan.folder, out)
+    close_ups = draw_close_ups(variants, e.packed[chosen], e.prepared.photos, out)
     e.run.progress.advance("pictures", 1, 0)
     passes = time_passes([v for v in variants if v.photos is None or v.name in ("photos LOD 0", "photos LOD 1")])
     e.run.progress.end(StageRecord("pictures", out, {}, time.perf_counter() - begun, 0, 2, 0, False))
@@ -232,5 +232,5 @@ def _held_out(e: _Evaluation, out: Path, every: int) -> dict | None:
     coded = code_patches(e.run, resample(e.run, prepared), e.settings)
     path = e.out / f"held-out{SUFFIX}"
     pack(e.run, prepared, coded, e.settings, e.scan.stem, path)
-    views = compare_held_out(HeldOut(path, e.prepared.scan.folder, chosen), out)
+    views = compare_held_out(HeldOut(path, prepared.photos, chosen), out)
     return {"every": every, "n_photos": len(names), "n_uncoloured": prepared.splats.summary["n_without_camera"], "views": views}

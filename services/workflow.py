@@ -14,6 +14,7 @@ from pathlib import Path
 from pipeline.accuracy import psnr_db, squared_error_at
 from pipeline.effects.block import Sources
 from pipeline.effects.depth_margin import LEAST_RADII
+from pipeline.effects.exposure import exposed
 from pipeline.effects.plan import EffectPlan, measured_effects, plan_effects
 from pipeline.effects.registry import effects
 from pipeline.effects.request import parse_request
@@ -81,6 +82,11 @@ class Prepared:
     sources: Sources
     effects: EffectPlan = EffectPlan((), {})
     built: tuple[tuple[str, Path], ...] = ()  # by effect, what its encoder made
+
+    @property
+    def photos(self) -> Path:
+        """The folder of the photographs that splats are textured from, and compared with: like with like."""
+        return dict(self.built).get("exposure", self.scan.folder)
 
 
 @dataclass(frozen=True)
@@ -162,7 +168,7 @@ def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
 def resample(run: Run, prepared: Prepared) -> StageRecord:
     """Sample the photographs into patches."""
     scan = prepared.scan
-    return run.do(Resample(scan.folder, prepared.partition.folder, prepared.splats.folder, prepared.radius,
+    return run.do(Resample(prepared.photos, prepared.partition.folder, prepared.splats.folder, prepared.radius,
                            *directions_of(scan.summary["cameras"])))
 
 
@@ -298,7 +304,7 @@ def finish(run: Run, path: Path, prepared: Prepared, coded: Coded | None, settin
         "effects": prepared.effects.to_json(),
         "estimate": _estimate(run, path, coded, settings),
     }
-    return write_outputs(run, path, prepared.scan.folder, record, out, render)
+    return write_outputs(run, path, prepared.photos, record, out, render)
 
 
 def _estimate(run: Run, path: Path, coded: Coded | None, settings: Settings) -> dict | None:
@@ -313,11 +319,11 @@ def _estimate(run: Run, path: Path, coded: Coded | None, settings: Settings) -> 
         "gpu_bytes": n_bytes, "texture_psnr_db": coded.codes.summary["texture_psnr_db"] if coded else None})
 
 
-def write_outputs(run: Run, path: Path, ingest: Path, record: dict, out: Path, render: bool) -> dict:
+def write_outputs(run: Run, path: Path, photos: Path, record: dict, out: Path, render: bool) -> dict:
     """previews/, report.json and report.html beside each other in `out`. Returns the report."""
     with PackedFile(path) as packed:
         scene = packed.load()
-    views = _views(run, path, ingest, out) if render else []
+    views = _views(run, path, photos, out) if render else []
     record = record | {"stages": [stage_row(r) for r in merged(run.records)]}
     report = build_report(scene, path.stat().st_size, record, views)
     write_report(out, report)
@@ -325,7 +331,7 @@ def write_outputs(run: Run, path: Path, ingest: Path, record: dict, out: Path, r
     return report
 
 
-def _views(run: Run, path: Path, ingest: Path, out: Path) -> list[dict]:
+def _views(run: Run, path: Path, photos: Path, out: Path) -> list[dict]:
     begun = time.perf_counter()
     done = 0
 
@@ -337,7 +343,7 @@ def _views(run: Run, path: Path, ingest: Path, out: Path) -> list[dict]:
         done = n_done
 
     run.progress.begin("render", 1)
-    views = run.draw(path, ingest, out, on_view)
+    views = run.draw(path, photos, out, on_view)
     record = StageRecord("render", out, {}, time.perf_counter() - begun, 0, len(views), 0, False)
     run.records.append(record)
     run.progress.end(record)
@@ -408,13 +414,16 @@ def report(packed: Path, scan: Path, out: Path, executor: Executor, progress: Pr
         if not ingest_fits(ingest.folder, [c.name for c in header.cameras]):
             raise InvalidScan(str(scan), f"photographs {[c['name'] for c in ingest.summary['cameras']][:3]}...",
                               f"those that {packed.name} was made from, {[c.name for c in header.cameras][:3]}...")
+        photos = ingest.folder
+        if "exposure" in header.effects and header.cameras:
+            photos = run.do(exposed(ingest.folder, header.effects["exposure"])).folder
         if header.cameras:
-            measured = run.do(Measure(ingest.folder, packed.resolve(), fingerprint(packed))).summary
+            measured = run.do(Measure(photos, packed.resolve(), fingerprint(packed))).summary
             numerics = {"flagged_projections": measured["n_flagged"]}
             quality = {k: measured[k] for k in ("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db")}
         record = {"scan": {"n_cameras": len(header.cameras), "warnings": ingest.summary["warnings"]}, "quality": quality,
                   "numerics": numerics | {"dropped_points": ingest.summary["n_dropped"]}}
-        return write_outputs(run, packed, ingest.folder, record, out, render)
+        return write_outputs(run, packed, photos, record, out, render)
 
 
 def put_in_place(made: Path, out: Path) -> None:

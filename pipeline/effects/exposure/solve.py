@@ -1,0 +1,88 @@
+"""The light fields of all photographs at once, from splats that several of them see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS, srgb_of, terms
+
+ROUNDS = 40  # of medians and fits in turn; the last of 40 moves no gain of monstree by 0.1 %
+DARKEST, BRIGHTEST = 0.06, 0.95  # sRGB: outside, photographs tell noise or clipped light
+# What each term is worth at zero, in observations: a photograph with few of them keeps an even field.
+PRIOR = np.array([0.1, 3.0, 3.0, 10.0, 10.0, 10.0])
+HUBER = 1.5  # in median residuals: highlights and what hides a splat must not count in full
+
+
+@dataclass(frozen=True)
+class Observations:
+    """One row for each splat and photograph that shows it."""
+
+    splat: np.ndarray  # (m,) int64, any numbering
+    photo: np.ndarray  # (m,) int64
+    x: np.ndarray  # (m,) across the photograph, -1 to 1
+    y: np.ndarray  # (m,)
+    light: np.ndarray  # (m, 3) linear
+
+    def only(self, rows: np.ndarray) -> Observations:
+        return Observations(self.splat[rows], self.photo[rows], self.x[rows], self.y[rows], self.light[rows])
+
+
+def solve_fields(seen: Observations, n_photos: int) -> np.ndarray:
+    """Log-gain fields (n_photos, 3, N_TERMS) that make the photographs agree; their mean constant is zero.
+
+    Iterated: the median of each splat's corrected light is its truth, and each photograph's field is fitted to the truths
+    of its splats, large residuals down-weighted (Huber).
+    """
+    fields = np.zeros((n_photos, 3, N_TERMS))
+    srgb = srgb_of(np.clip(seen.light, 0, 1))
+    usable = ((srgb > DARKEST) & (srgb < BRIGHTEST)).all(axis=1)
+    seen = seen.only(usable)
+    basis = terms(seen.x, seen.y)
+    groups = [np.flatnonzero(seen.photo == i) for i in range(n_photos)]
+    for channel in range(3):
+        log_light = np.log(seen.light[:, channel])
+        for _ in range(ROUNDS if len(log_light) else 0):
+            corrected = log_light + (basis * fields[seen.photo, channel]).sum(axis=1)
+            wanted = _medians(seen.splat, corrected) - log_light
+            for i, rows in enumerate(groups):
+                fields[i, channel] = _fitted(basis[rows], wanted[rows], fields[i, channel])
+            fields[:, channel, 0] -= fields[:, channel, 0].mean()
+    return fields
+
+
+def spread(seen: Observations, fields: np.ndarray | None = None) -> float:
+    """Median over splats of the standard deviation of their sRGB colour across photographs, in levels of 255."""
+    light = seen.light
+    if fields is not None:
+        basis = terms(seen.x, seen.y)
+        log_gain = np.einsum("mt,mkt->mk", basis, fields[seen.photo])
+        light = light * np.exp(np.clip(log_gain, -np.log(MOST_GAIN), np.log(MOST_GAIN)))
+    srgb = 255 * srgb_of(np.clip(light, 0, 1))
+    _, at, count = np.unique(seen.splat, return_inverse=True, return_counts=True)
+    if not len(count):
+        return 0.0
+    mean = np.stack([np.bincount(at, srgb[:, k]) / count for k in range(3)], axis=1)
+    square = np.stack([np.bincount(at, (srgb[:, k] - mean[at, k]) ** 2) / count for k in range(3)], axis=1)
+    return float(np.median(np.sqrt(square).mean(axis=1)))
+
+
+def _fitted(basis: np.ndarray, wanted: np.ndarray, field: np.ndarray) -> np.ndarray:
+    """The field (N_TERMS,) that explains what its photograph's splats want, starting from the last one."""
+    residual = np.abs(wanted - basis @ field)
+    scale = HUBER * np.median(residual) + 1e-9 if len(residual) else 1.0
+    weight = 1 / np.maximum(1, residual / scale)
+    weighted = basis * weight[:, None]
+    return np.linalg.solve(weighted.T @ basis + np.diag(PRIOR), weighted.T @ wanted)
+
+
+def _medians(splat: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """The median of each splat's values, at each of its rows."""
+    order = np.lexsort((value, splat))
+    _, start, at, count = np.unique(splat[order], return_index=True, return_inverse=True, return_counts=True)
+    ordered = value[order]
+    middle = (ordered[start + (count - 1) // 2] + ordered[start + count // 2]) / 2
+    result = np.empty(len(value))
+    result[order] = middle[at]
+    return result

@@ -1,0 +1,138 @@
+"""Exposure compensation: what photographs disagree by is found, taken out, and left alone where there is none."""
+
+import json
+
+import numpy as np
+import pytest
+
+from pipeline.effects.exposure import exposed
+from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS, linear_of, relit, srgb_of, terms
+from pipeline.effects.exposure.solve import Observations, solve_fields, spread
+from pipeline.executors import SerialExecutor
+from pipeline.settings import settings_for
+from services.workflow import Run, compress, prepare, report
+from storage import arrays, work
+from storage.errors import InvalidScan
+from tests.effects_scans import wall_scan
+from tests.services.test_workflow import Heard
+
+GAIN = (0.7, 1.0, 1.35)
+
+
+def test_light__srgb_and_back():
+    levels = np.arange(256) / 255
+    assert np.abs(srgb_of(linear_of(levels)) - levels).max() < 1e-6
+
+
+def test_light__no_gain_changes_no_pixel():
+    pixels = np.random.default_rng(0).integers(0, 256, (40, 50, 3)).astype(np.uint8)
+    assert np.array_equal(relit(pixels, np.zeros((3, N_TERMS))), pixels)
+
+
+def test_light__a_field_is_applied_to_half_a_level():
+    rng = np.random.default_rng(1)
+    pixels, log_gain = rng.integers(0, 256, (60, 80, 3)).astype(np.uint8), rng.normal(0, 0.3, (3, N_TERMS))
+    y, x = np.meshgrid((np.arange(60) + 0.5) / 30 - 1, (np.arange(80) + 0.5) / 40 - 1, indexing="ij")
+    gain = np.exp(np.clip(terms(x, y) @ log_gain.T, -np.log(MOST_GAIN), np.log(MOST_GAIN)))
+    exact = 255 * srgb_of(np.clip(linear_of(pixels / 255) * gain, 0, 1))
+    assert np.abs(relit(pixels, log_gain) - exact).max() < 0.6
+
+
+def observations(fields: np.ndarray, wrong: float = 0.0, n: int = 1500) -> Observations:
+    """Splats in all photographs, whose light is what `fields` take out; a share of them shows something else."""
+    rng = np.random.default_rng(2)
+    n_photos = len(fields)
+    splat, photo = np.repeat(np.arange(n), n_photos), np.tile(np.arange(n_photos), n)
+    x, y = rng.uniform(-1, 1, (2, n * n_photos))
+    truth = rng.uniform(0.05, 0.4, (n, 3))[splat]
+    light = truth * np.exp(-np.einsum("mt,mkt->mk", terms(x, y), fields[photo]))
+    hidden = rng.random(len(splat)) < wrong
+    light[hidden] = rng.uniform(0.01, 0.8, (hidden.sum(), 3))
+    return Observations(splat, photo, x, y, light)
+
+
+@pytest.mark.parametrize("wrong", [0.0, 0.15])
+def test_solve__finds_gains_and_slopes_though_some_splats_are_hidden(wrong):
+    fields = np.random.default_rng(3).normal(0, 0.12, (5, 3, N_TERMS)) * [1, 1, 1, 0.3, 0.3, 0.3]
+    fields -= fields.mean(axis=0)
+    seen = observations(fields, wrong)
+    found = solve_fields(seen, 5)
+    assert np.abs(found - fields)[:, :, 0].max() < 0.03 and np.abs(found - fields).max() < 0.06
+    if not wrong:
+        assert spread(seen, found) < 0.1 * spread(seen)
+
+
+def test_solve__a_photograph_that_shares_no_splat_is_left_as_it_is():
+    seen = observations(np.zeros((3, 3, N_TERMS)))
+    found = solve_fields(seen, 4)
+    assert np.abs(found).max() < 1e-6 and found.shape == (4, 3, N_TERMS)
+
+
+@pytest.fixture(scope="module")
+def unlike(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("exposure")
+    return wall_scan(folder / "wall", gain=GAIN), folder / "work"
+
+
+def outcome(prepared) -> dict:
+    return prepared.effects.outcomes["exposure"]
+
+
+def test_exposure__is_found_from_the_splats_of_a_scan(unlike):
+    scan, folder = unlike
+    prepared = prepare(Run(folder, SerialExecutor(), Heard()), scan, None, "")
+    gain = np.exp(np.array(outcome(prepared)["log_gain"])[:, :, 0])
+    assert gain / gain[1] == pytest.approx(np.outer(1 / np.array(GAIN), np.ones(3)), rel=0.03)
+    assert outcome(prepared)["spread_after"] < 0.2 * outcome(prepared)["spread_before"]
+    photos = [arrays.read(prepared.photos, f"photo_{i}").astype(float) for i in range(3)]
+    splats = arrays.read(prepared.splats.folder, "camera")
+    assert len(np.unique(splats)) > 1 and work.summary(prepared.photos)["cameras"] == prepared.scan.summary["cameras"]
+    assert all(photo.mean() == pytest.approx(photos[1].mean(), rel=0.15) for photo in photos)
+
+
+def test_exposure__photographs_that_agree_are_left_alone(tmp_path):
+    prepared = prepare(Run(tmp_path / "work", SerialExecutor(), Heard()), wall_scan(tmp_path / "wall"), None, "")
+    row = next(row for row in prepared.effects.rows if row.effect == "exposure")
+    assert not row.enabled and row.measure < 0.3 and prepared.photos == prepared.scan.folder
+
+
+def test_exposure__takes_the_seams_out_of_the_packed_file_and_its_report_compares_like_with_like(unlike, tmp_path):
+    scan, folder = unlike
+    seams = {}
+    for request in ("", "exposure=off"):
+        settings = settings_for("draft", max_atoms=0, effects=request)
+        made = compress(scan, tmp_path / "out", settings, SerialExecutor(), Heard(), render=False, work=folder)
+        assert ("exposure" in [stage["name"] for stage in made["stages"]]) == (request == "")
+        again = report(tmp_path / "out" / "wall.splatpress", scan, tmp_path / "again", SerialExecutor(), Heard(), render=False)
+        assert again["quality"]["texture_psnr_db"] == pytest.approx(made["quality"]["texture_psnr_db"], abs=1e-3)
+        seams[request] = _seam(tmp_path / "out" / "wall.splatpress")
+    assert seams[""] < 0.3 * seams["exposure=off"]
+
+
+def _seam(path) -> float:
+    """How much more neighbours differ that different photographs textured than those of one photograph."""
+    from scipy.spatial import cKDTree
+
+    from pipeline.geometry.positions import Boxes, decode_positions
+    from storage.packed import PackedFile
+
+    with PackedFile(path) as packed:
+        a = packed.load().arrays
+    position = a["position"].astype(np.uint32) @ np.array([1, 1 << 8, 1 << 16], np.uint32)
+    centre = decode_positions(position, Boxes(a["box_low"], a["box_size"], a["box_bits"]))
+    pairs = cKDTree(centre).query_pairs(0.03, output_type="ndarray")
+    apart = np.abs(a["color"][pairs[:, 0]].astype(float) - a["color"][pairs[:, 1]]).mean(axis=1)
+    across = a["camera"][pairs[:, 0]] != a["camera"][pairs[:, 1]]
+    assert across.any()
+    return apart[across].mean() - apart[~across].mean()
+
+
+@pytest.mark.parametrize("wrong", [
+    {}, {"log_gain": "x"}, {"log_gain": [[[0.0] * N_TERMS] * 3]}, {"log_gain": [[[0.0] * 5] * 3] * 3}, {"log_gain": [1, 2, 3]},
+    {"log_gain": [[[float("nan")] * N_TERMS] * 3] * 3}, {"log_gain": [[["a"] * N_TERMS] * 3] * 3},
+])
+def test_exposure__of_a_file_that_says_nonsense_is_refused(unlike, wrong):
+    scan, folder = unlike
+    prepared = prepare(Run(folder, SerialExecutor(), Heard()), scan, None, "exposure=off")
+    with pytest.raises(InvalidScan, match="exposure"):
+        exposed(prepared.scan.folder, json.loads(json.dumps(wrong)))
