@@ -9,6 +9,7 @@ import fcntl
 import os
 import shutil
 import signal
+import sys
 import threading
 import time
 from contextlib import ExitStack
@@ -58,13 +59,17 @@ def run_forever(settings: ServiceSettings, stop: threading.Event | None = None) 
         _jobs = JobRunner(settings, store, lambda: scheduler)
         DBOS(config=dbos_config(settings))
         DBOS.launch()
+        status = 1
         try:
             _serve(settings, store, stop)
+            status = 0
+        except Exception as error:
+            _complain(error)
         finally:
             show_gone(settings.data)
-        # Not further: jobs under way would see their workers go, one by one, and count it as failure. As after a kill,
-        # the next start goes on with them; the workers end with this process.
-        os._exit(0)
+            # Not further: jobs under way would see their workers go, one by one, and count it as failure. As after a
+            # kill, the next start goes on with them; the workers end with this process.
+            os._exit(status)
 
 
 def dbos_config(settings: ServiceSettings) -> dict:
@@ -98,15 +103,29 @@ def _serve(settings: ServiceSettings, store: Store, stop: threading.Event) -> No
         store.log(job["id"], "warning", f"attempt {job['attempt']}: the runner was started anew and goes on")
     while not stop.is_set():
         show_alive(settings.data)
-        under_way = {id: handle for id, handle in under_way.items() if _is_under_way(handle)}
-        for job in store.running_jobs():
-            if _workflow_id(job) not in under_way:  # it could not write its end
-                store.log(job["id"], "warning", f"attempt {job['attempt']}: ended without a word; it goes on")
-                under_way[_workflow_id(job)] = _start(job, again=True)
-        for job in store.waiting_jobs(settings.jobs_at_once):
-            if len(under_way) < settings.jobs_at_once and _workflow_id(job) not in under_way:
-                under_way[_workflow_id(job)] = _start(job)
+        try:
+            under_way = _look_after(settings, store, under_way)
+        except Exception as error:  # most likely the database was away for longer than anyone had patience
+            _complain(error)
         stop.wait(POLL_S)
+
+
+def _look_after(settings: ServiceSettings, store: Store, under_way: dict) -> dict:
+    """The workflows under way after one look at them and at the jobs; starts those that should be and are not."""
+    store.note_absence()
+    under_way = {id: handle for id, handle in under_way.items() if _is_under_way(handle)}
+    for job in store.running_jobs():
+        if _workflow_id(job) not in under_way:  # it could not write its end
+            store.log(job["id"], "warning", f"attempt {job['attempt']}: ended without a word; it goes on")
+            under_way[_workflow_id(job)] = _start(job, again=True)
+    for job in store.waiting_jobs(settings.jobs_at_once):
+        if len(under_way) < settings.jobs_at_once and _workflow_id(job) not in under_way:
+            under_way[_workflow_id(job)] = _start(job)
+    return under_way
+
+
+def _complain(error: Exception) -> None:
+    print(f"splatpress: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
 
 
 def _workflow_id(job: dict) -> str:
@@ -133,7 +152,7 @@ def _beside(settings: ServiceSettings, store: Store, stop: threading.Event) -> N
                 tidied = time.monotonic()
                 tidy(settings, store)
         except Exception as error:
-            print(f"splatpress: {type(error).__name__}: {error}", flush=True)
+            _complain(error)
 
 
 def tidy(settings: ServiceSettings, store: Store) -> None:

@@ -9,6 +9,7 @@ import secrets
 import time
 
 import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql, sqlite
 
 from services.problems import is_of_database
 from services.tables import ARTIFACTS, EVENTS, JOBS, SCAN_OWNERS, SCANS, STAGE_TOTALS, TOKENS, UPLOADS, engine_for
@@ -47,6 +48,7 @@ def _patient(method):
                 deadline = deadline or time.monotonic() + self.patience_s
                 if not is_of_database(error) or is_of_database(error, full=True) or time.monotonic() >= deadline:
                     raise
+                self.away_since = self.away_since or time.time()
                 time.sleep(RETRY_S)
 
     return again
@@ -61,6 +63,7 @@ class Store:
 
     def __init__(self, url: str, patience_s: float = 0.0) -> None:
         self.patience_s = patience_s
+        self.away_since: float | None = None  # when a call first waited for the database
         self.engine = self._opened(url)
 
     @_patient
@@ -69,6 +72,13 @@ class Store:
 
     def close(self) -> None:
         self.engine.dispose()
+
+    def note_absence(self) -> None:
+        """Say in the log of the jobs under way that the database was away, once it is back."""
+        since, self.away_since = self.away_since, None
+        if since is not None:
+            for job in self.running_jobs():
+                self.log(job["id"], "warning", f"the database was away, for up to {time.time() - since:.0f} s; going on")
 
     # --- tokens
 
@@ -296,8 +306,8 @@ class Store:
     # --- figures
 
     def count_stage(self, stage: str, seconds: float, n_splats: int) -> None:
-        self._insert_new(STAGE_TOTALS, {"stage": stage, "seconds": 0.0, "runs": 0, "splats": 0})
         totals = STAGE_TOTALS.c
+        self._insert_new(STAGE_TOTALS, {"stage": stage, "seconds": 0.0, "runs": 0, "splats": 0})
         self._write(STAGE_TOTALS.update().where(totals.stage == stage).values(
             seconds=totals.seconds + seconds, runs=totals.runs + 1, splats=totals.splats + n_splats))
 
@@ -332,11 +342,8 @@ class Store:
             return connection.execute(statement).rowcount
 
     def _insert_new(self, table: sa.Table, row: dict) -> bool:
-        try:
-            self._write(table.insert().values(row))
-        except sa.exc.IntegrityError:
-            return False
-        return True
+        insert = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}[self.engine.dialect.name]
+        return self._write(insert(table).values(row).on_conflict_do_nothing()) == 1
 
 
 def _due(now: float):

@@ -95,9 +95,9 @@ def _command(process: psutil.Process) -> list[str]:
 
 
 @contextmanager
-def service(data: Path, workers: int = 2, **settings: str):
+def service(data: Path, workers: int = 2, log: Path | None = None, **settings: str):
     """`splatpress serve`, ready; ends with all its parts."""
-    port, log = free_port(), data.with_name(data.name + ".log")
+    port, log = free_port(), log or data.with_name(data.name + ".log")
     environment = {**os.environ, **{f"SPLATPRESS_{name.upper()}": value for name, value in settings.items()},
                    "PYTHONPATH": str(ROOT)}
     with open(log, "w") as stream:
