@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.geometry.cliplines import encode_cliplines
 from renderer.programs import Programs, set_uniforms
 from renderer.projection import view_to_photo
-from renderer.scene import CLIPLINES, CODES, DRAW_BYTES, GpuScene, storage_buffer
+from renderer.scene import CLIPLINES, CODES, DRAW_BYTES, ELLIPSOIDS, GpuScene, ellipsoid_fields, storage_buffer
 from storage.bits import unpack_bits
 from storage.errors import InvalidScan, ResourceExhausted
 from storage.packed import PackedScene
@@ -25,14 +25,23 @@ PHOTO_BUDGET_BYTES = 1 << 29
 _NO_CLIPLINE = int(encode_cliplines(np.array([[0.0, 0.0, 1.0]]))[0])  # keeps the whole disc
 
 
-def splats_by_camera(scene: PackedScene) -> tuple[np.ndarray, dict[int, tuple[int, int]]]:
-    """All splats sorted by their camera, and for each camera its (first, number) in that list."""
+def splats_by_camera(scene: PackedScene) -> tuple[np.ndarray, dict[tuple[int, bool], tuple[int, int]]]:
+    """All splats sorted by their camera, of each first discs, then ellipsoids; and of each such run its (first, number)."""
     camera = scene.arrays.get("camera")
     if camera is None:
         camera = np.full(scene.header.n_splats, NO_CAMERA, np.uint16)
-    order = np.argsort(camera, kind="stable").astype(np.uint32)
-    present, first, number = np.unique(camera[order], return_index=True, return_counts=True)
-    return order, {int(c): (int(f), int(n)) for c, f, n in zip(present, first, number, strict=True)}
+    key = 2 * camera.astype(np.int64) + (scene.rows.extra["ellipsoid"] >= 0)
+    order = np.argsort(key, kind="stable").astype(np.uint32)
+    present, first, number = np.unique(key[order], return_index=True, return_counts=True)
+    return order, {(int(k) // 2, bool(k % 2)): (int(f), int(n)) for k, f, n in zip(present, first, number, strict=True)}
+
+
+def ellipsoid_words(scene: PackedScene) -> np.ndarray:
+    """The ellipsoid of every splat (n,) uint32, 0 where it is a disc."""
+    words = np.zeros(scene.header.n_splats, np.uint32)
+    splat, fields = ellipsoid_fields(scene)
+    words[splat] = fields.view("<u4")[:, 0]
+    return words
 
 
 def clipline_codes(scene: PackedScene) -> np.ndarray:
@@ -69,6 +78,10 @@ class PhotoSplats:
             if gpu_scene.has_cliplines:
                 lines = clipline_codes(gpu_scene.scene)[order]
                 self._lines = storage_buffer(self._context, lines, "cliplines by camera")
+            self._ellipsoids = None
+            if gpu_scene.has_ellipsoids:
+                words = ellipsoid_words(gpu_scene.scene)[order]
+                self._ellipsoids = storage_buffer(self._context, words, "ellipsoids by camera")
             longest = max(number for _, number in self._spans.values())
             self._draws = self._context.buffer(reserve=-(-longest // GROUP) * DRAW_BYTES)
 
@@ -77,18 +90,21 @@ class PhotoSplats:
         self._listed.bind_to_storage_buffer(CODES)
         if self._lines is not None:
             self._lines.bind_to_storage_buffer(CLIPLINES)
-        return [self._draw_camera(programs, view, camera) for camera in self._spans]
+        if self._ellipsoids is not None:
+            self._ellipsoids.bind_to_storage_buffer(ELLIPSOIDS)
+        return [self._draw_camera(programs, view, *run) for run in self._spans]
 
     def release(self) -> None:
-        for resource in (self._listed, self._lines, self._draws, *self._kept.values()):
+        for resource in (self._listed, self._lines, self._ellipsoids, self._draws, *self._kept.values()):
             if resource is not None:
                 resource.release()
         self._kept = {}
 
-    def _draw_camera(self, programs: Programs, view: Camera, camera: int) -> str:
-        first, number = self._spans[camera]
+    def _draw_camera(self, programs: Programs, view: Camera, camera: int, ellipsoid: bool) -> str:
+        first, number = self._spans[camera, ellipsoid]
         has_photo = camera != NO_CAMERA
-        name, drawing = programs.drawing("baseline", PHOTO=int(has_photo), CLIPLINE=int(self._lines is not None))
+        name, drawing = programs.drawing("baseline", PHOTO=int(has_photo), ELLIPSOID=int(ellipsoid),
+                                         CLIPLINE=int(self._lines is not None and not ellipsoid))
         set_uniforms(drawing, first_listed=first)
         photo = None
         if has_photo:
@@ -96,7 +112,7 @@ class PhotoSplats:
             photo.use(0)
             matrix = view_to_photo(view, self._cameras[camera])
             drawing.program["photo"].write(matrix.T.astype(np.float32).tobytes())
-        draws = draws_of(number)
+        draws = draws_of(number, 3 if ellipsoid else 6)
         self._draws.write(draws.tobytes())
         drawing.render_indirect(self._draws, moderngl.TRIANGLES, len(draws))
         if photo is not None and camera not in self._kept:
@@ -129,11 +145,11 @@ class PhotoSplats:
         return texture, pixels.nbytes * 4 // 3
 
 
-def draws_of(n_splats: int) -> np.ndarray:
-    """Indirect draws of consecutive splats, GROUP at most in each: (n, 5) uint32 as in cull.comp.glsl."""
+def draws_of(n_splats: int, n_indices: int = 6) -> np.ndarray:
+    """Indirect draws of consecutive splats, GROUP at most in each, of `n_indices` vertices a splat: (n, 5) uint32 as in cull.comp.glsl."""
     first = np.arange(0, n_splats, GROUP)
     draws = np.zeros((len(first), 5), np.uint32)
-    draws[:, 0] = 6 * np.minimum(GROUP, n_splats - first)
+    draws[:, 0] = n_indices * np.minimum(GROUP, n_splats - first)
     draws[:, 1] = 1
     draws[:, 3] = 4 * first
     return draws

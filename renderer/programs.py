@@ -6,7 +6,7 @@ import moderngl
 import numpy as np
 
 from renderer.glsl import shader_source
-from renderer.scene import indices_of_quads
+from renderer.scene import indices_of_quads, indices_of_triangles
 from storage.schema import GROUP
 
 
@@ -17,14 +17,16 @@ class Programs:
         self._context = context
         self._compiled: dict[str, moderngl.VertexArray | moderngl.ComputeShader] = {}
         self._quads = context.buffer(indices_of_quads(GROUP))
+        self._triangles: moderngl.Buffer | None = None  # made when a scene first has ellipsoids
 
-    def compute(self, name: str) -> moderngl.ComputeShader:
-        if name not in self._compiled:
-            self._compiled[name] = self._context.compute_shader(shader_source(f"{name}.comp.glsl"))
-        return self._compiled[name]
+    def compute(self, name: str, **defines: int) -> tuple[str, moderngl.ComputeShader]:
+        full_name = variant_name(name, defines)
+        if full_name not in self._compiled:
+            self._compiled[full_name] = self._context.compute_shader(shader_source(f"{name}.comp.glsl", **defines))
+        return full_name, self._compiled[full_name]
 
     def drawing(self, name: str, **defines: int) -> tuple[str, moderngl.VertexArray]:
-        """The name of a pass's variant, and its program with the index list of quads."""
+        """The name of a pass's variant, and its program with the index list of quads, or of an ellipsoid's triangles."""
         full_name = variant_name(name, defines)
         if full_name not in self._compiled:
             program = self._context.program(
@@ -32,16 +34,25 @@ class Programs:
                 fragment_shader=shader_source(f"{name}.frag.glsl", **defines),
             )
             self._compiled[full_name] = self._context.vertex_array(
-                program, [], self._quads, index_element_size=np.dtype(np.uint16).itemsize
+                program, [], self._indices(defines), index_element_size=np.dtype(np.uint16).itemsize
             )
         return full_name, self._compiled[full_name]
+
+
+    def _indices(self, defines: dict[str, int]) -> moderngl.Buffer:
+        if not defines.get("ELLIPSOID"):
+            return self._quads
+        if self._triangles is None:
+            self._triangles = self._context.buffer(indices_of_triangles(GROUP))
+        return self._triangles
 
 
 def variant_name(name: str, defines: dict[str, int]) -> str:
     words = [name]
     if "N_ATOMS" in defines:
         words.append(f"atoms={defines['N_ATOMS']}")
-    words += [flag.lower().replace("_", " ") for flag in ("CLIPLINE", "TURNED", "BY_BATCH", "PHOTO") if defines.get(flag)]
+    flags = ("CLIPLINE", "ELLIPSOID", "ELLIPSOIDS", "TURNED", "BY_BATCH", "PHOTO")
+    words += [flag.lower().replace("_", " ") for flag in flags if defines.get(flag)]
     return " ".join(words)
 
 

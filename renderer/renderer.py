@@ -106,8 +106,11 @@ class Renderer:
         self._view.bind_to_uniform_block(0)
         gpu_scene.bind()
         with self._pass(frame, "cull"):
-            frame.programs.append("cull")
-            self._programs.compute("cull").run(-(-gpu_scene.scene.header.n_groups // _INVOCATIONS))
+            name, program = self._programs.compute("cull", ELLIPSOIDS=int(gpu_scene.has_ellipsoids))
+            frame.programs.append(name)
+            if gpu_scene.has_ellipsoids:
+                program["ellipsoid_batches"].value = gpu_scene.ellipsoid_batches
+            program.run(-(-gpu_scene.scene.header.n_groups // _INVOCATIONS))
             self.context.memory_barrier(moderngl.Context.COMMAND_BARRIER_BIT)
         return frame
 
@@ -116,9 +119,9 @@ class Renderer:
         frame.targets.visibility.clear(depth=0.0)
         self.context.enable_only(moderngl.DEPTH_TEST)
         self.context.depth_func = ">"
-        if gpu_scene.has_cliplines:
+        if gpu_scene.has_cliplines or gpu_scene.has_ellipsoids:
             for batch, kind in enumerate(gpu_scene.scene.header.batches):
-                self._draw_batch(frame, gpu_scene, batch, "visibility", CLIPLINE=int(kind.clipline))
+                self._draw_batch(frame, gpu_scene, batch, "visibility", CLIPLINE=int(kind.clipline), ELLIPSOID=int(kind.ellipsoid))
         else:
             name, drawing = self._programs.drawing("visibility")
             self._draw_groups(gpu_scene, drawing, len(gpu_scene.scene.header.batches))
@@ -129,7 +132,8 @@ class Renderer:
         for batch, kind in enumerate(gpu_scene.scene.header.batches):
             n_atoms = min(kind.n_atoms, max_atoms)
             turned = int(gpu_scene.scene.header.n_turns > 1 and n_atoms > 0)
-            self._draw_batch(frame, gpu_scene, batch, "attribute", N_ATOMS=n_atoms, CLIPLINE=int(kind.clipline), TURNED=turned)
+            self._draw_batch(frame, gpu_scene, batch, "attribute", N_ATOMS=n_atoms, CLIPLINE=int(kind.clipline),
+                             ELLIPSOID=int(kind.ellipsoid), TURNED=turned)
 
     def _begin_attributes(self, frame: _Frame) -> None:
         frame.targets.attribute.use()

@@ -12,15 +12,16 @@ from dataclasses import dataclass, field
 import moderngl
 import numpy as np
 
+from pipeline.geometry.ellipsoids import lengths_of
 from renderer.atlas import atlas_layout, upload_atlas
 from renderer.targets import NARROW
 from storage.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.errors import ResourceExhausted
 from storage.packed import PackedScene
-from storage.schema import MAX_ATOMS, MIP_SIZES
+from storage.schema import ELLIPSOID_FIELDS, GROUP, MAX_ATOMS, MIP_SIZES
 
 # Bindings of the shader storage blocks; the shaders say the same numbers.
-SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS = range(9)
+SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS, ELLIPSOIDS = range(10)
 DRAW_BYTES = 20
 CORNERS = np.array([0, 1, 2, 2, 1, 3], np.uint16)  # two triangles of a quad
 
@@ -53,7 +54,8 @@ def running_counts(batch_count: np.ndarray) -> np.ndarray:
 
 
 def group_table(scene: PackedScene) -> np.ndarray:
-    """(n_groups, 2 + 2 n_batches) uint32: first words of both streams, then each batch's first entry and clipline."""
+    """(n_groups, 2 + 2 n_batches) uint32: first words of both streams, then each batch's first entry and clipline; of a
+    batch of ellipsoids, which has no clipline, its first word in their stream."""
     header, arrays = scene.header, scene.arrays
     counts = group_batch_counts(arrays["batch_count"])
     entries = counts * [batch.n_atoms for batch in header.batches]
@@ -63,24 +65,51 @@ def group_table(scene: PackedScene) -> np.ndarray:
     table[:, 1] = arrays.get("clipline_word", 0)
     table[:, 2::2] = entries.cumsum(axis=1) - entries
     table[:, 3::2] = lines.cumsum(axis=1) - lines
+    if "ellipsoids" in arrays:
+        some = np.array([batch.ellipsoid for batch in header.batches])
+        place = (counts * some).cumsum(axis=1) - counts * some + arrays["ellipsoid_word"][:, None]
+        table[:, 3::2] = np.where(some, place, table[:, 3::2])
     return table
 
 
 def group_boxes(scene: PackedScene) -> np.ndarray:
-    """(n_groups, 6) float32: low and high corner of each group, grown by the radius."""
+    """(n_groups, 6) float32: low and high corner of each group, grown by the radius or its longest ellipsoid's half axis."""
     arrays = scene.arrays
     starts = np.arange(0, len(arrays["box_low"]), CHUNKS_PER_GROUP)
-    low = np.minimum.reduceat(arrays["box_low"].astype(np.float64), starts, axis=0) - scene.header.radius
+    reach = longest_in_groups(scene)[:, None]
+    low = np.minimum.reduceat(arrays["box_low"].astype(np.float64), starts, axis=0) - reach
     high = arrays["box_low"] + arrays["box_size"].astype(np.float64)
-    high = np.maximum.reduceat(high, starts, axis=0) + scene.header.radius
+    high = np.maximum.reduceat(high, starts, axis=0) + reach
     return np.concatenate([np.nextafter(low.astype(np.float32), np.float32(-np.inf)),
                            np.nextafter(high.astype(np.float32), np.float32(np.inf))], axis=1)
+
+
+def longest_in_groups(scene: PackedScene) -> np.ndarray:
+    """How far a splat of each group reaches from its centre, (n_groups,) float64."""
+    reach = np.full(scene.header.n_groups, scene.header.radius)
+    if "ellipsoids" in scene.arrays:
+        splat, fields = ellipsoid_fields(scene)
+        np.maximum.at(reach, splat // GROUP, lengths_of(fields, scene.header.radius).max(axis=1))
+    return reach
+
+
+def ellipsoid_fields(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
+    """Which splats are ellipsoids (m,), and their fields (m, ELLIPSOID_FIELDS) uint8."""
+    row = scene.rows.extra["ellipsoid"]
+    splat = np.flatnonzero(row >= 0)
+    word = scene.arrays["ellipsoids"][scene.arrays["ellipsoid_word"][splat // GROUP].astype(np.int64) + row[splat]]
+    return splat, word.astype("<u4").view(np.uint8).reshape(len(splat), ELLIPSOID_FIELDS)
 
 
 def weight_table(arrays: dict[str, np.ndarray]) -> np.ndarray:
     """Weight levels, rank by rank, then the scale of each atom, float32."""
     assert len(arrays["weight_levels"]) == MAX_ATOMS
     return np.concatenate([arrays["weight_levels"].ravel(), arrays["atom_scale"]])
+
+
+def indices_of_triangles(n_splats: int) -> np.ndarray:
+    """One triangle a splat, its vertices numbered as the first three of a quad."""
+    return (4 * np.arange(n_splats, dtype=np.uint16)[:, None] + np.arange(3, dtype=np.uint16)).ravel()
 
 
 def indices_of_quads(n_quads: int) -> np.ndarray:
@@ -117,6 +146,8 @@ class GpuScene:
             self._upload(GROUPS, "codes", group_table(self.scene), "group table")
             if "cliplines" in arrays:
                 self._upload(CLIPLINES, "geometry", arrays["cliplines"], "cliplines")
+            if "ellipsoids" in arrays:
+                self._upload(ELLIPSOIDS, "geometry", arrays["ellipsoids"], "ellipsoids")
             if header.n_dictionary:
                 self._upload(CODES, "codes", arrays["codes"], "codes")
                 self._upload(WEIGHTS, "dictionary", weight_table(arrays), "weights")
@@ -134,6 +165,15 @@ class GpuScene:
     @property
     def has_cliplines(self) -> bool:
         return CLIPLINES in self.buffers
+
+    @property
+    def has_ellipsoids(self) -> bool:
+        return ELLIPSOIDS in self.buffers
+
+    @property
+    def ellipsoid_batches(self) -> int:
+        """A bit for each batch of ellipsoids; 9 atom counts of 3 kinds fit a word."""
+        return sum(batch.ellipsoid << i for i, batch in enumerate(self.scene.header.batches))
 
     def bind(self) -> None:
         """Make this the scene that the next passes draw."""

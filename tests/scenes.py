@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.geometry.chunks import median_split
 from pipeline.geometry.cliplines import encode_cliplines
+from pipeline.geometry.ellipsoids import encode_ellipsoids
 from pipeline.geometry.normals import encode_normals
 from pipeline.geometry.positions import encode_positions, fit_boxes
 from storage.batches import CHUNKS_PER_GROUP, count_batches, rows_of
@@ -29,6 +30,7 @@ class Splats:
     weight: np.ndarray | None = None  # (n, 8) weight code
     clipline: np.ndarray | None = None  # (n, 3) a, b, c; NaN where there is none
     camera: np.ndarray | None = None  # (n,) index; none
+    axes: np.ndarray | None = None  # (n, 3, 3) half axes of ellipsoids as rows, the third along the normal; NaN where it is a disc
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,9 @@ def build_scene_and_order(
     n = len(splats.position)
     n_atoms = np.zeros(n, int) if splats.n_atoms is None else np.asarray(splats.n_atoms)
     line = np.full((n, 3), np.nan) if splats.clipline is None else splats.clipline
-    kind_of = list(zip(n_atoms.tolist(), (~np.isnan(line[:, 0])).tolist(), strict=True))
+    axes = np.full((n, 3, 3), np.nan) if splats.axes is None else splats.axes
+    flags = (~np.isnan(line[:, 0])).tolist(), (~np.isnan(axes[:, 0, 0])).tolist()
+    kind_of = list(zip(n_atoms.tolist(), *flags, strict=True))
     kinds = sorted(set(kind_of), key=lambda kind: kind[::-1])
     batches = tuple(Batch(*kind) for kind in kinds)
     batch = np.array([kinds.index(kind) for kind in kind_of])
@@ -116,7 +120,7 @@ def build_scene_and_order(
     local = np.asarray(splats.position, np.float64) - settings.origin
     order = median_split(local)
     order = order[np.lexsort([batch[order], np.arange(n) // CHUNK])]
-    batch, line, n_atoms = batch[order], line[order], n_atoms[order]
+    batch, line, n_atoms, axes = batch[order], line[order], n_atoms[order], axes[order]
 
     header = Header(
         n_splats=n, radius=settings.radius, unit="metre", origin=settings.origin, up=settings.up, ahead=settings.ahead,
@@ -146,6 +150,11 @@ def build_scene_and_order(
         codes = encode_cliplines(np.nan_to_num(line))
         streams = [pack_bits(_in_row_order(codes[g], rows.clipline[g]), CLIPLINE_BITS) for g in groups]
         arrays["cliplines"], arrays["clipline_word"] = _joined(streams)
+    if any(kind.ellipsoid for kind in batches):
+        fields = encode_ellipsoids(arrays["normal"], header.up, header.ahead, np.nan_to_num(axes, nan=1.0), settings.radius)
+        words = fields.view("<u4")[:, 0]
+        streams = [_in_row_order(words[g], rows.extra["ellipsoid"][g]) for g in groups]
+        arrays["ellipsoids"], arrays["ellipsoid_word"] = _joined(streams)
     if settings.cameras:
         camera = np.full(n, NO_CAMERA) if splats.camera is None else splats.camera
         arrays["camera"] = camera[order].astype(np.uint16)

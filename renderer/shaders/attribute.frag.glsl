@@ -11,8 +11,11 @@ out vec4 weighted;  // linear light times weight, weight
 void main() {
     float d2 = squared_distance();
     if (outside(d2)) discard;
+#ifdef ELLIPSOID
+    set_depth(d2);
+#endif
 #ifdef N_ATOMS
-    vec3 color = to_linear(clamp(average + sum_of_atoms(place.xy), 0.0, 1.0));
+    vec3 color = to_linear(clamp(average + sum_of_atoms(on_square()), 0.0, 1.0));
 #else
     vec3 color = average;
 #endif

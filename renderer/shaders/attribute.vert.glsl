@@ -3,9 +3,12 @@
 #include "view.glsl"
 #include "find_splat.glsl"
 #include "splat_geometry.glsl"
+#ifdef ELLIPSOID
+#include "ellipsoid.glsl"
+#endif
 #include "splat_quad.glsl"
 #include "srgb.glsl"
-#if defined(N_ATOMS) || defined(CLIPLINE)
+#if defined(N_ATOMS) || defined(CLIPLINE) || defined(ELLIPSOID)
 #include "bits.glsl"
 #include "groups.glsl"
 #endif
@@ -27,7 +30,11 @@ flat out vec3 average;  // in linear light where there are no atoms, else sRGB
 void main() {
     uint group = drawn_group(), row = drawn_row();
     uint splat = splat_of_row(group, row);
+#ifdef ELLIPSOID
+    Quad quad = splat_quad(outline_of(decode_ellipsoid(splat, ellipsoids[first_ellipsoid(group) + row])));
+#else
     Quad quad = splat_quad(decode_disc(splat));
+#endif
     gl_Position = quad.clip;
     place = quad.place;
 #ifdef N_ATOMS

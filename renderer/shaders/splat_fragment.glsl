@@ -4,6 +4,16 @@ in vec4 place;
 #ifdef CLIPLINE
 flat in vec3 clipline;
 #endif
+#ifdef ELLIPSOID
+#include "ellipsoid_fragment.glsl"
+#endif
+
+// Where on the splat's square its colour is found.
+#ifdef ELLIPSOID
+vec2 on_square() { return on_ball().xy; }
+#else
+vec2 on_square() { return place.xy; }
+#endif
 
 bool outside(float d2) {
 #ifdef CLIPLINE

@@ -1,4 +1,4 @@
-// The quad that a splat is drawn as, and the low-pass filter of splats smaller than a pixel.
+// The quad (of an ellipsoid the triangle) that a splat is drawn as, and the low-pass filter of splats smaller than a pixel.
 //
 // A fragment belongs to a splat where d < 1, d the smaller of two distances: on the disc, in radii, and on the screen,
 // in px from the projected centre (after Botsch et al., "High-quality surface splatting on today's GPUs", PBG 2005). So
@@ -11,6 +11,16 @@ const float LOW_PASS_PX = 1.0;
 const float SMALLEST_PX = 1e-3;   // of a half axis; thinner images are drawn as if so wide
 const float ROUNDING = 1e-5;      // of the distance: so much further back, or a splat might hide itself
 const vec2 FAR_FROM_CENTRE = vec2(1e3);
+
+#ifdef ELLIPSOID
+const vec2 CORNERS[3] = vec2[](vec2(-1.7320508, -1.0), vec2(1.7320508, -1.0), vec2(0.0, 2.0));  // around the unit circle
+
+vec2 drawn_corner() { return CORNERS[gl_VertexID & 3]; }
+float reach_of(Disc disc) { return sqrt(dot(disc.u, disc.u) + dot(disc.v, disc.v)); }
+#else
+vec2 drawn_corner() { return vec2(gl_VertexID & 1, gl_VertexID >> 1 & 1) * 2.0 - 1.0; }
+float reach_of(Disc disc) { return scene.radius; }
+#endif
 
 struct Quad {
     vec4 clip;       // gl_Position of this corner
@@ -62,9 +72,12 @@ Quad affine_quad(Disc disc, mat2 image, vec2 corner, float area_px) {
 }
 
 Quad splat_quad(Disc disc) {
-    vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1 & 1) * 2.0 - 1.0;
+#ifdef ELLIPSOID
+    if (eye_distance == 0.0) return Quad(vec4(2.0, 2.0, 2.0, 1.0), vec4(2.0), -1.0);  // outside the picture
+#endif
+    vec2 corner = drawn_corner();
     float area_px = -1.0;
-    if (disc.centre.z > 2.0 * scene.radius) {
+    if (disc.centre.z > 2.0 * reach_of(disc)) {
         mat2 image = image_of_disc(disc);
         area_px = abs(determinant(image));
         // Of two squares of half axes, with sum s and product p, the smaller is below l where (l - s) l + p < 0, or

@@ -1,5 +1,9 @@
 #include "splat_fragment.glsl"
 
 void main() {
-    if (outside(squared_distance())) discard;
+    float d2 = squared_distance();
+    if (outside(d2)) discard;
+#ifdef ELLIPSOID
+    set_depth(d2);
+#endif
 }

@@ -4,17 +4,27 @@
 #include "view.glsl"
 #include "find_splat.glsl"
 #include "splat_geometry.glsl"
+#ifdef ELLIPSOID
+#include "ellipsoid.glsl"
+#endif
 #include "splat_quad.glsl"
-#ifdef CLIPLINE
+#if defined(CLIPLINE) || defined(ELLIPSOID)
 #include "bits.glsl"
 #include "groups.glsl"
+#endif
+#ifdef CLIPLINE
 #include "clipline.glsl"
 #endif
 
 out vec4 place;
 
 void main() {
-    Quad quad = splat_quad(decode_disc(splat_of_row(drawn_group(), drawn_row())));
+    uint splat = splat_of_row(drawn_group(), drawn_row());
+#ifdef ELLIPSOID
+    Quad quad = splat_quad(outline_of(decode_ellipsoid(splat, ellipsoids[first_ellipsoid(drawn_group()) + drawn_row()])));
+#else
+    Quad quad = splat_quad(decode_disc(splat));
+#endif
     gl_Position = quad.clip;
     place = quad.place;
 #ifdef CLIPLINE

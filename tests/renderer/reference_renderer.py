@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.geometry.cliplines import decode_cliplines
+from pipeline.geometry.ellipsoids import decode_ellipsoids
 from pipeline.geometry.frame import tangent_frames
 from pipeline.geometry.positions import Boxes, decode_positions
 from storage.bits import unpack_bits
@@ -44,6 +45,7 @@ class Fragments:
     z: np.ndarray
     pushed_z: np.ndarray
     area_px: float  # None where the splat is too close for it
+    ball: np.ndarray | None = None  # (m, 3) of an ellipsoid: where it is hit, in its own axes, as a point of the unit ball
 
 
 def render(scene: PackedScene, view: Camera, max_atoms: int = 8) -> tuple[np.ndarray, np.ndarray]:
@@ -59,7 +61,8 @@ def render(scene: PackedScene, view: Camera, max_atoms: int = 8) -> tuple[np.nda
             index, turn = divmod(atom[splat, rank], header.n_turns)
             weight = scene.arrays["weight_levels"][rank, weight_code[splat, rank]] * scene.arrays["atom_scale"][index]
             levels = [turned(scene.arrays[f"atoms_{size}"][index].astype(np.float64), turn) for size in header.mip_sizes]
-            x, y = (texel_of(at, header.atom_size) for at in (fragments.x, fragments.y))
+            places = (fragments.x, fragments.y) if fragments.ball is None else fragments.ball.T[:2]
+            x, y = (texel_of(at, header.atom_size) for at in places)
             total += float(weight) * sample(levels, x, y, max(level - finest, 0))
         return np.clip(total, 0, 1)
 
@@ -72,16 +75,20 @@ def render_baseline(scene: PackedScene, photos: list[np.ndarray], view: Camera) 
     camera_of = scene.arrays.get("camera", np.full(header.n_splats, NO_CAMERA))
     pyramids = [box_pyramid(photo / 255.0) for photo in photos]
     discs = [discs_of(scene, camera) for camera in header.cameras]
+    balls = [ellipsoids_of(scene, camera) for camera in header.cameras]
 
     def color(splat: int, fragments: Fragments) -> np.ndarray:
         index = camera_of[splat]
         if index == NO_CAMERA:
             return np.tile(scene.arrays["color"][splat] / 255.0, (len(fragments.x), 1))
         camera, disc = header.cameras[index], discs[index]
+        if fragments.ball is not None:
+            axes = balls[index][splat]
+            disc = Discs(disc.centre, np.tile(axes[0], (len(disc.u), 1)), np.tile(axes[1], (len(disc.v), 1)))
         image = image_of(disc, splat, camera)
         level = mip_level(abs(np.linalg.det(image)), fragments.area_px, len(pyramids[index]) - 1)
         x, y = np.clip(fragments.x, -1, 1)[:, None], np.clip(fragments.y, -1, 1)[:, None]
-        point = disc.centre[splat] + x * disc.u[splat] + y * disc.v[splat]
+        point = disc.centre[splat] + (x * disc.u[splat] + y * disc.v[splat] if fragments.ball is None else fragments.ball @ axes)
         px_x = camera.fx_px * point[:, 0] / point[:, 2] + camera.cx_px
         px_y = camera.fy_px * point[:, 1] / point[:, 2] + camera.cy_px
         return sample(pyramids[index], px_x, px_y, level)
@@ -92,7 +99,9 @@ def render_baseline(scene: PackedScene, photos: list[np.ndarray], view: Camera) 
 def blend(scene: PackedScene, view: Camera, color) -> tuple[np.ndarray, np.ndarray]:
     header = scene.header
     discs, lines = discs_of(scene, view), cliplines_of(scene)
-    drawn = [fragments_of(discs, splat, lines[splat], view, header.radius, header.depth_margin)
+    axes = ellipsoids_of(scene, view)
+    drawn = [ellipsoid_fragments(discs.centre[splat], axes[splat], view, header.radius, header.depth_margin) if splat in axes
+             else fragments_of(discs, splat, lines[splat], view, header.radius, header.depth_margin)
              for splat in range(header.n_splats)]
     n_pixels = view.width_px * view.height_px
     nearest = np.full(n_pixels, np.inf)
@@ -132,6 +141,80 @@ def cliplines_of(scene: PackedScene) -> np.ndarray:
     return lines
 
 
+def ellipsoids_of(scene: PackedScene, view: Camera) -> dict[int, np.ndarray]:
+    """Half axes as rows (3, 3) in the axes of a camera, by splat."""
+    found = {}
+    for splat in np.flatnonzero(scene.rows.extra["ellipsoid"] >= 0):
+        word = scene.arrays["ellipsoids"][scene.arrays["ellipsoid_word"][splat // GROUP] + scene.rows.extra["ellipsoid"][splat]]
+        fields = np.frombuffer(word.tobytes(), np.uint8)[None]
+        header, normal = scene.header, scene.arrays["normal"][splat : splat + 1]
+        found[int(splat)] = decode_ellipsoids(fields, normal, header.up, header.ahead, header.radius)[0] @ np.array(view.rotation).T
+    return found
+
+
+def ellipsoid_fragments(centre: np.ndarray, axes: np.ndarray, view: Camera, radius: float, margin: float) -> Fragments:
+    """Rays against the surface: the smaller root of a quadratic, where the ellipsoid is the unit ball."""
+    px = pixels_of(view)
+    ray = rays_of(px, view)
+    to_ball = np.linalg.inv(axes)  # of rows: p @ to_ball
+    eye, step = -centre @ to_ball, ray @ to_ball
+    distance = np.linalg.norm(eye)
+    if distance <= 1:
+        return Fragments(*np.zeros((6, 0)).astype(int), None)
+    pole = centre + (eye / distance) @ axes
+    x = np.linalg.svd(eye[None])[2][1]  # any two directions across the eye's
+    y = np.cross(eye / distance, x)
+    rim = np.sqrt((distance - 1) / (distance + 1))
+    outline = Discs(pole[None], (rim * x @ axes)[None], (rim * y @ axes)[None])
+    small, area_px = False, None
+    if pole[2] > 2 * np.hypot(np.linalg.norm(outline.u), np.linalg.norm(outline.v)):
+        image = image_of(outline, 0, view)
+        area_px = abs(np.linalg.det(image))
+        small = np.linalg.svd(image, compute_uv=False)[1] < 1
+    if small:
+        return _small_ellipsoid(outline, distance, np.stack([x, y, eye / distance]), view, image, area_px, radius, margin)
+    a, b, c = (step**2).sum(axis=1), step @ eye, distance**2 - 1
+    with np.errstate(invalid="ignore"):
+        z = (-b - np.sqrt(b**2 - a * c)) / a
+        tangent = np.linalg.norm(np.cross(step, eye), axis=1) / -b  # of the angle between the ray and the centre
+        d2 = tangent**2 * c
+        kept = (b < 0) & (d2 < 1) & (z > 0) & (_disc_depth(outline, ray) >= NEAR_IN_RADII * radius)
+    pixel = np.flatnonzero(kept)
+    ball = eye + z[pixel, None] * step[pixel]
+    pushed_z = z[pixel] * (1 + margin / np.linalg.norm(pole) + ROUNDING)
+    return Fragments(pixel, *np.zeros((2, len(pixel))), d2[pixel], z[pixel], pushed_z, area_px, ball)
+
+
+def _disc_depth(disc: Discs, ray: np.ndarray) -> np.ndarray:
+    normal = np.cross(disc.u[0], disc.v[0])
+    return (disc.centre[0] @ normal) / (ray @ normal)
+
+
+def _small_ellipsoid(outline, distance, facing, view, image, area_px, radius, margin) -> Fragments:
+    """An outline below a pixel somewhere is drawn as a disc is, at the depth of the point that faces the eye."""
+    offset = pixels_of(view) - ray_to_px(outline.centre[0], view)
+    left, half_axes, right = np.linalg.svd(image)
+    on_disc = ((offset @ left) / np.maximum(half_axes, 1e-3)) @ right
+    d2 = np.minimum((on_disc**2).sum(axis=1), (offset**2).sum(axis=1))
+    pixel = np.flatnonzero((d2 < 1) & (outline.centre[0, 2] >= NEAR_IN_RADII * radius))
+    on_disc, d2 = on_disc[pixel], d2[pixel]
+    on_disc /= np.maximum(np.linalg.norm(on_disc, axis=1, keepdims=True), 1)
+    k = np.sqrt(1 - (on_disc**2).sum(axis=1).clip(0, 1))
+    seen = np.column_stack([on_disc * np.sqrt(distance**2 - 1), 1 + distance * k]) / (distance + k)[:, None]
+    z = outline.centre[0, 2] * (distance + 1) / (distance + np.sqrt(1 - d2))
+    pushed_z = z * (1 + margin / np.linalg.norm(outline.centre[0]) + ROUNDING)
+    return Fragments(pixel, on_disc[:, 0], on_disc[:, 1], d2, z, pushed_z, area_px, seen @ facing)
+
+
+def pixels_of(view: Camera) -> np.ndarray:
+    column, row = np.meshgrid(np.arange(view.width_px) + 0.5, np.arange(view.height_px) + 0.5)
+    return np.stack([column.ravel(), row.ravel()], axis=1)
+
+
+def rays_of(px: np.ndarray, view: Camera) -> np.ndarray:
+    return np.column_stack([(px - [view.cx_px, view.cy_px]) / [view.fx_px, view.fy_px], np.ones(len(px))])
+
+
 def image_of(discs: Discs, splat: int, view: Camera) -> np.ndarray:
     """(2, 2): how the projected px moves with x and y on the disc, at its centre."""
     centre = discs.centre[splat]
@@ -142,10 +225,9 @@ def image_of(discs: Discs, splat: int, view: Camera) -> np.ndarray:
 
 
 def fragments_of(discs: Discs, splat: int, line: np.ndarray, view: Camera, radius: float, margin: float) -> Fragments:
-    column, row = np.meshgrid(np.arange(view.width_px) + 0.5, np.arange(view.height_px) + 0.5)
-    px = np.stack([column.ravel(), row.ravel()], axis=1)
+    px = pixels_of(view)
     centre, u, v = discs.centre[splat], discs.u[splat], discs.v[splat]
-    ray = np.column_stack([(px - [view.cx_px, view.cy_px]) / [view.fx_px, view.fy_px], np.ones(len(px))])
+    ray = rays_of(px, view)
     area_px = None
     small = False
     if centre[2] > 2 * radius:
