@@ -65,6 +65,18 @@ def read(folder: Path, name: str, start: int = 0, stop: int | None = None) -> np
     return np.asarray(opened(folder, name)[start:stop])
 
 
+def mapped(folder: Path, name: str) -> np.ndarray:
+    """An array of one chunk, read from disk where it is looked at."""
+    array = opened(folder, name)
+    assert array.chunks == array.shape and not array.compressors, (array.shape, array.chunks)
+    return _chunk(folder, name, array, 0)
+
+
+def _chunk(folder: Path, name: str, array: zarr.Array, index: int) -> np.memmap:
+    path = folder / f"{name}.zarr" / "c" / "/".join([str(index), *"0" * (len(array.shape) - 1)])
+    return np.memmap(path, array.dtype, "r", shape=tuple(array.chunks))
+
+
 def read_rows(folder: Path, name: str, rows: np.ndarray) -> np.ndarray:
     """The rows with these numbers, ascending, of an array whose chunks are whole rows; only they are read from disk."""
     array = opened(folder, name)
@@ -74,9 +86,7 @@ def read_rows(folder: Path, name: str, rows: np.ndarray) -> np.ndarray:
     ends = np.searchsorted(rows, np.arange(0, array.shape[0] + n_rows, n_rows))
     for chunk, (first, end) in enumerate(zip(ends, ends[1:])):
         if first < end:
-            path = folder / f"{name}.zarr" / "c" / str(chunk) / "/".join("0" * len(rest))
-            stored = np.memmap(path, array.dtype, "r", shape=tuple(array.chunks))
-            result[first:end] = stored[rows[first:end] - chunk * n_rows]
+            result[first:end] = _chunk(folder, name, array, chunk)[rows[first:end] - chunk * n_rows]
     return result
 
 

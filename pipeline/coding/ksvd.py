@@ -30,6 +30,7 @@ BLOCK = 8192  # patches whose sums are made in one go; part of the result, as fl
 WORST = 512  # how many badly represented patches a block offers as replacements
 TWIN_COHERENCE = 0.99  # above it two atoms are one (as KSVD-Box)
 TOLERATED_RISE = 0.05  # of the error over the best so far, before a trial is taken back
+MERGED_ATOMS = 4096  # whose moments are merged at a time
 FEWEST_USERS = 4  # an atom with fewer users is replaced (as KSVD-Box)
 
 
@@ -37,7 +38,7 @@ FEWEST_USERS = 4  # an atom with fewer users is replaced (as KSVD-Box)
 class Sums:
     """What a block of patches says about the dictionary; small, and independent of how many patches there are."""
 
-    moment: np.ndarray  # (k, d) float64: sum of v_ik r_i
+    moment: np.ndarray  # (k, d): sum of v_ik r_i, float32 of a block, float64 once merged; (0, d) where it lies elsewhere
     gain: np.ndarray  # (k,) float64: sum of v_ik x_ik
     n_users: np.ndarray  # (k,) int64
     error: float  # sum of squared residuals
@@ -65,7 +66,7 @@ def block_sums(patches: np.ndarray, dictionary: np.ndarray, pursuit: Pursuit) ->
     worst = np.argsort(-error, kind="stable")[:WORST]
     rows = patches[worst].astype(np.float32)
     norms = np.linalg.norm(rows, axis=1, keepdims=True)
-    return Sums(moment.astype(np.float64), gain, n_users, float(error.sum()), len(patches),
+    return Sums(moment, gain, n_users, float(error.sum()), len(patches),
                 error[worst], rows / np.maximum(norms, np.finfo(np.float32).tiny))
 
 
@@ -74,7 +75,7 @@ def merge_sums(a: Sums, b: Sums) -> Sums:
     error = np.concatenate([a.worst_error, b.worst_error])
     keep = np.argsort(-error, kind="stable")[:WORST]
     patch = np.concatenate([a.worst_patch, b.worst_patch])
-    return Sums(a.moment + b.moment, a.gain + b.gain, a.n_users + b.n_users, a.error + b.error,
+    return Sums(np.add(a.moment, b.moment, dtype=np.float64), a.gain + b.gain, a.n_users + b.n_users, a.error + b.error,
                 a.n_patches + b.n_patches, error[keep], patch[keep])
 
 
@@ -87,6 +88,23 @@ def merge_in_order(load: Callable[[int], Sums], start: int, stop: int) -> Sums:
         return load(start)
     middle = (start + stop) // 2
     return merge_sums(merge_in_order(load, start, middle), merge_in_order(load, middle, stop))
+
+
+def merge_moments(load: Callable[[int, slice], np.ndarray], n_blocks: int, shape: tuple[int, int]) -> np.ndarray:
+    """The moments (k, d) of all blocks over the tree of `merge_in_order`, and its very bytes, a range of atoms at a time:
+    `load(block, atoms)` is asked for no more than that, so that beside the result little is held."""
+    merged = np.empty(shape)
+    for start in range(0, shape[0], MERGED_ATOMS):
+        atoms = slice(start, start + MERGED_ATOMS)
+        merged[atoms] = _tree_sum(lambda block: load(block, atoms), 0, n_blocks)
+    return merged
+
+
+def _tree_sum(load: Callable[[int], np.ndarray], start: int, stop: int) -> np.ndarray:
+    if stop - start == 1:
+        return load(start)
+    middle = (start + stop) // 2
+    return np.add(_tree_sum(load, start, middle), _tree_sum(load, middle, stop), dtype=np.float64)
 
 
 def updated_dictionary(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.coding.ksvd import Best, Sums, block_sums, initial_dictionary, judge, merge_in_order, next_trial
+from pipeline.coding.ksvd import (
+    Best, Sums, block_sums, initial_dictionary, judge, merge_in_order, merge_moments, next_trial,
+)
 from pipeline.stages.atoms import load_atoms, store_atoms
 from pipeline.stages.training import training_part
 from storage import arrays, work
@@ -63,17 +65,17 @@ class KsvdUpdate:
         found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0))
         pursuit = found._replace(residual=found.residual + rest)  # errors are those of whole patches
         sums = block_sums(patches, atoms.dictionary, pursuit)
-        work.write_parts(work.parts(folder) / f"sums-{index}.npz", **vars(sums))
+        _store_sums(work.parts(folder), f"sums-{index}", sums)
         return {"n_splats": len(patches), "n_atoms_used": int(pursuit.codes.n_atoms.sum())}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
-        sums = merge_in_order(lambda i: _load_sums(work.parts(folder) / f"sums-{i}.npz"), 0, len(results))
         measured = arrays.read(self.previous, "dictionary")
+        sums = _merged(work.parts(folder), len(results), measured.shape)
         best, accepted = judge(_best_of(self.previous), measured, sums)
         trial, n_replaced = next_trial(best, measured, sums)
         store_atoms(folder, trial)
         arrays.store(folder, "best", best.dictionary.astype(np.float32, copy=False), (4096, best.dictionary.shape[1]))
-        work.write_parts(folder / "best-sums.npz", **vars(best.sums))
+        _store_sums(folder, "best-sums", best.sums)
         return {"squared_error": best.sums.error, "measured_error": sums.error, "accepted": accepted, "step": best.step,
                 "n_patches": sums.n_patches, "n_replaced": n_replaced,
                 "n_atoms_used": sum(r["n_atoms_used"] for r in results)}
@@ -83,11 +85,30 @@ def _best_of(previous: Path) -> Best | None:
     """What the iteration before judged best; None where it was the seed."""
     if not arrays.exists(previous, "best"):
         return None
-    sums = _load_sums(previous / "best-sums.npz")
-    return Best(arrays.read(previous, "best"), sums, work.summary(previous)["step"])
+    sums = _load_sums(previous, "best-sums")
+    return Best(arrays.read(previous, "best"), replace(sums, moment=_moment(previous, "best-sums")), work.summary(previous)["step"])
 
 
-def _load_sums(path: Path) -> Sums:
-    with np.load(path) as stored:
-        fields = {name: stored[name] for name in stored.files}
-    return Sums(**{**fields, "error": float(fields["error"]), "n_patches": int(fields["n_patches"])})
+def _merged(folder: Path, n_tasks: int, shape: tuple[int, int]) -> Sums:
+    """The sums of all tasks. Their moments, k x p each, stay on disk but for a range of atoms at a time."""
+    moments = [_moment(folder, f"sums-{i}") for i in range(n_tasks)]
+    sums = merge_in_order(lambda i: _load_sums(folder, f"sums-{i}"), 0, n_tasks)
+    return replace(sums, moment=merge_moments(lambda i, atoms: moments[i][atoms], n_tasks, shape))
+
+
+def _store_sums(folder: Path, name: str, sums: Sums) -> None:
+    work.write_parts(folder / f"{name}.npz", **{k: v for k, v in vars(sums).items() if k != "moment"})
+    arrays.store(folder, f"{name}-moment", np.asarray(sums.moment), sums.moment.shape)
+
+
+def _load_sums(folder: Path, name: str) -> Sums:
+    """All but the moment."""
+    with np.load(folder / f"{name}.npz") as stored:
+        fields = {key: stored[key] for key in stored.files}
+    nothing = np.empty((0, fields["worst_patch"].shape[1]))
+    return Sums(**{**fields, "error": float(fields["error"]), "n_patches": int(fields["n_patches"]), "moment": nothing})
+
+
+def _moment(folder: Path, name: str) -> np.ndarray:
+    """The moment of stored sums, read where it is looked at."""
+    return arrays.mapped(folder, f"{name}-moment")

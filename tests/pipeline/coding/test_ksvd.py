@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.coding import ksvd
 from pipeline.coding.ksvd import (
     TWIN_COHERENCE, block_sums, initial_dictionary, learn_dictionary, merge_in_order, merge_sums, updated_dictionary,
 )
@@ -124,3 +125,19 @@ def test_ksvd__poor_inputs_give_a_smaller_dictionary_not_a_broken_one(kind):
 def test_ksvd__says_so_where_there_is_nothing_to_learn():
     with pytest.raises(ValueError, match="none of the 10 patches differs from zero"):
         learn_dictionary(np.zeros((10, 48), np.float32), 4)
+
+
+@pytest.mark.parametrize(("n_atoms", "n_blocks"), [(5, 1), (16, 7), (37, 12)])
+def test_ksvd__moments_merged_by_ranges_of_atoms_are_the_same_bytes(n_atoms, n_blocks, monkeypatch):
+    monkeypatch.setattr(ksvd, "MERGED_ATOMS", 16)
+    rng = np.random.default_rng(8)
+    moments = (rng.standard_normal((n_blocks, n_atoms, 6)) * 10.0 ** rng.integers(-3, 4, (n_blocks, 1, 1))).astype(np.float32)
+    sums = [ksvd.Sums(m, np.zeros(n_atoms), np.zeros(n_atoms, int), 0.0, 1, np.zeros(0), np.zeros((0, 6))) for m in moments]
+    seen = []
+
+    def load(block, atoms):
+        seen.append(len(moments[block][atoms]))
+        return moments[block][atoms]
+
+    merged = ksvd.merge_moments(load, n_blocks, (n_atoms, 6))
+    assert (merged == merge_in_order(sums.__getitem__, 0, n_blocks).moment).all() and max(seen) <= 16
