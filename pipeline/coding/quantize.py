@@ -10,18 +10,25 @@ import numpy as np
 from storage.schema import MIP_SIZES
 
 PEAK = 127
+ROWS = 1024  # atoms at a time: what is made on the way takes 8 times the bytes of their texels
 
 
 def quantize_atoms(dictionary: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Texels (k, d) int8 in -127..127 and scales (k,) float32 of unit atoms (k, d)."""
-    step = np.abs(dictionary).max(axis=1, keepdims=True) / PEAK
-    texels = np.round(dictionary / step).astype(np.int8)
-    return texels, (1 / np.linalg.norm(texels.astype(np.float64), axis=1)).astype(np.float32)
+    texels, scale = np.empty(dictionary.shape, np.int8), np.empty(len(dictionary), np.float32)
+    for start in range(0, len(dictionary), ROWS):
+        rows = slice(start, start + ROWS)
+        step = np.abs(dictionary[rows]).max(axis=1, keepdims=True) / PEAK
+        texels[rows] = np.round(dictionary[rows] / step)
+        scale[rows] = 1 / np.linalg.norm(texels[rows].astype(np.float64), axis=1)
+    return texels, scale
 
 
 def dequantize_atoms(texels: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Atoms (k, d) float32, unit rows to float32's precision."""
-    return texels.reshape(len(texels), -1).astype(np.float32) * scale[:, None]
+    atoms = texels.reshape(len(texels), -1).astype(np.float32)
+    atoms *= scale[:, None]
+    return atoms
 
 
 def mip_levels(texels: np.ndarray) -> list[np.ndarray]:
@@ -29,8 +36,8 @@ def mip_levels(texels: np.ndarray) -> list[np.ndarray]:
     size = MIP_SIZES[0]
     full = texels.reshape(-1, size, size, 3)
     levels = [np.empty((len(full), s, s, 3), np.int8) for s in MIP_SIZES]
-    for start in range(0, len(full), 1024):  # means are float64: 16 times the bytes of the texels
-        rows = slice(start, start + 1024)
+    for start in range(0, len(full), ROWS):
+        rows = slice(start, start + ROWS)
         for level, s in zip(levels, MIP_SIZES):
             factor = size // s
             level[rows] = np.round(full[rows].reshape(-1, s, factor, s, factor, 3).mean(axis=(2, 4)))
