@@ -9,7 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coding.ksvd import initial_dictionary
+from pipeline.accuracy import squared_error_at
+from pipeline.coding.ksvd import learn_dictionary
+from pipeline.coding.quantize import dequantize_atoms, quantize_atoms
+from pipeline.coding.subspace import find_components, lift, project
 from pipeline.executors import SerialExecutor
 from pipeline.settings import settings_for
 from pipeline.texture.patches import centred
@@ -49,13 +52,7 @@ def textured_patches(scan: Path, n: int) -> np.ndarray:
     if len(active) < n:
         raise SystemExit(f"{scan} has {len(active)} patches with texture; {n} are needed")
     chosen = np.sort(np.random.default_rng(0).choice(active, n, replace=False))
-    rows = []
-    for block in range(arrays.n_blocks(len(energy))):
-        start, stop = arrays.block_range(block, len(energy))
-        here = chosen[(chosen >= start) & (chosen < stop)] - start
-        rows.append(centred(arrays.read(found[-1], "texel", start, stop)[here],
-                            arrays.read(found[-1], "average", start, stop)[here]))
-    patches = np.concatenate(rows)
+    patches = centred(arrays.read_rows(found[-1], "texel", chosen), arrays.read_rows(found[-1], "average", chosen))
     np.random.default_rng(1).shuffle(patches)
     return patches
 
@@ -75,11 +72,10 @@ def in_turns(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, f
     return {name: float(np.median(times)) for name, times in taken.items()}
 
 
-def some_dictionary(patches: np.ndarray, n_atoms: int) -> np.ndarray:
-    """Patches as atoms after one k-SVD update: near enough to a learned dictionary to time with, and soon made."""
-    from pipeline.coding.ksvd import block_sums, updated_dictionary
-    from pipeline.coding.omp import pursue_patches
-
-    dictionary = initial_dictionary(patches, n_atoms, seed=0)
-    found = pursue_patches(patches, dictionary, max_atoms=4, search="certified")
-    return updated_dictionary(dictionary, block_sums(patches, dictionary, found))[0]
+def learned_dictionary(patches: np.ndarray, n_atoms: int) -> tuple[np.ndarray, np.ndarray]:
+    """A dictionary (n_atoms, d) as the pipeline learns it for 40 dB, but in two passes, and the components (d, p)."""
+    tolerance = squared_error_at(40.0, patches.shape[1])
+    basis, _ = find_components(patches, tolerance / 10)
+    coefficients, rest = project(patches, basis)
+    atoms = learn_dictionary(coefficients, n_atoms, max_atoms=4, tolerance=np.maximum(tolerance - rest, 0), iterations=2)
+    return dequantize_atoms(*quantize_atoms(lift(atoms, basis))), basis

@@ -20,17 +20,24 @@ if TYPE_CHECKING:
 
 
 def run_task(stage: Stage, folder: Path, index: int) -> dict:
-    """Run task `index`; returns its result with `seconds` and `peak_rss_bytes`, which is recorded in the folder.
+    """Run task `index`; returns its result with `seconds`, `processor_seconds` and `peak_rss_bytes`, which
+    is recorded in the folder.
 
     BLAS gets one thread: workers are as many as cores, and sums must not depend on how many threads share them.
     """
-    begun = time.perf_counter()
+    begun, begun_processor = time.perf_counter(), time.process_time()
     _forget_peak()
     with _named(stage.name), threadpoolctl.threadpool_limits(1):
         result = stage.run(folder, index)
-        result = {**result, "seconds": time.perf_counter() - begun, "peak_rss_bytes": _peak_rss_bytes()}
+        result = {**result, "seconds": time.perf_counter() - begun, "peak_rss_bytes": _peak_rss_bytes(),
+                  "processor_seconds": time.process_time() - begun_processor}
         work.record_task(folder, index, result)
     return result
+
+
+def run_tasks(stage: Stage, folder: Path, indices: list[int]) -> list[dict]:
+    """Several tasks as one: their results. Those that were done before a worker died are not done again."""
+    return [work.finished_task(folder, index) or run_task(stage, folder, index) for index in indices]
 
 
 def run_call(name: str, function: Callable, *arguments):

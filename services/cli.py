@@ -109,6 +109,14 @@ def _percent(share: float | None) -> str:
     return "" if share is None else f"{100 * share:.1f} %"
 
 
+def _plan(options: argparse.Namespace) -> int:
+    from services.plan import as_text, plan
+
+    found = plan(options.splats, options.workers, settings_of(options), options.photographs, options.megapixels)
+    print(json.dumps(found) if options.json else as_text(found))
+    return OK
+
+
 def _render(options: argparse.Namespace) -> int:
     from services.rendering import render_views
 
@@ -277,6 +285,16 @@ def _count(text: str) -> int:
     return int(text)
 
 
+def _large_count(text: str) -> int:
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not 1 <= number <= 1e12:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of splats from 1 to 1e12")
+    return int(number)
+
+
 def _size(text: str) -> tuple[int, int]:
     try:
         width, height = (int(part) for part in text.lower().split("x"))
@@ -300,6 +318,7 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("--json", action="store_true")
     check.set_defaults(command=_check)
     _add_effects(commands)
+    _add_plan(commands)
     render = commands.add_parser("render", help="pictures of a packed file")
     render.add_argument("packed", metavar="PACKED")
     view = render.add_mutually_exclusive_group(required=True)
@@ -335,6 +354,17 @@ def _add_effects(commands) -> None:
     effects.add_argument("--json", action="store_true", help="the rows as the last line of stdout")
     _add_executor(effects)
     effects.set_defaults(command=_effects)
+
+
+def _add_plan(commands) -> None:
+    plan = commands.add_parser("plan", help="what a scan of any size would cost on any number of workers")
+    plan.add_argument("--splats", required=True, type=_large_count, metavar="N", help="as 71e6")
+    plan.add_argument("--workers", type=_count, default=24, metavar="N", help="default: 24")
+    plan.add_argument("--photographs", type=int, default=400, metavar="N", help="default: 400")
+    plan.add_argument("--megapixels", type=float, default=10.0, metavar="M", help="of a photograph; default: 10")
+    plan.add_argument("--json", action="store_true")
+    add_settings(plan, ("training_splats", "iterations"))
+    plan.set_defaults(command=_plan)
 
 
 def _add_compress(commands) -> None:

@@ -92,8 +92,18 @@ def finished_tasks(folder: Path) -> dict[int, dict]:
     return {int(p.stem): read_json(p) for p in sorted((folder / "results").glob("*.json"))}
 
 
+def finished_task(folder: Path, index: int) -> dict | None:
+    """The result of one task, if it has finished."""
+    path = _result_path(folder, index)
+    return read_json(path) if path.is_file() else None
+
+
 def record_task(folder: Path, index: int, result: dict) -> None:
-    write_json(folder / "results" / f"{index:06d}.json", result)
+    write_json(_result_path(folder, index), result)
+
+
+def _result_path(folder: Path, index: int) -> Path:
+    return folder / "results" / f"{index:06d}.json"
 
 
 def complete(folder: Path, summary: dict) -> None:

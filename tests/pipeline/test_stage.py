@@ -11,6 +11,7 @@ import pytest
 
 from pipeline.executors import DaskExecutor, SerialExecutor
 from pipeline.stage import run_stage
+from pipeline.task import run_tasks
 from storage import arrays, work
 from storage.errors import InvalidScan, ResourceExhausted
 
@@ -102,6 +103,18 @@ def test_executors__dask_gives_what_the_loop_gives(tmp_path, dask_executor):
     assert here.summary == there.summary and there.n_splats == 95
     assert (arrays.read(there.folder, "square") == np.arange(95) ** 2).all()
     assert sum(e[1] for e in heard.events if e[0] == "advance") == 10
+
+
+def test_executors__many_tasks_go_to_workers_by_the_handful_and_each_counts_once(tmp_path, dask_executor, monkeypatch):
+    monkeypatch.setattr("pipeline.executors.CALLS_A_WORKER", 2)
+    stage, heard = Squares(95, str(tmp_path)), Heard()
+    folder = work.stage_folder(tmp_path / "dask", stage)
+    found = run_stage(stage, tmp_path / "dask", dask_executor, heard)
+    assert found.summary == {"total": sum(i * i for i in range(95))} and found.n_tasks == 10
+    assert sorted(map(int, (tmp_path / "ran").read_text().split())) == list(range(10))
+    assert [e[1] for e in heard.events if e[0] == "advance"][1:] == [1] * 10
+    assert run_tasks(stage, folder, [3, 4]) == [work.finished_task(folder, i) for i in (3, 4)]
+    assert len((tmp_path / "ran").read_text().split()) == 10  # what is done is not done again
 
 
 def test_executors__an_error_in_a_worker_arrives_as_itself(tmp_path, dask_executor):

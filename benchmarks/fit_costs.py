@@ -1,0 +1,145 @@
+"""Fit the cost model of `pipeline/costs.py` to runs of `benchmarks/scaling.py`, or check it on runs it has not seen.
+
+    python -m benchmarks.scaling SCAN --splats 100000 400000 1000000 --workers 1 --out rows.jsonl
+    python -m benchmarks.fit_costs rows.jsonl --write           # pipeline/costs.json
+    python -m benchmarks.fit_costs others.jsonl --check [--json]
+
+Tasks cost the processor seconds they took: a busy machine leaves those almost as they are. What a stage does besides is
+what its seconds exceed those of its tasks by, and means something only where the machine was quiet.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.costs import COSTS, SAMPLE, SAMPLED, SEED, TASKS, TRAINING, Job, StageCost, known_costs, plan_job
+from storage.arrays import BLOCK
+
+PHOTOGRAPHS = {"fountain_p11": (11, 1.573), "monstree": (12, 1.573)}  # number, millions of pixels; of other scans: --photographs
+
+
+FULL = 400_000  # splats
+
+
+def fitted(rows: list[dict]) -> dict[str, StageCost]:
+    return {name: _fit(name, rows) for name in TASKS if any(_stage_of(name) in row["tasks"] for row in rows)}
+
+
+def _fit(name: str, rows: list[dict]) -> StageCost:
+    found = [_measured(name, row) for row in rows if _stage_of(name) in row["tasks"]]
+    units, passes = np.array([f["units"] for f in found]), np.array([f["passes"] for f in found])
+    once = np.maximum([f["once_s"] for f in found], 0) / passes
+    a, b = _line(units, once)
+    low, slope = _memory(np.array([row["splats"] for row in rows if _stage_of(name) in row["tasks"]]),
+                         units, np.array([f["peak"] for f in found]))
+    share = np.median([f["tasks_s"] for f in found] / (units * passes))
+    return StageCost(1e6 * float(share), a, 1e6 * b, float(np.median([f["written"] for f in found] / units)), low, slope)
+
+
+def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Least squares of y = a + b x with neither negative."""
+    from scipy.optimize import nnls
+
+    if len(np.unique(x)) < 2:
+        return float(np.mean(y)), 0.0
+    scale = x.max()
+    (a, b), _ = nnls(np.column_stack([np.ones(len(x)), x / scale]), y)
+    return float(a), float(b / scale)
+
+
+def _memory(splats: np.ndarray, units: np.ndarray, peak: np.ndarray) -> tuple[float, float]:
+    """What a worker needs, and how that grows: by scans of FULL splats and more, whose workers have full blocks and a heap
+    that has settled. Growth within a tenth is none."""
+    full = splats >= FULL
+    if len(np.unique(splats[full])) < 2 or peak[full].max() < 1.1 * peak[full].min():
+        return float(peak.max()), 0.0
+    return _line(units[full], peak[full])
+
+
+def _stage_of(name: str) -> str:
+    return "ingest" if name == "photographs" else name
+
+
+def _measured(name: str, row: dict) -> dict:
+    tasks = row["tasks"][_stage_of(name)]
+    processor, splats, wall = (np.array(tasks[k]) for k in ("processor_seconds", "splats", "seconds"))
+    here = np.ones(len(splats), bool)
+    if _stage_of(name) == "ingest":
+        here = splats == 0 if name == "photographs" else splats > 0
+    units = np.prod(_photographs(row)) if name == "photographs" else _rows_of(name, row, splats)
+    once = 0.0 if name == "photographs" else row["seconds"][name] - wall.sum() / row["workers"]
+    return {"units": units, "passes": tasks["passes"], "tasks_s": processor[here].sum(), "once_s": once,
+            "peak": max(np.array(tasks["peak_rss_bytes"])[here], default=0),
+            "written": 3e6 * units if name == "photographs" else max(0.0, tasks["written_bytes"] - _photograph_bytes(name, row))}
+
+
+def _rows_of(name: str, row: dict, splats: np.ndarray) -> float:
+    if TASKS[name] == SAMPLE:
+        return float(min(row["splats"], SAMPLED * BLOCK))
+    if TASKS[name] in (TRAINING, SEED):
+        return float(sum(row["tasks"]["training-set"]["splats"]))
+    return float(row["splats"])
+
+
+def _photograph_bytes(name: str, row: dict) -> float:
+    return 3e6 * np.prod(_photographs(row)) if name == "ingest" else 0.0
+
+
+def _photographs(row: dict) -> tuple[int, float]:
+    return PHOTOGRAPHS[row["scan"]]
+
+
+def checked(rows: list[dict]) -> list[dict]:
+    """Seconds predicted and measured, all stages of the model together and one by one."""
+    costs = known_costs()
+    result = []
+    for row in rows:
+        n, megapixels = _photographs(row)
+        job = Job(row["splats"], row["workers"], n, megapixels, sum(row["tasks"]["training-set"]["splats"]),
+                  row["tasks"]["ksvd-update"]["passes"])
+        plans = {p.name: p.seconds for p in plan_job(job, costs)}
+        plans["ingest"] += plans.pop("photographs")
+        measured = {name: row["seconds"].get(name, 0.0) for name in plans if name in row["seconds"]}
+        plans = {name: s for name, s in plans.items() if name in row["seconds"]}
+        result.append({"scan": row["scan"], "splats": row["splats"], "workers": row["workers"],
+                       "predicted_s": sum(plans.values()), "measured_s": sum(measured.values()),
+                       "ratio": sum(plans.values()) / sum(measured.values()),
+                       "stages": {name: [plans[name], measured[name]] for name in plans}})
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("rows", type=Path)
+    todo = parser.add_mutually_exclusive_group(required=True)
+    todo.add_argument("--write", action="store_true")
+    todo.add_argument("--check", action="store_true")
+    parser.add_argument("--photographs", nargs=2, type=float, metavar=("N", "MEGAPIXELS"), help="of a scan that is not known")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    rows = [json.loads(line) for line in options.rows.read_text().splitlines()]
+    if options.photographs:
+        PHOTOGRAPHS.update({row["scan"]: (int(options.photographs[0]), options.photographs[1]) for row in rows})
+    if options.write:
+        costs = {name: asdict(cost) for name, cost in fitted(rows).items()}
+        about = sorted({f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers" for row in rows})
+        COSTS.write_text(json.dumps({"fitted_to": about, "stages": costs}, indent=1) + "\n")
+        return
+    found = checked(rows)
+    if options.json:
+        print(json.dumps({"rows": found}))
+        return
+    for row in found:
+        print(f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers: {row['predicted_s']:.1f} s predicted, "
+              f"{row['measured_s']:.1f} measured, ratio {row['ratio']:.2f}")
+        for name, (predicted, measured) in row["stages"].items():
+            print(f"    {name:<16} {predicted:7.2f} {measured:7.2f}")
+
+
+if __name__ == "__main__":
+    main()

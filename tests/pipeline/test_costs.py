@@ -1,0 +1,86 @@
+"""The cost model: its scheduler against what can be reckoned by hand, and what it says breaks first."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.costs import BLOCKS, TASKS, Job, StageCost, first_limit, known_costs, makespan, plan_job
+from pipeline.executors import CALLS_A_WORKER, MOST_A_CALL, tasks_a_call
+from services.plan import plan
+from pipeline.settings import Settings
+from services.scale_document import PATH, document
+from storage.arrays import BLOCK
+
+FLAT = {name: StageCost(10.0, 0.0, 0.0, 100.0, 2e8, 0.0) for name in TASKS}
+
+
+@pytest.mark.parametrize(("n_tasks", "task_s", "n_workers", "dispatch_s", "expected"), [
+    (10, 1.0, 1, 0.0, 10.0), (10, 1.0, 4, 0.0, 3.0), (10, 1.0, 1, 0.5, 15.0),  # alone: handed out, then done
+    (1000, 0.1, 1000, 0.01, 1000 * 0.01 + 0.1),  # the scheduler holds all up
+    (0, 1.0, 3, 0.1, 0.0), (1, 2.0, 500, 0.001, 2.001),
+])
+def test_makespan__is_what_can_be_reckoned_by_hand(n_tasks, task_s, n_workers, dispatch_s, expected):
+    assert makespan(n_tasks, task_s, n_workers, dispatch_s) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("task_s", "n_workers"), [(0.8, 24), (0.01, 24), (0.05, 1000)])
+def test_makespan__of_many_tasks_goes_on_as_it_began(task_s, n_workers, monkeypatch):
+    whole = makespan(20_000, task_s, n_workers)
+    monkeypatch.setattr("pipeline.costs.MOST_SIMULATED", 5_000)
+    assert makespan(20_000, task_s, n_workers) == pytest.approx(whole, rel=0.02)
+
+
+def test_makespan__more_workers_never_take_longer():
+    taken = [makespan(500, 0.03, n) for n in (1, 2, 3, 8, 30, 31, 200, 1000)]
+    assert all(b <= a + 1e-9 for a, b in zip(taken, taken[1:])) and taken[-1] >= 500 * 1e-3
+
+
+def test_plan__splats_twice_as_many_cost_twice_where_nothing_is_fixed():
+    small, large = (plan_job(Job(n * BLOCK, 1, 1, 0.0, training_splats=1), FLAT) for n in (64, 128))
+    block = [(a, b) for a, b in zip(small, large) if TASKS[a.name] == BLOCKS]
+    assert block and all(b.seconds == pytest.approx(2 * a.seconds, rel=0.01) for a, b in block)
+    assert all(b.written_bytes == 2 * a.written_bytes and b.n_tasks == 2 * a.n_tasks for a, b in block)
+
+
+def test_plan__learning_does_not_grow_with_the_scan():
+    seconds = [{p.name: p.seconds for p in plan_job(Job(n, 4, 10), FLAT)}["ksvd-update"] for n in (10**6, 10**9)]
+    assert seconds[0] == seconds[1] > 0
+
+
+@pytest.mark.parametrize(("change", "workers", "words"), [
+    ({}, 1, "nothing"), ({"memory_bytes_a_unit": 100.0}, 1, "memory"), ({}, 5000, "what one process does alone"),
+    ({"task_us_a_unit": 0.001}, 1000, "the scheduler"),
+])
+def test_plan__says_what_breaks_first(change, workers, words):
+    job = Job(100_000_000, workers, 10)
+    costs = {name: replace(cost, **change) for name, cost in FLAT.items()}
+    assert first_limit(job, plan_job(job, costs), 4 << 30)[0].startswith(words)
+
+
+def test_plan__the_costs_that_are_known_are_of_all_stages_and_sound():
+    costs = known_costs()
+    assert set(costs) == set(TASKS)
+    values = np.array([[*vars(cost).values()] for cost in costs.values()])
+    assert np.isfinite(values).all() and (values >= 0).all() and all(cost.task_us_a_unit > 0 for cost in costs.values())
+
+
+def test_plan__more_workers_are_never_slower_and_totals_are_sums():
+    found = plan(71_000_000, 24, Settings(), 441, 9.0)
+    taken = [rung["seconds"] for rung in found["workers"]]
+    assert all(b <= 1.02 * a for a, b in zip(taken, taken[1:]))
+    assert found["seconds"] == pytest.approx(sum(s["seconds"] for s in found["stages"]))
+    assert found["tasks"] == sum(s["n_tasks"] for s in found["stages"])
+
+
+def test_scale__the_document_is_current():
+    assert PATH.read_text() == document(), "write it again: python -m services.scale_document"
+
+
+@pytest.mark.parametrize(("n_tasks", "n_workers"), [(1, 1), (63, 1), (64 * 7, 1), (10**6, 1000), (0, 3)])
+def test_tasks_a_call__keeps_workers_supplied(n_tasks, n_workers):
+    size = tasks_a_call(n_tasks, n_workers)
+    assert 1 <= size <= MOST_A_CALL
+    assert size == 1 or n_tasks // size >= CALLS_A_WORKER * n_workers
