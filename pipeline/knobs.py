@@ -28,6 +28,7 @@ class Knob:
     high: float = math.inf
     optional: bool = False  # None, the default, lets the scan decide
     above_low: bool = False  # `low` itself is not allowed
+    ladder: tuple = ()  # what `splatpress tradeoff` tries of it, unless told otherwise, the most telling first
     canonical: Callable[[str], str] | None = None  # of a list in one text: the one text for what it asks, or ValueError
     words: str = ""  # what such a list allows
 
@@ -105,21 +106,22 @@ KNOBS = (
     Knob("dictionary_bits", int, "bits of an atom's number: 256, 4,096 or 65,536 atoms at most",
          "atoms that fit a splat better: fewer of them for the same error",
          "time of learning and coding; 4,092 bytes an atom, whatever the scan's size; bits in every code; "
-         "texture fetches that miss the GPU's caches", "dictionary-seed", choices=(8, 12, 16)),
+         "texture fetches that miss the GPU's caches", "dictionary-seed", choices=(8, 12, 16), ladder=(8, 12)),
     Knob("weight_bits", int, "bits of a weight", "weights nearer to the best ones", "4 bits more an atom of a splat",
-         "quantise", choices=(4, 8)),
+         "quantise", choices=(4, 8), ladder=(4, 8)),
     Knob("max_atoms", int, "atoms that a splat may take", "error of the splats with the most detail",
-         "bytes and frame time of those splats; time of coding", "ksvd-update", low=0, high=MAX_ATOMS),
+         "bytes and frame time of those splats; time of coding", "ksvd-update", low=0, high=MAX_ATOMS,
+         ladder=(4, 2, 6, 1)),
     Knob("target_psnr_db", float, "where a splat is good enough and takes no further atom",
          "error of every splat that has not yet all its atoms", "atoms: bytes, frame time, time of coding", "training-set",
-         low=10.0, high=80.0),
+         low=10.0, high=80.0, ladder=(42.0, 38.0, 44.0, 36.0, 34.0)),
     Knob("iterations", int, "passes of k-SVD", "a dictionary nearer to its best; each pass gives less than the one before",
-         "time of learning, in proportion", "ksvd-update", low=1, high=1000),
+         "time of learning, in proportion", "ksvd-update", low=1, high=1000, ladder=(3, 1, 12)),
     Knob("least_gain_db", float, "of a pass of k-SVD that another is to follow", "passes that gain more than nothing",
          "time of learning", "ksvd-update", low=0.0, high=10.0),
     Knob("training_splats", int, "splats that the dictionary is learned from",
          "a dictionary that fits what is rare in the scan too", "time of learning, in proportion", "training-set",
-         low=256, high=100_000_000),
+         low=256, high=100_000_000, ladder=(10_000, 80_000, 20_000)),
     Knob("subspace_floor_db", float, "above the target that the components keep which the dictionary is learned in",
          "atoms nearer to those learned from whole patches", "time and memory of learning",
          "components", low=3.0, high=60.0),

@@ -48,13 +48,13 @@ class _Spot:
     error: float
 
 
-def draw_close_ups(variants: Sequence[Variant], packed: Path, ingest: Path, folder: Path) -> list[dict]:
-    """Around chosen splats of `packed`, the best and the worst among them, a picture for each variant, in `folder`.
+def draw_close_ups(variants: Sequence[Variant], packed: Path, ingest: Path, folder: Path, keep: slice = slice(None)) -> list[dict]:
+    """Around chosen splats of `packed`, or those of them that `keep` names, a picture for each variant, in `folder`.
 
     A row a splat: `why`, `camera`, `psnr_db` of the splat, and by variant `pictures`, `psnr_db`, `ssim` and `flip` against
     the first variant.
     """
-    spots = choose_spots(packed, ingest)
+    spots = choose_spots(packed, ingest)[keep]
     cameras = [Camera.from_json(c) for c in work.summary(ingest)["cameras"]]
     views = [close_up(cameras[spot.camera], spot.centre) for spot in spots]
     rows = [{"why": spot.why, "camera": cameras[spot.camera].name, "texture_psnr_db": psnr_of(spot.error),

@@ -179,6 +179,28 @@ def _estimate_lines(found: dict) -> str:
     return "\n".join([*lines, f"from {found['sample']['n_splats']:,} of {found['splats']:,} splats; up to the packed file, with {found['n_workers']} workers"])
 
 
+def _tradeoff(options: argparse.Namespace) -> int:
+    from services.tradeoff import parsed_budget, parsed_knobs, tradeoff
+
+    settings, out = settings_of(options), Path(options.out)
+    try:
+        budget_s, knobs = parsed_budget(options.budget), parsed_knobs(options.knob) if options.knob else None
+    except ValueError as error:
+        raise WrongArgument(str(error)) from error
+    scan = _scan_path(options.scan)
+    _refuse_to_overwrite(out, options.overwrite)
+    with _executor(options) as executor:
+        made = tradeoff(scan, out, settings, executor, _progress(), knobs=knobs, budget_s=budget_s,
+                        render=not options.no_render, work=Path(options.work) if options.work else None)
+    if options.json:
+        print(json.dumps({**made, "out": str(out)}))
+    else:
+        print("\n".join(f"{p['key']:<28}{p['texture_psnr_db']:8.2f} dB{p['bytes_per_splat']:9.2f} B a splat{p['seconds']:9.1f} s"
+                        for p in made["points"]))
+        print(f"page  {out / 'tradeoff.html'}")
+    return OK
+
+
 def _table_1(rows: list[dict]) -> str:
     lines = [f"{'textures':<28}{'texture bytes':>15}{'B a splat':>11}{'PSNR dB':>9}{'visible':>9}{'seconds':>9}"]
     for row in rows:
@@ -342,6 +364,7 @@ def _parser() -> argparse.ArgumentParser:
     demo.set_defaults(command=_demo)
     _add_evaluate(commands)
     _add_estimate(commands)
+    _add_tradeoff(commands)
     add_service_verbs(commands)
     return parser
 
@@ -389,6 +412,19 @@ def _add_evaluate(commands) -> None:
     evaluate.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
     _add_measuring(evaluate)
     evaluate.set_defaults(command=_evaluate)
+
+
+def _add_tradeoff(commands) -> None:
+    tradeoff = commands.add_parser("tradeoff", help="what accuracy costs on this scan: presets, and each knob alone, measured")
+    tradeoff.add_argument("scan", metavar="SCAN")
+    tradeoff.add_argument("--out", required=True, metavar="DIR")
+    add_settings(tradeoff)
+    tradeoff.add_argument("--knob", action="append", default=[], metavar="NAME=V1,V2,...", help="vary these instead of the usual; may be repeated")
+    tradeoff.add_argument("--budget", default="10min", metavar="TIME", help="as 90s, 10min, 2h; default: 10min")
+    tradeoff.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
+    tradeoff.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
+    _add_measuring(tradeoff)
+    tradeoff.set_defaults(command=_tradeoff)
 
 
 def _add_estimate(commands) -> None:

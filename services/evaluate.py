@@ -215,9 +215,9 @@ def _pictures(e: _Evaluation, out: Path) -> dict:
     variants = _variants(e)
     begun = time.perf_counter()
     e.run.progress.begin("pictures", 2)
-    close_ups = draw_close_ups(variants, e.packed[chosen], e.prepared.photos, out)
+    close_ups = e.run.paint(draw_close_ups, variants, e.packed[chosen], e.prepared.photos, out)
     e.run.progress.advance("pictures", 1, 0)
-    passes = time_passes([v for v in variants if v.photos is None or v.name in ("photos LOD 0", "photos LOD 1")])
+    passes = e.run.paint(time_passes, [v for v in variants if v.photos is None or v.name in ("photos LOD 0", "photos LOD 1")])
     e.run.progress.end(StageRecord("pictures", out, {}, time.perf_counter() - begun, 0, 2, 0, False))
     return {"close_ups": close_ups, "passes": passes, "close_ups_of": chosen}
 

@@ -50,6 +50,10 @@ def _at_once(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
     return do()
 
 
+def _here(function: Callable, *arguments):
+    return function(*arguments)
+
+
 @dataclass
 class Run:
     """One job under way: its stages run into one work folder, and what they cost is kept for the report.
@@ -62,6 +66,7 @@ class Run:
     progress: Progress
     step: Callable[[Stage, Callable[[], StageRecord]], StageRecord] = _at_once
     draw: Callable[[Path, Path, Path, Callable[[int, int], None]], list[dict]] = previews_of
+    paint: Callable = _here  # how other pictures are drawn: a function and its arguments
     records: list[StageRecord] = field(default_factory=list)
 
     def do(self, stage: Stage) -> StageRecord:
