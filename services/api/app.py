@@ -9,7 +9,7 @@ from sqlalchemy.exc import InterfaceError, OperationalError
 from starlette.exceptions import HTTPException
 
 from services.api import artifacts, events, health, jobs, page, scans, uploads, words
-from services.api.limits import MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyCap
+from services.api.limits import MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyGuard, Guard, cap, first_look
 from services.problems import INTERNAL, RESOURCE, Problem, is_of_database
 from services.settings import ServiceSettings
 from services.store import Store
@@ -43,15 +43,17 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     for away in (OperationalError, InterfaceError):
         app.add_exception_handler(away, _database)
     app.add_exception_handler(Exception, _mistake)
-    app.add_middleware(BodyCap, limit=lambda method, path: _allowed_body(settings, method, path))
+    app.add_middleware(BodyGuard, guards=lambda *request: _guards(settings, *request))
     app.middleware("http")(_secured)
     return app
 
 
-def _allowed_body(settings: ServiceSettings, method: str, path: str) -> int | None:
+def _guards(settings: ServiceSettings, method: str, path: str, promised: int) -> list[Guard]:
     if method == "PATCH" and path.startswith("/v1/uploads/"):
-        return None
-    return settings.max_multipart_bytes + MULTIPART_OVERHEAD if path == "/v1/scans" else MAX_JSON_BYTES
+        return []  # counts and looks by itself
+    if path == "/v1/scans":
+        return [cap(settings.max_multipart_bytes + MULTIPART_OVERHEAD, promised), first_look(settings, promised)]
+    return [cap(MAX_JSON_BYTES, promised)]
 
 
 async def _secured(request: Request, call_next):

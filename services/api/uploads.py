@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import hmac
+import json
 import shutil
 import time
 from base64 import b64decode
@@ -25,6 +26,7 @@ from starlette.requests import ClientDisconnect
 from pipeline.readers.detect import handled_suffixes
 from services.api.context import Database, JobID, Owner, Settings
 from services.api.documents import upload_document
+from services.first_bytes import Look, look
 from services.problems import Problem
 from services.scans import accept_scan, safe_name
 from services.settings import ServiceSettings
@@ -33,6 +35,8 @@ TUS = {"Tus-Resumable": "1.0.0"}
 ALGORITHMS = ("sha256", "sha1", "md5")
 OFFSET_TYPE = "application/offset+octet-stream"
 MAX_METADATA = 4000
+LOOKED = "looked.json"  # beside the bytes of an upload
+REFUSALS = ("bad-scan", "archive-too-large")
 
 
 def _check_version(request: Request) -> None:
@@ -115,14 +119,40 @@ async def patch(upload: Upload, request: Request, owner: Owner, settings: Settin
             raise Problem(409, "wrong-offset", f"Upload-Offset is {offset}; allowed: {found}", retryable=True,
                           headers={**TUS, "Upload-Offset": str(found)})
         if upload["scan"] is None:
-            await _append(path, request, upload["length"], offset, checksum)
+            look = _Looking(upload, path, settings)
+            try:
+                await _append(path, request, upload["length"], offset, checksum, look)
+            except Problem as problem:
+                if problem.slug in REFUSALS:
+                    _discard(upload, settings, store)
+                problem.headers |= TUS
+                raise
         if upload["scan"] is None and path.stat().st_size == upload["length"]:
             upload = await run_in_threadpool(_accept, upload, path, owner, settings, store)
         return Response(status_code=204, headers={**TUS, **_state(upload, path)})
 
 
-async def _append(path: Path, request: Request, length: int, offset: int, checksum: tuple[str, bytes] | None) -> None:
-    """A piece with a checksum counts whole or not at all; without one, every byte that arrived."""
+class _Looking:
+    """What has been seen of an upload by services/first_bytes.py, kept beside it from one piece to the next."""
+
+    def __init__(self, upload: dict, path: Path, settings: ServiceSettings) -> None:
+        self._upload, self._path, self._settings, self._kept = upload, path, settings, path.with_name(LOOKED)
+        self._done = Look(**json.loads(self._kept.read_text())) if self._kept.exists() else Look()
+
+    def __call__(self, n_there: int) -> None:
+        before = self._done
+        if before.at is not None and n_there > before.at:
+            with open(self._path, "rb") as stream:
+                self._done = look(stream, n_there, self._upload["length"], self._upload["file"], before, self._settings)
+
+    def keep(self) -> None:
+        self._kept.write_text(json.dumps(vars(self._done)))
+
+
+async def _append(path: Path, request: Request, length: int, offset: int, checksum: tuple[str, bytes] | None,
+                  look: _Looking) -> None:
+    """A piece with a checksum counts whole or not at all; without one, every byte that arrived. Looked at as it arrives,
+    or once its checksum has been: damage on the way is no fault of the scan."""
     digest = hashlib.new(checksum[0]) if checksum else None
     whole = False
     with open(path, "r+b", buffering=0) as stream:
@@ -134,6 +164,8 @@ async def _append(path: Path, request: Request, length: int, offset: int, checks
                 if digest:
                     digest.update(block)
                 stream.write(block)
+                if not digest:
+                    look(stream.tell())
             whole = True
         except ClientDisconnect:
             pass
@@ -143,6 +175,8 @@ async def _append(path: Path, request: Request, length: int, offset: int, checks
                 stream.seek(offset)
         if whole and digest and digest.digest() != checksum[1]:
             raise Problem(460, "checksum-mismatch", "the bytes do not have the Upload-Checksum", retryable=True, headers=TUS)
+        look(stream.tell())
+        look.keep()
 
 
 def _accept(upload: dict, path: Path, owner: str, settings: ServiceSettings, store) -> dict:

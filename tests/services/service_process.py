@@ -120,3 +120,4 @@ def service(data: Path, workers: int = 2, log: Path | None = None, **settings: s
                 left.kill()
             except psutil.Error:
                 pass
+    assert "*** Aborted" not in log.read_text()

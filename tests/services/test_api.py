@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import hashlib
 import io
@@ -13,13 +14,16 @@ import zipfile
 import zlib
 from pathlib import Path
 
+import httpx
 import pytest
 import schemathesis
 from fastapi.testclient import TestClient
 from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from services.api.app import create_app
 from services.client import zip_folder
+from services.first_bytes import Look, look
 from services.settings import settings_from
 from services.store import RUNNING
 from services.runner import tidy
@@ -242,6 +246,74 @@ def test_api__a_bad_upload_is_refused_with_its_last_byte_and_leaves_nothing(api)
     where = begin(api, content, "evil.zip")
     problem(api.patch(where, content=content, headers={**PATCH, "Upload-Offset": "0"}), 422, "evil.zip.*leaves the archive")
     assert api.head(where, headers=TUS).status_code == 404 and files_of(api) == before
+
+
+BILLION = b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000\nproperty float x\nend_header\n"
+EARLY = {
+    "a photo that is called a scan": ("a.ply", lambda: b"\x89PNG\r\n\x1a\n" + bytes(99), "begins with"),
+    "no zip": ("a.zip", lambda: bytes(99), "begins with"),
+    "no las": ("a.las", lambda: b"LASX" + bytes(400), "begins with"),
+    "no e57": ("a.e57", lambda: bytes(99), "begins with"),
+    "a billion points": ("a.ply", lambda: BILLION, "1,000,000,000 vertex promised, which need 4,000,000,0.. bytes"),
+    "a billion points in a zip": ("a.zip", lambda: _zip(("s/fused.ply", BILLION))[:-30], "a.zip/s/fused.ply:header: 1,000,000,000 vertex"),
+    "las of a billion": ("a.las", lambda: bytearray(b"LASF").ljust(96, b"\0") + struct.pack("<IIBHI", 375, 0, 0, 20, 10**9).ljust(279, b"\0"),
+                         "a.las:point_count: 1,000,000,000 points promised"),
+    "a name that escapes": ("a.zip", lambda: _zip(("ok", b"x"), ("../evil", b"x")), "leaves the archive"),
+    "a member beyond the end": ("a.zip", lambda: struct.pack("<4s5H3I2H", b"PK\3\4", 20, 0, 0, 0, 0, 0, 4 << 30 - 1, 9, 1, 0) + b"ab", "bytes promised"),
+    "a bomb": ("a.zip", lambda: struct.pack("<4s5H3I2H", b"PK\3\4", 20, 0, 8, 0, 0, 0, 99, 0xFFFFFFF0, 1, 0) + b"a" + bytes(99), "unpacked for one"),
+}
+
+
+@pytest.mark.parametrize("case", EARLY)
+def test_api__a_wrong_beginning_is_refused_at_once(api, case):
+    """Of 6 MB promised, no more than the first few bytes are sent; in one piece, and split in the middle of a header."""
+    name, make, words = EARLY[case]
+    content, before = bytes(make()), files_of(api)
+    for pieces in ([content], [content[: len(content) // 3], content[len(content) // 3:]]):
+        where = begin(api, bytes(6 << 20), name)
+        at = 0
+        for piece in pieces:
+            answer = api.patch(where, content=piece, headers={**PATCH, "Upload-Offset": str(at)})
+            at += len(piece)
+            if answer.status_code != 204:
+                break
+        problem(answer, 422, words)
+        assert api.head(where, headers=TUS).status_code == 404 and files_of(api) == before
+
+
+def test_api__a_multipart_body_with_a_wrong_beginning_is_not_read_to_its_end(api):
+    sent = []
+
+    async def body():
+        yield b'--b\r\nContent-Disposition: form-data; name="file"; filename="a.ply"\r\n\r\n'
+        for _ in range(40):
+            sent.append(1)
+            yield BILLION.ljust(50_000, b"\0") if len(sent) == 1 else bytes(50_000)
+        yield b"\r\n--b--\r\n"
+
+    async def post():
+        transport = httpx.ASGITransport(api.app)  # unlike the test client it hands blocks on one by one
+        async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
+            return await client.post("/v1/scans", content=body(), headers={"Content-Type": "multipart/form-data; boundary=b"})
+
+    problem(asyncio.run(post()), 422, "a.ply:header: 1,000,000,000 vertex promised")
+    assert len(sent) < 10
+
+
+def test_api__a_body_without_a_length_is_counted(api):
+    blocks = (bytes(1 << 20) for _ in range(6))
+    answer = api.post("/v1/scans", content=blocks, headers={"Content-Type": "multipart/form-data; boundary=b"})
+    problem(answer, 413, "more than")
+
+
+@settings(max_examples=150, deadline=None, database=None, suppress_health_check=list(HealthCheck))
+@given(cuts=st.lists(st.integers(0, 10**6), max_size=4))
+def test_first_bytes__a_good_scan_is_let_through_however_it_is_cut(workspace, ball, cuts):
+    for name, content in (("a.zip", workspace), ("a.ply", ball)):
+        done = Look()
+        for n in sorted({c % (len(content) + 1) for c in cuts} | {len(content)}):
+            done = look(io.BytesIO(content[:n]), n, len(content), name, done, settings_from({}))
+        assert done.at is None
 
 
 # --- jobs
