@@ -249,11 +249,17 @@ def _distinct_directions(candidates: np.ndarray, taken: np.ndarray, n_wanted: in
 
 
 def _twin_of_an_earlier(atoms: np.ndarray, alive: np.ndarray) -> np.ndarray:
-    """Which atoms point (or point away) like a living one of lower index; (k,) bool. Block by block, in k x 1024."""
+    """Which atoms point (or point away) like a living one of lower index; (k,) bool. Block by block, in 4 MiB."""
     twin = np.zeros(len(atoms), bool)
-    index = np.arange(len(atoms))
     for start in range(0, len(atoms), 1024):
-        rows = slice(start, start + 1024)
-        close = np.abs(atoms[rows] @ atoms.T) > TWIN_COHERENCE
-        twin[rows] = (close & alive & (index < index[rows, None])).any(axis=1)
+        for earlier in range(0, start + 1024, 1024):
+            _mark_twins(atoms[start : start + 1024] @ atoms[earlier : earlier + 1024].T, start, earlier, alive, twin)
     return twin & alive
+
+
+@numba.njit(cache=True, nogil=True)
+def _mark_twins(product, start, earlier, alive, twin):
+    for i in range(product.shape[0]):
+        for j in range(min(product.shape[1], start + i - earlier)):
+            if abs(product[i, j]) > TWIN_COHERENCE and alive[earlier + j]:
+                twin[start + i] = True
