@@ -63,13 +63,21 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - begun
 
 
-def in_turns(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """Median seconds of each, run in turns so that a busy machine hits all alike; one round before counts not."""
-    taken: dict[str, list[float]] = {name: [] for name in works}
+def in_turns(works: dict[str, Callable[[], object]], rounds: int, processor: dict[str, float] | None = None) -> dict[str, float]:
+    """Median seconds of each, run in turns so that a busy machine hits all alike; one round before counts not.
+
+    `processor` is given the median seconds of processor time, of all threads: what a busy machine changes least.
+    """
+    taken: dict[str, list[tuple[float, float]]] = {name: [] for name in works}
     for round_ in range(rounds + 1):
         for name, work in works.items():
-            taken[name].append(seconds(work)) if round_ else work()
-    return {name: float(np.median(times)) for name, times in taken.items()}
+            begun = time.process_time()
+            found = seconds(work), time.process_time() - begun
+            if round_:
+                taken[name].append(found)
+    if processor is not None:
+        processor.update({name: float(np.median([t[1] for t in times])) for name, times in taken.items()})
+    return {name: float(np.median([t[0] for t in times])) for name, times in taken.items()}
 
 
 def learned_dictionary(patches: np.ndarray, n_atoms: int) -> tuple[np.ndarray, np.ndarray]:

@@ -64,10 +64,14 @@ def ours(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray) -> dict
 def measure(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray, rounds: int) -> dict:
     works = {"GEMM Y D^T": lambda: patches @ dictionary.T} | ours(patches, dictionary, basis)
     others, counts, missing = peers(patches, dictionary)
-    taken = in_turns(works | others, rounds)
+    processor: dict[str, float] = {}
+    taken = in_turns(works | others, rounds, processor)
     rate = {name: counts.get(name, len(patches)) / s for name, s in taken.items()}
+    cost = {name: 1e6 * s / counts.get(name, len(patches)) for name, s in processor.items()}
     error = {name: float(works[name]().residual.sum()) for name in ("exact", "certified", "approximate")}
     return {"atoms": len(dictionary), "patches": len(patches), "components": basis.shape[1], "splats_per_second": rate,
+            "processor_microseconds_a_splat": cost,
+            "certified_times_by_processor": {name: c / cost["certified"] for name, c in cost.items()},
             "certified_times": {name: rate["certified"] / r for name, r in rate.items()},
             "psnr_below_exact_db": {s: 10 * float(np.log10(e / error["exact"])) for s, e in error.items()},
             "missing": missing}
@@ -88,6 +92,8 @@ def main() -> None:
         for name, rate in row["splats_per_second"].items():
             lost = row["psnr_below_exact_db"].get(name)
             print(f"  {name:<32} {rate:10,.0f} splats/s   certified is {row['certified_times'][name]:6.2f} times as fast"
+                  f"   {row['processor_microseconds_a_splat'][name]:8.1f} us of processors, "
+                  f"{row['certified_times_by_processor'][name]:6.2f} times certified's"
                   + (f"   {lost:+.4f} dB below exact" if lost is not None else ""))
         for line in row["missing"]:
             print(f"  {line}")
