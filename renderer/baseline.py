@@ -13,6 +13,7 @@ import moderngl
 import numpy as np
 
 from pipeline.geometry.cliplines import encode_cliplines
+from renderer.effects import defines_of
 from renderer.programs import Programs, set_uniforms
 from renderer.projection import view_to_photo
 from renderer.scene import CLIPLINES, CODES, DRAW_BYTES, ELLIPSOIDS, GpuScene, ellipsoid_fields, storage_buffer
@@ -103,8 +104,9 @@ class PhotoSplats:
     def _draw_camera(self, programs: Programs, view: Camera, camera: int, ellipsoid: bool) -> str:
         first, number = self._spans[camera, ellipsoid]
         has_photo = camera != NO_CAMERA
-        name, drawing = programs.drawing("baseline", PHOTO=int(has_photo), ELLIPSOID=int(ellipsoid),
-                                         CLIPLINE=int(self._lines is not None and not ellipsoid))
+        name, drawing = programs.drawing("baseline", CLIPLINE=int(self._lines is not None and not ellipsoid),
+                                         ELLIPSOID=int(ellipsoid), **defines_of("baseline", self.gpu_scene.drawn),
+                                         PHOTO=int(has_photo))
         set_uniforms(drawing, first_listed=first)
         photo = None
         if has_photo:

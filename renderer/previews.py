@@ -164,6 +164,7 @@ def _row(view: Camera, packed: Picture, baseline: Picture | None, photo: np.ndar
     return {"camera": view.name, "width_px": view.width_px, "height_px": view.height_px} | figures | {
         "coverage": float(covered.mean()),
         "accumulation": packed.accumulation,
+        "programs": list(packed.programs),
         "seconds": packed.pass_seconds,
         "baseline_seconds": baseline.pass_seconds if baseline is not None else None,
     }

@@ -51,8 +51,7 @@ def variant_name(name: str, defines: dict[str, int]) -> str:
     words = [name]
     if "N_ATOMS" in defines:
         words.append(f"atoms={defines['N_ATOMS']}")
-    flags = ("CLIPLINE", "ELLIPSOID", "ELLIPSOIDS", "TURNED", "BY_BATCH", "PHOTO")
-    words += [flag.lower().replace("_", " ") for flag in flags if defines.get(flag)]
+    words += [flag.lower().replace("_", " ") for flag, on in defines.items() if on and flag != "N_ATOMS"]
     return " ".join(words)
 
 

@@ -19,6 +19,8 @@ import numpy as np
 
 from renderer.baseline import PhotoSplats
 from renderer.context import gl_context
+from renderer.effects import defines_of
+from renderer.effects.relighting import AS_PHOTOGRAPHED, Light
 from renderer.programs import Programs, set_uniforms
 from renderer.projection import checked_view, view_block
 from renderer.scene import DRAWS, GpuScene
@@ -62,12 +64,14 @@ class Renderer:
             self._view = self.context.buffer(reserve=_VIEW_BYTES)
         self._targets: Targets | None = None
 
-    def render(self, gpu_scene: GpuScene, view: Camera, max_atoms: int = MAX_ATOMS) -> Picture:
-        """The scene from `view`, each splat with at most `max_atoms` of its atoms.
+    def render(
+        self, gpu_scene: GpuScene, view: Camera, max_atoms: int = MAX_ATOMS, light: Light = AS_PHOTOGRAPHED
+    ) -> Picture:
+        """The scene from `view`, each splat with at most `max_atoms` of its atoms; lit where its effects say that it can be.
 
         Raises: InvalidScan for a view that is not finite, ResourceExhausted for one too large.
         """
-        return self._drawn(gpu_scene, view, lambda frame: self._draw_attributes(frame, gpu_scene, max_atoms))
+        return self._drawn(gpu_scene, view, lambda frame: self._draw_attributes(frame, gpu_scene, max_atoms), light)
 
     def render_baseline(self, photos: PhotoSplats, view: Camera) -> Picture:
         """The same splats from `view`, textured from the photographs themselves: what compression is compared with."""
@@ -76,32 +80,35 @@ class Renderer:
             self._begin_attributes(frame)
             frame.programs += photos.draw(self._programs, view)
 
-        return self._drawn(photos.gpu_scene, view, draw)
+        return self._drawn(photos.gpu_scene, view, draw, AS_PHOTOGRAPHED)
 
     # --- passes ------------------------------------------------------------------------------------------------------
 
-    def _drawn(self, gpu_scene: GpuScene, view: Camera, draw_attributes: Callable[[_Frame], None]) -> Picture:
+    def _drawn(
+        self, gpu_scene: GpuScene, view: Camera, draw_attributes: Callable[[_Frame], None], light: Light
+    ) -> Picture:
         """A picture whose sums are as wide as the scene's overdraw calls for; a scene that once did keeps wide ones."""
         with self.context:
-            picture, overdrawn = self._pass_by_pass(gpu_scene, view, draw_attributes)
+            picture, overdrawn = self._pass_by_pass(gpu_scene, view, draw_attributes, light)
             if overdrawn and picture.accumulation == NARROW:
                 gpu_scene.accumulation = WIDE
-                picture, _ = self._pass_by_pass(gpu_scene, view, draw_attributes)
+                picture, _ = self._pass_by_pass(gpu_scene, view, draw_attributes, light)
         return picture
 
     def _pass_by_pass(
-        self, gpu_scene: GpuScene, view: Camera, draw_attributes: Callable[[_Frame], None]
+        self, gpu_scene: GpuScene, view: Camera, draw_attributes: Callable[[_Frame], None], light: Light
     ) -> tuple[Picture, bool]:
         frame = self._begin(gpu_scene, view)
         with self._pass(frame, "visibility"):
             self._draw_depth(frame, gpu_scene)
         with self._pass(frame, "attribute"):
             draw_attributes(frame)
-        return self._finish(frame)
+        return self._finish(frame, gpu_scene.drawn, light)
 
     def _begin(self, gpu_scene: GpuScene, view: Camera) -> _Frame:
         checked_view(view)
-        frame = _Frame(self._targets_of((view.width_px, view.height_px), gpu_scene.accumulation))
+        lit = "relighting" in gpu_scene.drawn
+        frame = _Frame(self._targets_of((view.width_px, view.height_px), gpu_scene.accumulation, lit))
         self._view.write(view_block(view, gpu_scene.scene.header))
         self._view.bind_to_uniform_block(0)
         gpu_scene.bind()
@@ -121,7 +128,7 @@ class Renderer:
         self.context.depth_func = ">"
         if gpu_scene.has_cliplines or gpu_scene.has_ellipsoids:
             for batch, kind in enumerate(gpu_scene.scene.header.batches):
-                self._draw_batch(frame, gpu_scene, batch, "visibility", CLIPLINE=int(kind.clipline), ELLIPSOID=int(kind.ellipsoid))
+                self._draw_batch(frame, gpu_scene, batch, "visibility", **defines_of("visibility", gpu_scene.drawn, kind))
         else:
             name, drawing = self._programs.drawing("visibility")
             self._draw_groups(gpu_scene, drawing, len(gpu_scene.scene.header.batches))
@@ -132,8 +139,8 @@ class Renderer:
         for batch, kind in enumerate(gpu_scene.scene.header.batches):
             n_atoms = min(kind.n_atoms, max_atoms)
             turned = int(gpu_scene.scene.header.n_turns > 1 and n_atoms > 0)
-            self._draw_batch(frame, gpu_scene, batch, "attribute", N_ATOMS=n_atoms, CLIPLINE=int(kind.clipline),
-                             ELLIPSOID=int(kind.ellipsoid), TURNED=turned)
+            self._draw_batch(frame, gpu_scene, batch, "attribute", N_ATOMS=n_atoms,
+                             **defines_of("attribute", gpu_scene.drawn, kind), TURNED=turned)
 
     def _begin_attributes(self, frame: _Frame) -> None:
         frame.targets.attribute.use()
@@ -142,13 +149,16 @@ class Renderer:
         self.context.depth_func = ">="
         self.context.blend_func = moderngl.ONE, moderngl.ONE
 
-    def _finish(self, frame: _Frame) -> tuple[Picture, bool]:
+    def _finish(self, frame: _Frame, drawn: frozenset[str], light: Light) -> tuple[Picture, bool]:
         """The picture, and whether any of its pixels is overdrawn."""
         with self._pass(frame, "resolve"):
             frame.targets.resolve.use()
             self.context.enable_only(moderngl.NOTHING)
             frame.targets.sums.use(0)
-            name, drawing = self._programs.drawing("resolve")
+            if frame.targets.normals is not None:
+                frame.targets.normals.use(1)
+            name, drawing = self._programs.drawing("resolve", **defines_of("resolve", drawn))
+            set_uniforms(drawing, towards_light=light.towards, ambient=light.ambient, diffuse=light.diffuse)
             drawing.render(moderngl.TRIANGLES, vertices=3)
             frame.programs.append(name)
         width, height = frame.targets.size
@@ -179,10 +189,11 @@ class Renderer:
         self.context.finish()
         frame.pass_seconds[name] = perf_counter() - started
 
-    def _targets_of(self, size: tuple[int, int], accumulation: str) -> Targets:
-        if self._targets is None or (self._targets.size, self._targets.accumulation) != (size, accumulation):
+    def _targets_of(self, size: tuple[int, int], accumulation: str, lit: bool) -> Targets:
+        kept = self._targets
+        if kept is None or (kept.size, kept.accumulation, kept.normals is not None) != (size, accumulation, lit):
             if self._targets is not None:
                 self._targets.release()
                 self._targets = None
-            self._targets = make_targets(self.context, size, accumulation)
+            self._targets = make_targets(self.context, size, accumulation, lit)
         return self._targets

@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.geometry.ellipsoids import lengths_of
 from renderer.atlas import atlas_layout, upload_atlas
-from renderer.targets import NARROW
+from renderer.targets import NARROW, WIDE
 from storage.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.errors import ResourceExhausted
 from storage.packed import PackedScene
@@ -134,9 +134,13 @@ class GpuScene:
     atlas: moderngl.Texture | None = None
     bytes_by_part: dict[str, int] = field(default_factory=dict)
     accumulation: str = NARROW  # what its colours are added up in; the renderer widens it where overdraw calls for it
+    drawn: frozenset[str] = frozenset()  # effects whose shader parts its programs have
 
     def __post_init__(self) -> None:
         header, arrays = self.scene.header, self.scene.arrays
+        self.drawn = frozenset(header.effects)
+        if "accumulation" in self.drawn:
+            self.accumulation = WIDE
         self.bytes_by_part = dict.fromkeys(("geometry", "codes", "colors", "dictionary"), 0)
         with self.context:
             self._upload(SPLATS, "geometry", splat_words(arrays), "position, normal and color")

@@ -24,21 +24,24 @@ class Targets:
     resolve: moderngl.Framebuffer  # sRGB and coverage
     sums: moderngl.Texture  # linear light times weight, weight
     accumulation: str  # format of the sums: NARROW or WIDE
+    normals: moderngl.Texture | None = None  # normal times weight, weight: of scenes that can be lit
 
     def release(self) -> None:
         depth, picture = self.visibility.depth_attachment, self.resolve.color_attachments[0]
-        for resource in (self.visibility, self.attribute, self.resolve, depth, self.sums, picture):
-            resource.release()
+        for resource in (self.visibility, self.attribute, self.resolve, depth, self.sums, self.normals, picture):
+            if resource is not None:
+                resource.release()
 
 
-def make_targets(context: moderngl.Context, size: tuple[int, int], accumulation: str = NARROW) -> Targets:
+def make_targets(context: moderngl.Context, size: tuple[int, int], accumulation: str = NARROW, lit: bool = False) -> Targets:
     limit = context.info["GL_MAX_TEXTURE_SIZE"]
     if max(size) > limit:
         raise ResourceExhausted("picture", f"{size[0]}x{size[1]} px", f"{limit} px to a side")
     depth = float_depth_buffer(context, size)
     sums = context.texture(size, 4, dtype=_TYPES[accumulation])
     sums.filter = moderngl.NEAREST, moderngl.NEAREST
-    attribute = context.framebuffer(sums, depth)
+    normals = context.texture(size, 4, dtype=_TYPES[NARROW]) if lit else None
+    attribute = context.framebuffer([sums, normals] if lit else sums, depth)
     attribute.depth_mask = False
     return Targets(
         size=size,
@@ -47,4 +50,5 @@ def make_targets(context: moderngl.Context, size: tuple[int, int], accumulation:
         resolve=context.framebuffer(context.texture(size, 4)),
         sums=sums,
         accumulation=accumulation,
+        normals=normals,
     )

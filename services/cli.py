@@ -118,10 +118,11 @@ def _plan(options: argparse.Namespace) -> int:
 
 
 def _render(options: argparse.Namespace) -> int:
+    from renderer.effects.relighting import lamp
     from services.rendering import render_views
 
     paths = render_views(_scan_path(options.packed), Path(options.out), camera=options.camera, n_orbit=options.orbit,
-                         size=options.size, max_atoms=options.max_atoms)
+                         size=options.size, max_atoms=options.max_atoms, light=lamp(*options.light) if options.light else None)
     for path in paths:
         print(path)
     return OK
@@ -327,6 +328,16 @@ def _size(text: str) -> tuple[int, int]:
     return width, height
 
 
+def _direction(text: str) -> tuple[float, float, float]:
+    try:
+        right, up, towards = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not RIGHT,UP,TOWARDS, as 1,1,1") from None
+    if not 0 < right * right + up * up + towards * towards < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is no direction; allowed: three finite numbers, one of them not 0")
+    return right, up, towards
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="splatpress", description="Turns textured scans into small packed files that a GPU renders.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
@@ -347,6 +358,8 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("--camera", metavar="NAME", help="one of the scan's cameras")
     view.add_argument("--orbit", metavar="N", type=_count, help="N pictures around the scan")
     render.add_argument("--size", type=_size, metavar="WxH", help="default: the camera's own, or 1280x720")
+    render.add_argument("--light", type=_direction, metavar="RIGHT,UP,TOWARDS",
+                        help="a distant lamp that way from the viewer, as 1,1,1; default: as photographed")
     render.add_argument("--max-atoms", type=int, choices=range(9), default=8, metavar="0..8")
     render.add_argument("--out", required=True, metavar="DIR")
     render.set_defaults(command=_render)

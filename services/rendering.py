@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from renderer.effects.relighting import AS_PHOTOGRAPHED, Light
 from renderer.pictures import save_picture
 from renderer.previews import make_previews, safe_names
 from renderer.renderer import Renderer
@@ -21,8 +22,9 @@ DEFAULT_SIZE = (1280, 720)
 
 
 def render_views(packed: Path, out: Path, *, camera: str | None = None, n_orbit: int | None = None,
-                 size: tuple[int, int] | None = None, max_atoms: int = 8) -> list[Path]:
-    """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`; returns their paths."""
+                 size: tuple[int, int] | None = None, max_atoms: int = 8, light: Light | None = None) -> list[Path]:
+    """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`; returns their paths. With a `light`
+    normals are drawn too, whether or not the file asks for it."""
     with PackedFile(packed) as opened:
         scene = opened.load()
     if camera is not None:
@@ -31,11 +33,13 @@ def render_views(packed: Path, out: Path, *, camera: str | None = None, n_orbit:
         views = orbit_views(scene, n_orbit, size or DEFAULT_SIZE)
     renderer = Renderer()
     gpu_scene = GpuScene(scene, renderer.context)
+    if light is not None:
+        gpu_scene.drawn |= {"relighting"}
     paths = []
     for view, name in zip(views, safe_names([v.name for v in views])):
         paths.append(out / f"{name}.png")
         paths[-1].parent.mkdir(parents=True, exist_ok=True)
-        save_picture(paths[-1], renderer.render(gpu_scene, view, max_atoms).rgb)
+        save_picture(paths[-1], renderer.render(gpu_scene, view, max_atoms, light or AS_PHOTOGRAPHED).rgb)
     return paths
 
 

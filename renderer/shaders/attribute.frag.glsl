@@ -6,7 +6,8 @@
 #endif
 
 flat in vec3 average;
-out vec4 weighted;  // linear light times weight, weight
+layout(location = 0) out vec4 weighted;  // linear light times weight, weight
+#include "lit.frag.glsl"
 
 void main() {
     float d2 = squared_distance();
@@ -20,4 +21,5 @@ void main() {
     vec3 color = average;
 #endif
     weighted = vec4(color, 1.0) * (1.0 - d2);
+    ADD_NORMAL(1.0 - d2)
 }

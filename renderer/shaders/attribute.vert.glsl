@@ -24,6 +24,7 @@
 // half and a quarter of it: 46.8, 43.6, 38.2 dB as it is, 49.7, 45.4, 38.7 half finer, 51.7, 44.4, 36.9 a whole one.
 const float ATOM_AREA = 0.5 * 16.0 * 16.0;
 
+#include "lit.vert.glsl"
 out vec4 place;
 flat out vec3 average;  // in linear light where there are no atoms, else sRGB
 
@@ -31,10 +32,12 @@ void main() {
     uint group = drawn_group(), row = drawn_row();
     uint splat = splat_of_row(group, row);
 #ifdef ELLIPSOID
-    Quad quad = splat_quad(outline_of(decode_ellipsoid(splat, ellipsoids[first_ellipsoid(group) + row])));
+    Disc disc = outline_of(decode_ellipsoid(splat, ellipsoids[first_ellipsoid(group) + row]));
 #else
-    Quad quad = splat_quad(decode_disc(splat));
+    Disc disc = decode_disc(splat);
 #endif
+    Quad quad = splat_quad(disc);
+    SET_NORMAL(disc)
     gl_Position = quad.clip;
     place = quad.place;
 #ifdef N_ATOMS

@@ -2,7 +2,8 @@
 #include "srgb.glsl"
 
 flat in vec3 average;
-out vec4 weighted;
+layout(location = 0) out vec4 weighted;
+#include "lit.frag.glsl"
 #ifdef PHOTO
 layout(binding = 0) uniform sampler2D photo_texture;
 flat in vec3 photo_centre, photo_u, photo_v;
@@ -33,4 +34,5 @@ void main() {
     set_depth(d2);
 #endif
     weighted = vec4(to_linear(photo_color()), 1.0) * (1.0 - d2);
+    ADD_NORMAL(1.0 - d2)
 }

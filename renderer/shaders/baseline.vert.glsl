@@ -15,6 +15,7 @@ layout(std430, binding = 5) readonly buffer Lines { uint lines[]; };  // a clipl
 flat out vec3 clipline;
 #endif
 
+#include "lit.vert.glsl"
 out vec4 place;
 flat out vec3 average;
 #ifdef PHOTO
@@ -37,6 +38,7 @@ void main() {
     Disc disc = decode_disc(splat), square = disc;
 #endif
     Quad quad = splat_quad(disc);
+    SET_NORMAL(disc)
     gl_Position = quad.clip;
     place = quad.place;
     average = decode_color(splat);

@@ -3,10 +3,23 @@
 const float LEAST_WEIGHT = 1.0 / 1024.0;  // below it the 16-bit sums hold no colour worth showing
 const float OVERDRAWN = 16.0;  // above it 16-bit sums may be off by 1/255, see renderer/targets.py
 layout(binding = 0) uniform sampler2D sums;
+#ifdef LIT
+layout(binding = 1) uniform sampler2D normals;  // normal times weight, weight; in camera axes
+uniform vec3 towards_light;
+uniform float ambient, diffuse;
+
+vec3 lit(vec3 linear) {
+    vec3 normal = texelFetch(normals, ivec2(gl_FragCoord.xy), 0).xyz;
+    float facing = dot(normal, towards_light) / max(length(normal), 1e-6);
+    return linear * (ambient + diffuse * max(0.0, facing));
+}
+#else
+vec3 lit(vec3 linear) { return linear; }
+#endif
 out vec4 color;  // sRGB, and 1 where the picture is covered, 0.5 where it is overdrawn
 
 void main() {
     vec4 sum = texelFetch(sums, ivec2(gl_FragCoord.xy), 0);
     float covered = sum.a <= OVERDRAWN ? 1.0 : 0.5;
-    color = sum.a >= LEAST_WEIGHT ? vec4(to_srgb(clamp(sum.rgb / sum.a, 0.0, 1.0)), covered) : vec4(0.0);
+    color = sum.a >= LEAST_WEIGHT ? vec4(to_srgb(clamp(lit(sum.rgb / sum.a), 0.0, 1.0)), covered) : vec4(0.0);
 }

@@ -136,3 +136,13 @@ def test_cli__effects_says_what_a_scan_calls_for(scan, capsys):
     assert code == 0 and all("asked to be off" in line for line in out.splitlines() if line)
     code, _, err = run(capsys, "effects", scan, "--effect", "fog=on")
     assert code == 1 and "allowed: " in err
+
+
+def test_cli__render_lights_a_file_that_was_not_made_for_it(compressed, tmp_path, capsys, renderer):
+    pictures = []
+    for name, light in (("plain", ()), ("lit", ("--light", "1,1,0.2"))):
+        assert run(capsys, "render", compressed / "plane.splatpress", "--orbit", "1", "--size", "80x60", "--out", tmp_path / name, *light)[0] == 0
+        pictures.append(next((tmp_path / name).iterdir()).read_bytes())
+    assert pictures[0] != pictures[1]
+    with pytest.raises(SystemExit):
+        main(["render", "x", "--orbit", "1", "--out", "y", "--light", "0,0,0"])

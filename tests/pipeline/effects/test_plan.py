@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.effects import plan_effects
+from pipeline.effects.accumulation import EFFECT as ACCUMULATION
+from pipeline.effects.accumulation import overdraw
 from pipeline.effects.block import Sources
 from pipeline.effects.depth_margin import EFFECT as DEPTH_MARGIN
 from pipeline.effects.depth_margin import LEAST_RADII, OVERLAP_RADII, histogram_of, residuals
@@ -100,3 +102,19 @@ def test_depth_margin__grows_with_the_noise_of_the_scan():
     # 95 % of the differences of two normal deviates of 0.3 are below 1.96 * sqrt(2) * 0.3 = 0.83
     assert noisy.value == pytest.approx(0.83, rel=0.1) and noisy.outcome["margin_radii"] == pytest.approx(2 * noisy.value)
     assert noisy.outcome["margin_radii"] < wild.outcome["margin_radii"] <= 2 * OVERLAP_RADII
+
+
+# --- accumulation --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("layers", "enabled"), [(1, False), (40, True)])
+def test_accumulation__is_wide_where_a_scan_lies_many_times_on_itself(layers, enabled):
+    rng = np.random.default_rng(1)
+    grid = np.stack(np.meshgrid(np.arange(20), np.arange(20), [0]), axis=-1).reshape(-1, 3) * 0.1
+    position = np.concatenate([grid + rng.normal(0, 0.003, grid.shape) for _ in range(layers)])
+    found = overdraw(position, 0.1, every=7)
+    # Of a grid as wide as the radius the four neighbours count nothing: a layer weighs about 1.
+    assert np.median(found) == pytest.approx(layers, rel=0.15)
+    sums = [{"n": len(found), "n_overdrawn": int((found > 16).sum()), "most": float(np.quantile(found, 0.99))}]
+    plan = plan_effects({"accumulation": ACCUMULATION.conclude(sums, None)}, {})
+    assert ("accumulation" in plan.enabled) == enabled

@@ -1,0 +1,48 @@
+"""32-bit sums of colours: only where so many splats lie on top of each other that 16 bits would show.
+
+The renderer finds out pixel by pixel and draws once more with wide sums where it must (renderer/targets.py); a scan whose
+own surface already lies so thick is drawn so from the start.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pipeline.effects.block import Block, Sources
+from pipeline.effects.effect import Effect, Measured, Worth
+
+EVERY = 32  # splats of a block
+OVERDRAWN = 16.0  # weight of a pixel from which 16-bit sums may be off by 1/255, as in resolve.frag.glsl
+
+
+def overdraw(position: np.ndarray, radius: float, every: int = EVERY) -> np.ndarray:
+    """The summed blending weights 1 - d^2 at the centres of every n-th splat."""
+    tree = cKDTree(position)
+    rows = position[::every]
+    pairs = tree.sparse_distance_matrix(cKDTree(rows), radius, output_type="coo_matrix")
+    weight = 1 - (pairs.data / radius) ** 2
+    return np.bincount(pairs.col, weight, minlength=len(rows))
+
+
+def _measure_block(block: Block) -> dict:
+    found = overdraw(block.centre, block.sources.radius)
+    return {"n": len(found), "n_overdrawn": int((found > OVERDRAWN).sum()), "most": float(np.quantile(found, 0.99))}
+
+
+def _conclude(sums: list[dict], sources: Sources) -> Measured:
+    n = sum(s["n"] for s in sums)
+    return Measured(max((s["most"] for s in sums), default=0.0), sum(s["n_overdrawn"] for s in sums) / n if n else 0.0)
+
+
+EFFECT = Effect(
+    name="accumulation",
+    title="Colours are added up in 32 bits a channel",
+    measures="summed blending weights at a splat's centre, 99 % of the splats of the thickest block",
+    threshold=OVERDRAWN,
+    reason="from a weight of 16 on sums of 16 bits may be off by 1/255 (renderer/targets.py)",
+    worth=Worth("not measured"),
+    measure_block=_measure_block,
+    conclude=_conclude,
+    order=70,
+)

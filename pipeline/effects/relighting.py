@@ -1,0 +1,23 @@
+"""Relighting: whether the renderer adds up normals beside colours, so that a viewer may light the scene."""
+
+from __future__ import annotations
+
+from pipeline.effects.block import Sources
+from pipeline.effects.effect import Effect, Measured, Worth
+
+
+def _conclude(sums: list[dict], sources: Sources) -> Measured:
+    return Measured(1.0, 1.0)
+
+
+EFFECT = Effect(
+    name="relighting",
+    title="Normals are blended too, so that the scene can be lit anew",
+    measures="1 for every scan: all splats have normals",
+    threshold=1.0,
+    reason="photographs have their light in them; another is a wish, not a need of the scan",
+    worth=Worth("not measured"),
+    conclude=_conclude,
+    by_request=True,
+    order=80,
+)
