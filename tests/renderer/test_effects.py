@@ -32,8 +32,8 @@ def plain():
     return build_scene(sheet(np.random.default_rng(0), 200, tilt=0.05))
 
 
-def test_parts__are_those_of_effects_that_there_are():
-    assert shader_parts() and set(shader_parts()) <= set(effects())
+def test_parts__are_those_of_effects_or_of_what_the_file_may_hold():
+    assert shader_parts() and set(shader_parts()) <= set(effects()) | {extra.stream for extra in EXTRAS}
     flags = {extra.flag for extra in EXTRAS}
     assert all(part.flag is None or part.flag in flags for part in shader_parts().values())
 
