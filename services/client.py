@@ -98,6 +98,10 @@ class Client:
         headers = {"Idempotency-Key": key or secrets.token_hex(16)}
         return self._ask("POST", "/v1/jobs", json={"scan": scan, **request}, headers=headers).json()
 
+    def estimate(self, scan: str, preset: str, **options) -> dict:
+        """What a job would take; the first time it is asked for, a pilot runs."""
+        return self._ask("GET", "/v1/jobs/estimate", params={"scan": scan, "preset": preset, **options}, timeout=600).json()
+
     def status(self, job: str) -> dict:
         return self._ask("GET", f"/v1/jobs/{job}").json()
 

@@ -19,6 +19,7 @@ from pipeline.task import error_of_disk
 from services.cluster import GL
 from services.disk import check_room, drop_ballast, take_ballast
 from services.job_progress import JobProgress
+from services.processes import TRADEOFF, process_of_job, settings_of_job
 from services.problems import problem_of_job
 from services.rendering import previews_of
 from services.scheduler_link import SchedulerLink
@@ -26,6 +27,7 @@ from services.scans import file_hash, scan_path, work_folder
 from services.settings import ServiceSettings
 from services.stage_lock import stage_lock
 from services.store import FAILED, SUCCESSFUL, Store
+from services.tradeoff import measure_ladder
 from services.workflow import Run, make
 from storage.work import stage_folder, write_json
 
@@ -115,13 +117,25 @@ class JobRunner:
             job_views = self.store.scan(job["scan"])["header"]["cameras"]["count"] or 4
             return DBOS.run_step({"name": "render"}, on_gl_worker)
 
-        run.step, run.draw = step, draw
+        def paint(function: Callable, *arguments):
+            check_room(self.settings, "pictures")
+            return DBOS.run_step({"name": "pictures"}, lambda: link.call("render", function, *arguments, resources=GL))
+
+        run.step, run.draw, run.paint = step, draw, paint
+        run.clock = lambda: DBOS.run_step({"name": "clock"}, time.time)  # what depends on it must come out the same again
         try:
             with link:
-                make(run, scan, Settings(**job["settings"]), out)
+                self._run_process(run, scan, job, out)
         except OSError as error:  # between the tasks: the packed file, the report
             raise error_of_disk(progress.stage, error) from error
         check()
+
+    def _run_process(self, run: Run, scan: Path, job: dict, out: Path) -> None:
+        process, settings = process_of_job(job), Settings(**settings_of_job(job))
+        if process["name"] == TRADEOFF:
+            measure_ladder(run, scan, out, settings, process["knobs"], process["budget_s"])
+        else:
+            make(run, scan, settings, out)
 
     def _check_of(self, job: dict) -> Callable[[], None]:
         token = dismissal_token(self.settings, job["id"], job["attempt"])

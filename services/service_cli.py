@@ -10,6 +10,7 @@ from pathlib import Path
 
 from pipeline.knobs import BY_NAME
 from services.arguments import WrongArgument, add_preset
+from services.processes import COMPRESS, PROCESSES
 
 OK, ARGUMENTS, INPUT_OUTPUT, INTERNAL, GATE_MISSED = 0, 1, 2, 4, 7
 DEFAULT_URL = "http://127.0.0.1:8000"
@@ -41,6 +42,9 @@ def add_service_verbs(commands) -> None:
     submit.add_argument("scan")
     add_preset(submit)
     submit.add_argument("--option", action="append", default=[], metavar="NAME=VALUE")
+    submit.add_argument("--process", choices=PROCESSES, default=COMPRESS)
+    submit.add_argument("--knob", action="append", default=[], metavar="NAME=V1,V2,...", help="that a tradeoff varies, instead of the usual")
+    submit.add_argument("--budget", metavar="TIME", help="of a tradeoff: 90s, 10min, 2h")
     submit.add_argument("--seed", type=int, default=0)
     submit.add_argument("--name", default="")
     submit.add_argument("--webhook")
@@ -180,11 +184,25 @@ def _submit(options: argparse.Namespace) -> int:
     with _client(options) as client:
         is_id = len(options.scan) == 64 and not Path(options.scan).exists()
         scan = options.scan if is_id else _upload_path(client, Path(options.scan))["id"]
-        request = {"preset": options.preset, "options": _pairs(options.option), "seed": options.seed, "name": options.name}
+        request = {"preset": options.preset, "options": _pairs(options.option), "seed": options.seed, "name": options.name,
+                   **_process(options)}
         job = client.submit(scan, key=options.key, **request, **({"webhook": options.webhook} if options.webhook else {}))
         if options.watch:
             return _watched(client, job["jobID"], options)
     return _print(options, job, job["jobID"])
+
+
+def _process(options: argparse.Namespace) -> dict:
+    """What a request says of a process other than compress."""
+    from services.tradeoff import parsed_budget, parsed_knobs
+
+    if options.process == COMPRESS:
+        return {}
+    try:
+        return {"process": options.process, **({"knobs": parsed_knobs(options.knob)} if options.knob else {}),
+                **({"budget_s": parsed_budget(options.budget)} if options.budget else {})}
+    except ValueError as error:
+        raise WrongArgument(str(error)) from error
 
 
 def _pairs(texts: list[str]) -> dict:

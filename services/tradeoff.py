@@ -16,11 +16,11 @@ from pipeline.stage import Executor, Progress, StageRecord
 from renderer.close_ups import Variant, draw_close_ups, time_passes
 from renderer.report import sizes_of
 from renderer.tradeoff_page import summarised, write_tradeoff
+from services.processes import BUDGET_S
 from services.workflow import Run, code_patches, pack, prepare, put_in_place, resample
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile
 
-BUDGET_S = 600.0
 SPOTS = slice(1, None, 2)  # of `choose_spots`: a good one, a middling one, the worst
 
 
@@ -101,22 +101,22 @@ def measure_ladder(run: Run, scan: Path, out: Path, settings: Settings, knobs: d
 
     Raises: InvalidScan for a scan without photographs.
     """
-    begun = time.monotonic()
+    begun = run.clock()
     folder = out / "packed"
     folder.mkdir(exist_ok=True)
     points, skipped, last, photos = [], [], 0.0, None
     for step in ladder(settings, default_knobs() if knobs is None else knobs):
-        if points and time.monotonic() - begun + last > budget_s:
+        if points and run.clock() - begun + last > budget_s:
             skipped.append({"key": step.key, "command": step.command})
             continue
-        at = time.monotonic()
+        at = run.clock()
         point, photos = _point(run, scan, step, folder)
         points.append(point)
-        last = time.monotonic() - at
+        last = run.clock() - at
     pictures = _pictures(run, points, photos, out) if render else []
     document = summarised({
         "scan": {"name": scan.resolve().name, "n_cameras": points[0]["n_cameras"]},
-        "splats": points[0]["splats"], "preset": settings.preset, "budget_s": budget_s, "seconds": time.monotonic() - begun,
+        "splats": points[0]["splats"], "preset": settings.preset, "budget_s": budget_s, "seconds": run.clock() - begun,
         "n_workers": run.executor.n_workers, "points": points, "skipped": skipped, "close_ups": pictures})
     write_tradeoff(out, document)
     shutil.rmtree(folder)

@@ -8,7 +8,7 @@ from fastapi.responses import JSONResponse
 from sqlalchemy.exc import InterfaceError, OperationalError
 from starlette.exceptions import HTTPException
 
-from services.api import artifacts, events, health, jobs, page, scans, uploads, words
+from services.api import artifacts, estimates, events, health, jobs, page, scans, uploads, words
 from services.api.limits import MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyGuard, Guard, cap, first_look
 from services.problems import INTERNAL, RESOURCE, Problem, is_of_database
 from services.settings import ServiceSettings
@@ -33,7 +33,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         responses={"4XX": _PROBLEM},
     )
     app.state.settings, app.state.store = settings, Store(settings.database_url)
-    for module in (scans, uploads, jobs, events, artifacts, words):
+    for module in (scans, uploads, estimates, jobs, events, artifacts, words):
         app.include_router(module.router, prefix="/v1")
     app.include_router(health.router)
     app.include_router(page.router)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime, timezone
 
+from services.processes import process_of_job, settings_of_job
 from services.settings import ServiceSettings
 from services.store import LIVE
 
@@ -22,10 +23,10 @@ def expires(job: dict, settings: ServiceSettings) -> str | None:
 def job_document(job: dict, settings: ServiceSettings) -> dict:
     """OGC API - Processes, statusInfo, and what this service adds."""
     return {
-        "jobID": job["id"], "type": "process", "processID": "compress", "status": job["status"],
+        "jobID": job["id"], "type": "process", "processID": process_of_job(job)["name"], "status": job["status"],
         "progress": job["progress"], "message": job["message"] or "", "created": timestamp(job["created"]),
         "started": timestamp(job["started"]), "finished": timestamp(job["finished"]), "updated": timestamp(job["updated"]),
-        "name": job["name"], "scan": job["scan"], "settings": job["settings"], "attempt": job["attempt"],
+        "name": job["name"], "scan": job["scan"], "settings": settings_of_job(job), "attempt": job["attempt"],
         "stage": job["stage"], "live": job["live"], "problem": job["problem"], "pinned": job["pinned"],
         "expires_at": expires(job, settings),
         "links": [{"rel": rel, "href": f"/v1/jobs/{job['id']}{tail}"} for rel, tail in (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal, Union
 
@@ -17,6 +16,7 @@ from services.api.context import Database, Job, Owner, Settings
 from services.api.documents import job_document, timestamp
 from services.jobs import dismissal_token
 from services.problems import RESOURCE, Problem
+from services.processes import BUDGET_S, COMPRESS, PROCESSES, stored
 from services.store import DISMISSED, LEVELS, STATES, KeyReused, TooManyJobs
 from services.webhooks import RefusedAddress, check_url
 
@@ -33,9 +33,12 @@ class JobRequest(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     scan: str = Field(pattern="^[0-9a-f]{64}$")
+    process: Literal[*PROCESSES] = COMPRESS
     preset: Literal[*PRESETS] = DEFAULT_PRESET
     options: JobOptions = JobOptions()
     seed: int = Field(0, ge=0, lt=2**63)
+    knobs: dict[str, Annotated[list[int | float | str], Field(max_length=20)]] | None = Field(None, max_length=len(KNOBS))
+    budget_s: float = Field(BUDGET_S, gt=0, le=86_400)
     name: str = Field("", max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")
     webhook: str | None = Field(None, max_length=2000, pattern=r"^[\x21-\x7e]+$")
 
@@ -72,7 +75,8 @@ def post_job(request: JobRequest, response: Response, owner: Owner, settings: Se
 
 def _settings(request: JobRequest) -> dict:
     try:
-        return asdict(settings_for(request.preset, **request.options.model_dump(), seed=request.seed))
+        settings = settings_for(request.preset, **request.options.model_dump(), seed=request.seed)
+        return stored(settings, request.process, request.knobs, request.budget_s)
     except ValueError as error:
         raise Problem(422, "invalid-option", str(error)) from None
 

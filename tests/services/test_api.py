@@ -337,9 +337,34 @@ def test_api__a_job_has_ogc_fields_and_a_key_makes_it_one(api, scan):
     ({"webhook": "http://127.0.0.1/x"}, 422, "private"), ({"webhook": "http://[::ffff:10.0.0.1]/"}, 422, "private"),
     ({"webhook": "http://169.254.169.254/"}, 422, "private"), ({"webhook": "ftp://example.org/"}, 422, "http"),
     ({"webhook": "http://localhost:80/"}, 422, "private"), ({"name": "a\x00b"}, 422, "name"),
+    ({"process": "guess"}, 422, "process"), ({"knobs": {"iterations": [1]}}, 422, "knobs are varied by 'tradeoff' alone"),
+    ({"process": "tradeoff", "knobs": {"speed": [1]}}, 422, "'speed' is no knob"), ({"budget_s": 0}, 422, "budget_s"),
+    ({"process": "tradeoff", "knobs": {"weight_bits": [4, 5]}}, 422, "weight_bits is 5; allowed: 4, 8"),
 ])
 def test_api__wrong_requests_name_the_field_and_what_it_allows(api, scan, change, status, words):
     problem(api.post("/v1/jobs", json={"scan": scan, **change}), status, words)
+
+
+def test_api__a_tradeoff_is_a_process_of_its_own(api, scan):
+    job = api.post("/v1/jobs", json={"scan": scan, "process": "tradeoff", "knobs": {"iterations": [1, 3]}, "budget_s": 60}).json()
+    assert job["processID"] == "tradeoff" and job["settings"] == api.get("/v1/presets").json()[1]["settings"]
+    assert api.post("/v1/jobs", json={"scan": scan}).json()["processID"] == "compress"
+
+
+def test_api__an_estimate_is_made_once_and_then_known(api, scan):
+    found = api.get("/v1/jobs/estimate", params={"scan": scan, "preset": "draft", "iterations": 2})
+    assert found.status_code == 200 and found.json()["splats"] == 50 and found.json()["seconds"]["value"] > 0
+    begun = time.monotonic()
+    assert api.get("/v1/jobs/estimate", params={"scan": scan, "preset": "draft", "iterations": 2}).json() == found.json()
+    assert time.monotonic() - begun < found.elapsed.total_seconds()
+
+
+@pytest.mark.parametrize(("parameters", "words"), [
+    ({"preset": "fast"}, "preset is 'fast'"), ({"iterations": "0"}, "iterations is 0; allowed: 1 to 1,000"), ({"colour": "1"}, "'colour' is no option"),
+    ({"scan": "0" * 64}, "no scan"), ({"scan": "x"}, "scan"), ({"radius": "--help"}, "radius is --help"),
+])
+def test_api__an_estimate_of_nothing_allowed_is_refused(api, scan, parameters, words):
+    problem(api.get("/v1/jobs/estimate", params={"scan": scan, **parameters}), 422, words)
 
 
 def test_api__jobs_are_filtered_and_paged(api, scan):

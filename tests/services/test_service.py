@@ -76,6 +76,16 @@ def test_service__a_job_over_http_packs_the_bytes_of_compress_and_makes_every_ar
     assert {"ksvd-update", "render"} <= {e["data"]["stage"] for e in events if e["kind"] == "progress"}
 
 
+def test_service__a_tradeoff_is_a_job_too(served, uploaded, tmp_path):
+    job = served.client.submit(uploaded, process="tradeoff", preset="draft", options=OPTIONS, knobs={}, budget_s=0.01)["jobID"]
+    ended = served.client.watch(job, lambda event: None)
+    assert ended["status"] == "successful" and ended["processID"] == "tradeoff"
+    served.client.fetch(job, tmp_path, ["tradeoff.json", "tradeoff.html"])
+    document = json.loads((tmp_path / "tradeoff.json").read_text())
+    assert [p["key"] for p in document["points"]] == ["chosen"] and document["points"][0]["frame_seconds"] > 0 and document["skipped"]
+    assert not [a for a in served.client.artifacts(job) if a["name"].startswith("packed/")]
+
+
 def test_service__events_are_replayed_from_the_last_id_that_was_heard(served, uploaded):
     job = served.client.ls(status="successful")[0]["jobID"]
     everything: list[dict] = []
