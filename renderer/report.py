@@ -60,6 +60,7 @@ def build_report(scene: PackedScene, file_bytes: int, record: dict | None = None
         "settings": record.get("settings") or header.settings,
         "estimate": record.get("estimate"),
         "effects": list(record.get("effects") or ()),
+        "programs": sorted({name for view in views for name in view.get("programs") or ()}),
         "warnings": list(scan.get("warnings") or ()),
     })
 

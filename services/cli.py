@@ -92,17 +92,32 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _effects(options: argparse.Namespace) -> int:
-    from services.effects import effects_of
+    from services.effects import effects_of, worth_of_effects
 
     settings, scan = settings_of(options), _scan_path(options.scan)
+    work = Path(options.work) if options.work else None
+    if options.measure:
+        with _executor(options) as executor:
+            found = worth_of_effects(scan, settings, executor, _progress(), work)
+        print(json.dumps(found) if options.json else _variant_lines(found["variants"]))
+        return OK
     with _executor(options) as executor:
-        rows = effects_of(scan, settings, executor, _progress(), Path(options.work) if options.work else None)
+        rows = effects_of(scan, settings, executor, _progress(), work)
     if options.json:
         print(json.dumps(rows))
     else:
         for row in rows:
             print(f"{row['effect']:<16} {'on ' if row['enabled'] else 'off'}  {_percent(row['share']):>7}  {row['reason']}")
     return OK
+
+
+def _variant_lines(variants: list[dict]) -> str:
+    lines = [f"{'variant':<24} {'frame ms':>9} {'GPU bytes':>12} {'file bytes':>12} {'photos dB':>9} {'plan dB':>8}"]
+    for v in variants:
+        decibels = [f"{v[k]:.2f}" if v[k] is not None else "-" for k in ("psnr_vs_photos_db", "psnr_vs_first_db")]
+        lines.append(f"{v['variant']:<24} {1000 * v['frame_s']:>9.1f} {v['gpu_bytes']:>12,} {v['file_bytes']:>12,} "
+                     f"{decibels[0]:>9} {decibels[1]:>8}")
+    return "\n".join(lines)
 
 
 def _percent(share: float | None) -> str:
@@ -385,7 +400,9 @@ def _parser() -> argparse.ArgumentParser:
 def _add_effects(commands) -> None:
     effects = commands.add_parser("effects", help="which effects a scan calls for, and what decided")
     effects.add_argument("scan", metavar="SCAN")
-    add_settings(effects, ("radius", "effects"))
+    effects.add_argument("--measure", action="store_true",
+                         help="pack and draw it as planned, with all on, and with each effect alone off: what each is worth")
+    add_settings(effects)
     effects.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
     effects.add_argument("--json", action="store_true", help="the rows as the last line of stdout")
     _add_executor(effects)

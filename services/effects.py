@@ -1,18 +1,52 @@
-"""What a scan calls for, without compressing it."""
+"""What a scan calls for, without compressing it; and, by compressing it several times, what each effect is worth."""
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from pipeline.effects.request import parse_request
 from pipeline.settings import Settings
 from pipeline.stage import Executor, Progress
-from services.workflow import Run, plan_scan, splats_of
+from renderer.variants import Variant, compare_variants
+from services.workflow import Run, code, is_textured, pack, plan_scan, prepare, splats_of
+from storage.packed import SUFFIX
 
 
 def effects_of(scan: Path, settings: Settings, executor: Executor, progress: Progress, work: Path | None = None) -> list[dict]:
     """The rows of a scan's plan; the stages up to its splats are run for it, in `work` or thrown away."""
-    with tempfile.TemporaryDirectory(prefix="splatpress-effects-") as folder:
-        run = Run(work or Path(folder), executor, progress)
+    with _run(executor, progress, work) as run:
         return plan_scan(run, splats_of(run, scan, settings.radius).sources, parse_request(settings.effects))[0].to_json()
+
+
+def worth_of_effects(
+    scan: Path, settings: Settings, executor: Executor, progress: Progress, work: Path | None = None
+) -> dict:
+    """`rows`, the plan, and `variants`: the scan packed and drawn as planned, with all effects on, and with each that is on
+    alone off; what renderer.variants measures of each, with the seconds that its stages took."""
+    with _run(executor, progress, work) as run, tempfile.TemporaryDirectory(prefix="splatpress-variants-") as folder:
+        plan, variants, seconds = None, [], []
+        requests = {"plan": settings.effects}
+        while len(variants) < len(requests):
+            name = list(requests)[len(variants)]
+            before = len(run.records)
+            prepared = prepare(run, scan, settings.radius, requests[name])
+            coded = code(run, prepared, settings) if is_textured(prepared) else None
+            path = Path(folder) / f"{len(variants)}{SUFFIX}"
+            pack(run, prepared, coded, settings, scan.stem, path)
+            variants.append(Variant(name, path, prepared.photos))
+            seconds.append(sum(record.made_seconds for record in run.records[before:]))
+            if plan is None:
+                plan = prepared.effects
+                requests["all on"] = "all=on"
+                requests |= {f"without {e}": f"{settings.effects},{e}=off" for e in plan.enabled}
+        rows = compare_variants(variants)
+        return {"rows": plan.to_json(), "variants": [row | {"stage_s": s} for row, s in zip(rows, seconds, strict=True)]}
+
+
+@contextmanager
+def _run(executor: Executor, progress: Progress, work: Path | None) -> Iterator[Run]:
+    with tempfile.TemporaryDirectory(prefix="splatpress-effects-") as folder:
+        yield Run(work or Path(folder), executor, progress)

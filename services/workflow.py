@@ -166,6 +166,11 @@ def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[Effe
     return plan_effects(measures_of(found), request, sources.n_splats), dict(surveys)
 
 
+def is_textured(prepared: Prepared) -> bool:
+    """Whether any splat has a photograph."""
+    return prepared.splats.summary["n_without_camera"] < prepared.scan.summary["n_points"]
+
+
 def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
     """Resample patches, and code them."""
     return code_patches(run, resample(run, prepared), settings)
@@ -296,8 +301,7 @@ def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = Tru
     name = scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem
     path = out / (name + SUFFIX)
     prepared = prepare(run, scan, settings.radius, settings.effects)
-    textured = prepared.splats.summary["n_without_camera"] < prepared.scan.summary["n_points"]
-    coded = code(run, prepared, settings) if textured else None
+    coded = code(run, prepared, settings) if is_textured(prepared) else None
     pack(run, prepared, coded, settings, name, path)
     return finish(run, path, prepared, coded, settings, out, render)
 

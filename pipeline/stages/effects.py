@@ -7,8 +7,9 @@ from pathlib import Path
 
 from pipeline.effects.block import Sources
 from pipeline.effects.effect import Measured
+from pipeline.effects.plan import plan_effects
 from pipeline.effects.registry import effects
-from storage import arrays
+from storage import arrays, work
 
 MOST_BLOCKS = 16  # 262,144 splats, evenly among all: a share of 1 % is then known to a hundredth of itself
 
@@ -39,3 +40,13 @@ class MeasureEffects:
 def measures_of(summary: dict) -> dict[str, Measured]:
     """The measures of a summary of the stage."""
     return {name: Measured(**found) for name, found in summary.items()}
+
+
+def known_rows(work_folder: Path) -> list[dict] | None:
+    """The rows of the plan that the scan of a work folder makes by itself, as it was measured last; None if it never was."""
+    measured = [p for p in work_folder.glob(f"{MeasureEffects.name}-*") if work.is_complete(p)]
+    if not measured:
+        return None
+    last = max(measured, key=lambda p: (p / "summary.json").stat().st_mtime_ns)
+    results = work.finished_tasks(last).values()
+    return plan_effects(measures_of(work.summary(last)), {}, sum(r["n_splats"] for r in results)).to_json()

@@ -8,10 +8,11 @@ from typing import Annotated
 from fastapi import APIRouter, File, Query, Response, UploadFile
 from fastapi.concurrency import run_in_threadpool
 
+from pipeline.stages.effects import known_rows
 from services.api.context import Database, Hash, Owner, Settings
 from services.api.documents import scan_document
 from services.problems import Problem
-from services.scans import BLOCK_BYTES, accept_scan, incoming_folder, safe_name
+from services.scans import BLOCK_BYTES, accept_scan, incoming_folder, safe_name, work_folder
 
 router = APIRouter(tags=["scans"])
 
@@ -44,8 +45,8 @@ def get_scans(owner: Owner, settings: Settings, store: Database, limit: Annotate
 
 @router.get("/scans/{id}")
 def get_scan(id: Hash, owner: Owner, settings: Settings, store: Database) -> dict:
-    """Counts, cameras, bounds, warnings, and what the scan calls for."""
+    """Counts, cameras, bounds, warnings, and what the scan calls for: `effects`, once a job has measured it."""
     scan = store.scan(id, owner)
     if scan is None:
         raise Problem(404, "no-such-scan", f"no scan {id}")
-    return scan_document(scan, settings)
+    return scan_document(scan, settings) | {"effects": known_rows(work_folder(settings, id))}

@@ -1,0 +1,87 @@
+"""Packed files of one scan side by side: what each costs to draw and to keep, and how near it comes to the photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+from renderer.compare import psnr_db
+from renderer.pictures import resized
+from renderer.previews import even_choice, limited_view
+from renderer.renderer import Picture, Renderer
+from renderer.report import sizes_of
+from renderer.scene import GpuScene
+from renderer.views import orbit_views, view_of
+from storage import arrays
+from storage.packed import PackedFile
+from storage.schema import Camera
+
+N_VIEWS, MAX_SIDE_PX, ORBIT_PX = 4, 1024, (960, 720)
+ROUNDS = 3  # every variant is drawn once a round, so that a machine's mood falls on all alike
+WARM_UP_PX = (64, 48)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A packed file under a name, and the folder of the photographs that it was textured from."""
+
+    name: str
+    packed: Path
+    photos: Path
+
+
+def compare_variants(variants: Sequence[Variant]) -> list[dict]:
+    """A row a variant: `frame_s` (median over views of the best of ROUNDS), `gpu_bytes`, `file_bytes`, `psnr_vs_photos_db`
+    (mean over views, over the pixels that all variants cover; each against the photographs as it was textured from them),
+    `psnr_vs_first_db` (against the first variant's picture) and the `programs` that drew it. None without photographs."""
+    renderer = Renderer()
+    scenes = []
+    for variant in variants:
+        with PackedFile(variant.packed) as packed:
+            scenes.append(GpuScene(packed.load(), renderer.context))
+    cameras = scenes[0].scene.header.cameras
+    chosen = even_choice(len(cameras), N_VIEWS)
+    views = [limited_view(cameras[i], MAX_SIDE_PX) for i in chosen] or orbit_views(scenes[0].scene, N_VIEWS, ORBIT_PX)
+    seconds = [[] for _ in variants]
+    figures = [{"psnr_vs_photos_db": [], "psnr_vs_first_db": []} for _ in variants]
+    programs = [set() for _ in variants]
+    for scene in scenes:
+        renderer.render(scene, view_of(views[0], WARM_UP_PX))  # compiles
+    for i, view in enumerate(views):
+        pictures, best = _rounds(renderer, scenes, view)
+        covered = np.logical_and.reduce([picture.coverage for picture in pictures])
+        for k, picture in enumerate(pictures):
+            seconds[k].append(best[k])
+            programs[k] |= set(picture.programs)
+            figures[k]["psnr_vs_first_db"].append(psnr_db(picture.rgb, pictures[0].rgb, covered))
+            if chosen:
+                photo = resized(arrays.read(variants[k].photos, f"photo_{chosen[i]}"), view.width_px, view.height_px)
+                figures[k]["psnr_vs_photos_db"].append(psnr_db(picture.rgb, photo, covered))
+    rows = [{
+        "variant": variant.name, "frame_s": median(seconds[k]), "file_bytes": variant.packed.stat().st_size,
+        "gpu_bytes": sizes_of(scenes[k].scene, 0)["gpu_bytes"], **{name: _mean(values) for name, values in figures[k].items()},
+        "programs": sorted(programs[k]),
+    } for k, variant in enumerate(variants)]
+    for scene in scenes:
+        scene.release()
+    return rows
+
+
+def _rounds(renderer: Renderer, scenes: list[GpuScene], view: Camera) -> tuple[list[Picture], list[float]]:
+    """The picture of each scene, and the seconds of the quickest of its frames."""
+    best = [float("inf")] * len(scenes)
+    pictures: list[Picture | None] = [None] * len(scenes)
+    for _ in range(ROUNDS):
+        for k, scene in enumerate(scenes):
+            pictures[k] = renderer.render(scene, view)
+            best[k] = min(best[k], sum(pictures[k].pass_seconds.values()))
+    return pictures, best
+
+
+def _mean(values: list[float | None]) -> float | None:
+    known = [v for v in values if v is not None]
+    return sum(known) / len(known) if known else None
