@@ -1,0 +1,56 @@
+"""Ellipsoids, where a scan is thinner than its splats: ropes, wires, twigs, chains, small balls.
+
+Paper: 2020, sections 3.1 (fit) and 3.2 (rendering, `renderer/shaders/ellipsoid.glsl`); which splats become one is the
+question that its sections 5.3.1 and 6 leave open, and `decision.py` answers.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.effects.block import Block, Sources
+from pipeline.effects.effect import Effect, Measured, Worth
+from pipeline.effects.ellipsoids.decision import REACH_RADII, decide
+from pipeline.effects.ellipsoids.fit import moments, principal_axes
+from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, gather, thinned
+from pipeline.effects.ellipsoids.noise import BINS, histogram_of, noise_radii, thirds_of
+from pipeline.effects.ellipsoids.stage import Ellipsoids
+from pipeline.stage import Stage
+
+EVERY = 8  # splats of a measured block: 2,048 neighbourhoods
+
+
+def _measure_block(block: Block) -> dict:
+    """Neighbourhoods here end at the block's own splats: those at its rim, a few per cent, seem a little thinner."""
+    radius = block.sources.radius
+    around = gather(block.position[::EVERY], thinned(block.position, CELL_RADII * radius), REACH_RADII * radius)
+    histogram = histogram_of(thirds_of(around) / radius)
+    deviation, _ = principal_axes(moments(around.offset, around.count)[1])
+    thin = decide(around, deviation, radius, noise_radii(histogram) * radius).ellipsoid
+    return {"n_thin": int(thin.sum()), "n": len(thin), "thirds": histogram.tolist()}
+
+
+def _conclude(sums: list[dict], sources: Sources) -> Measured:
+    share = sum(s["n_thin"] for s in sums) / max(1, sum(s["n"] for s in sums))
+    thirds = np.sum([s["thirds"] for s in sums], axis=0) if sums else np.zeros(BINS, np.int64)
+    return Measured(share, share, {"noise_radii": noise_radii(thirds)})
+
+
+def _build(sources: Sources, outcome: dict) -> Stage:
+    return Ellipsoids(Path(sources.partition), sources.radius, outcome["noise_radii"])
+
+
+EFFECT = Effect(
+    name="ellipsoids",
+    title="Splats on what is thinner or rounder than a disc are ellipsoids",
+    measures="share of splats whose neighbourhood no plane explains, up to one clipline",
+    threshold=THRESHOLD,
+    reason="flat scans have less from noise alone",
+    worth=Worth("not measured"),
+    measure_block=_measure_block,
+    conclude=_conclude,
+    build=_build,
+    order=20,
+)
