@@ -16,7 +16,7 @@ from pipeline.geometry.cliplines import encode_cliplines
 from renderer.effects import defines_of
 from renderer.programs import Programs, set_uniforms
 from renderer.projection import view_to_photo
-from renderer.scene import CLIPLINES, CODES, DRAW_BYTES, ELLIPSOIDS, GpuScene, ellipsoid_fields, storage_buffer
+from renderer.scene import CLIPLINES, CODES, DRAW_BYTES, ELLIPSOIDS, GpuScene, storage_buffer
 from storage.bits import unpack_bits
 from storage.errors import InvalidScan, ResourceExhausted
 from storage.packed import PackedScene
@@ -40,7 +40,7 @@ def splats_by_camera(scene: PackedScene) -> tuple[np.ndarray, dict[tuple[int, bo
 def ellipsoid_words(scene: PackedScene) -> np.ndarray:
     """The ellipsoid of every splat (n,) uint32, 0 where it is a disc."""
     words = np.zeros(scene.header.n_splats, np.uint32)
-    splat, fields = ellipsoid_fields(scene)
+    splat, fields = scene.ellipsoids
     words[splat] = fields.view("<u4")[:, 0]
     return words
 

@@ -18,7 +18,7 @@ from renderer.targets import NARROW, WIDE
 from storage.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.errors import ResourceExhausted
 from storage.packed import PackedScene
-from storage.schema import ELLIPSOID_FIELDS, GROUP, MAX_ATOMS, MIP_SIZES
+from storage.schema import GROUP, MAX_ATOMS, MIP_SIZES
 
 # Bindings of the shader storage blocks; the shaders say the same numbers.
 SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS, ELLIPSOIDS = range(10)
@@ -88,17 +88,9 @@ def longest_in_groups(scene: PackedScene) -> np.ndarray:
     """How far a splat of each group reaches from its centre, (n_groups,) float64."""
     reach = np.full(scene.header.n_groups, scene.header.radius)
     if "ellipsoids" in scene.arrays:
-        splat, fields = ellipsoid_fields(scene)
+        splat, fields = scene.ellipsoids
         np.maximum.at(reach, splat // GROUP, lengths_of(fields, scene.header.radius).max(axis=1))
     return reach
-
-
-def ellipsoid_fields(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
-    """Which splats are ellipsoids (m,), and their fields (m, ELLIPSOID_FIELDS) uint8."""
-    row = scene.rows.extra["ellipsoid"]
-    splat = np.flatnonzero(row >= 0)
-    word = scene.arrays["ellipsoids"][scene.arrays["ellipsoid_word"][splat // GROUP].astype(np.int64) + row[splat]]
-    return splat, word.astype("<u4").view(np.uint8).reshape(len(splat), ELLIPSOID_FIELDS)
 
 
 def weight_table(arrays: dict[str, np.ndarray]) -> np.ndarray:

@@ -86,6 +86,7 @@ class Prepared:
     splats: StageRecord
     radius: float
     sources: Sources
+    held_out: tuple[int, ...] = ()  # photographs that texture nothing
     effects: EffectPlan = EffectPlan((), {})
     built: tuple[tuple[str, Path], ...] = ()  # by effect, what its encoder made
 
@@ -126,8 +127,19 @@ def with_effects(run: Run, prepared: Prepared, request: str) -> Prepared:
     """Splats with the effects that they call for."""
     plan, surveys = plan_scan(run, prepared.sources, parse_request(request))
     stages = ((name, effects()[name].build(prepared.sources, plan.outcomes[name], surveys.get(name))) for name in plan.enabled)
-    built = tuple((name, run.do(stage).folder) for name, stage in stages if stage is not None)
-    return replace(prepared, effects=plan, built=built)
+    built = {name: run.do(stage).folder for name, stage in stages if stage is not None}
+    prepared = replace(prepared, effects=plan)
+    if "ellipsoids" in built:
+        prepared = _with_ellipsoids(run, prepared, built["ellipsoids"])
+        built["ellipsoids"] = prepared.splats.folder
+    return replace(prepared, built=tuple(built.items()))
+
+
+def _with_ellipsoids(run: Run, prepared: Prepared, ellipsoids: Path) -> Prepared:
+    """The splats once more, where their ellipsoids lie, so that textures are sampled on what is drawn."""
+    s = prepared.sources
+    splats = run.do(Splats(s.ingest, s.partition, s.neighbours, s.depth_maps, s.radius, prepared.held_out, ellipsoids))
+    return replace(prepared, splats=splats, sources=replace(s, splats=splats.folder))
 
 
 def splats_of(run: Run, scan: Path, radius: float | None, held_out: tuple[int, ...] = ()) -> Prepared:
@@ -152,7 +164,7 @@ def splats_from(run: Run, ingest: StageRecord, partition: StageRecord, scan: str
     splats = run.do(Splats(ingest.folder, partition.folder, neighbours.folder, depth, radius, held_out))
     sources = Sources(ingest.folder, partition.folder, neighbours.folder, depth, splats.folder, radius,
                       *directions_of(ingest.summary["cameras"]))
-    return Prepared(ingest, partition, neighbours, splats, radius, sources)
+    return Prepared(ingest, partition, neighbours, splats, radius, sources, held_out)
 
 
 def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[EffectPlan, dict[str, Path]]:

@@ -10,7 +10,7 @@ import numpy as np
 from storage.batches import Rows, group_batch_counts, rows_of
 from storage.bits import words_for
 from storage.codes import unpack_codes
-from storage.schema import BY_NAME, CHUNK, EXTRAS, GROUP, MAX_ATOMS, NO_CAMERA, Header
+from storage.schema import BY_NAME, CHUNK, ELLIPSOID_FIELDS, EXTRAS, GROUP, MAX_ATOMS, NO_CAMERA, Header
 
 POSITION_BITS = 24
 
@@ -29,6 +29,16 @@ class PackedScene:
     @cached_property
     def n_atoms(self) -> np.ndarray:  # (n,) int64
         return np.array([batch.n_atoms for batch in self.header.batches])[self.rows.batch]
+
+    @property
+    def ellipsoids(self) -> tuple[np.ndarray, np.ndarray]:
+        """Which splats are ellipsoids (m,), and their fields (m, ELLIPSOID_FIELDS) uint8."""
+        row = self.rows.extra["ellipsoid"]
+        splat = np.flatnonzero(row >= 0)
+        if not len(splat):
+            return splat, np.zeros((0, ELLIPSOID_FIELDS), np.uint8)
+        word = self.arrays["ellipsoids"][self.arrays["ellipsoid_word"][splat // GROUP].astype(np.int64) + row[splat]]
+        return splat, word.astype("<u4").view(np.uint8).reshape(len(splat), ELLIPSOID_FIELDS)
 
     def codes(self, start: int = 0, stop: int | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Atoms and weight codes of the splats start..stop, two (n, MAX_ATOMS) int32, zero beyond their n_atoms."""

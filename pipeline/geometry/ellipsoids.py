@@ -13,6 +13,7 @@ from pipeline.geometry.frame import Direction, tangent_frames
 TURNS = 256  # of half a turn: an axis has no direction
 STEPS_AN_OCTAVE = 32
 LONGEST_STEP = 255
+MEAN_HEIGHT = 2 / 3  # of half a ball over its disc
 ONE_RADIUS = 191  # so from 2^-5.97 to 2^2 radii
 LONGEST_RADII = 2.0 ** ((LONGEST_STEP - ONE_RADIUS) / STEPS_AN_OCTAVE)
 SHORTEST_RADII = 2.0 ** (-ONE_RADIUS / STEPS_AN_OCTAVE)
@@ -45,6 +46,20 @@ def decode_ellipsoids(
     first = np.cos(angle) * u + np.sin(angle) * v
     second = np.cos(angle) * v - np.sin(angle) * u
     return np.stack([first, second, normal], axis=1) * lengths_of(fields, radius)[..., None]
+
+
+def squares_of(
+    centre: np.ndarray, u: np.ndarray, v: np.ndarray, ellipsoid: np.ndarray, axes: np.ndarray, radius: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Middles and tangents (n, 3), these in radii, of the squares that splats are textured on.
+
+    `centre`, `u`, `v` are those of discs; `ellipsoid` (m,) which are ellipsoids, `axes` (m, 3, 3) their half axes. Their
+    square spans the first two, as far towards the side that the normal looks to as the surface lies on average.
+    """
+    centre, u, v = centre.copy(), u.copy(), v.copy()
+    centre[ellipsoid] += MEAN_HEIGHT * axes[:, 2]
+    u[ellipsoid], v[ellipsoid] = axes[:, 0] / radius, axes[:, 1] / radius
+    return centre, u, v
 
 
 def lengths_of(fields: np.ndarray, radius: float) -> np.ndarray:

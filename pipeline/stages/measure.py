@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.accuracy import psnr_db
 from pipeline.coding.grid import shown, turned_texels
 from pipeline.coding.quantize import dequantize_atoms
+from pipeline.geometry.ellipsoids import decode_ellipsoids, squares_of
 from pipeline.geometry.frame import tangent_frames
 from pipeline.geometry.positions import Boxes, decode_positions
 from pipeline.coding.omp_kernels import add_atoms
@@ -57,8 +58,8 @@ class Measure:
 
     def _resample(self, scene: PackedScene, first_splat: int) -> Patches:
         header, a = scene.header, scene.arrays
-        u, v, _ = tangent_frames(a["normal"], header.up, header.ahead)
-        return make_patches(header.cameras, self._read_window, header.origin, decoded_positions(scene), (u, v), header.radius,
+        centre, tangents = scene_squares(scene)
+        return make_patches(header.cameras, self._read_window, header.origin, centre, tangents, header.radius,
                             a["camera"], a["color"], first_splat)
 
     def _read_window(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
@@ -89,6 +90,16 @@ def splat_errors(ingest: Path, packed: Path, index: int) -> SplatErrors:
         plain[rows] = ((mean - wanted) ** 2).mean(axis=1)
         error[rows] = (((mean + decode_patches(scene, rows, atoms, levels)).clip(0, 1) - wanted) ** 2).mean(axis=1)
     return SplatErrors(decoded_positions(scene) + scene.header.origin, scene.arrays["camera"], error, plain)
+
+
+def scene_squares(scene: PackedScene) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Middles and tangents of the squares that the splats of a scene are textured on, all (n, 3)."""
+    header, normal_code = scene.header, scene.arrays["normal"]
+    centre, (u, v, _) = decoded_positions(scene), tangent_frames(normal_code, header.up, header.ahead)
+    has, fields = scene.ellipsoids
+    axes = decode_ellipsoids(fields, normal_code[has], header.up, header.ahead, header.radius)
+    centre, u, v = squares_of(centre, u, v, has, axes, header.radius)
+    return centre, (u, v)
 
 
 def decoded_positions(scene: PackedScene) -> np.ndarray:

@@ -129,6 +129,9 @@ def kinds_of(n_atoms: np.ndarray, extras: tuple[tuple[str, Path], ...], start: i
     flags = dict(extras)
     columns = [arrays.read(flags[e.flag], f"has_{e.flag}", start, stop) if e.flag in flags else np.zeros(stop - start, bool)
                for e in EXTRAS]
+    if {"clipline", "ellipsoid"} <= flags.keys():
+        clipline, ellipsoid = ([e.flag for e in EXTRAS].index(flag) for flag in ("clipline", "ellipsoid"))
+        columns[clipline] = columns[clipline] & ~columns[ellipsoid]  # the disc that would have been cut is not drawn
     return np.stack([n_atoms, *columns], axis=1).astype(np.int64)
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.accuracy import psnr_db
-from pipeline.geometry.frame import Direction, tangent_frames
-from pipeline.stages.splats import decoded_centres
+from pipeline.geometry.frame import Direction
+from pipeline.stages.splats import decoded_squares
 from pipeline.stages.strata import census
 from pipeline.texture.patches import Patches, make_patches
 from pipeline.texture.resample import PATCH_DIM
@@ -58,13 +58,13 @@ def resampled_block(photos: Path, partition: Path, splats: Path, radius: float, 
     """The patches of block `index`; `photos` is a stage's folder with photo_<i> and their cameras in its summary."""
     points = work.summary(partition)
     start, stop = arrays.block_range(index, points["n_splats"])
-    u, v, _ = tangent_frames(arrays.read(splats, "normal_code", start, stop), up, ahead)
+    centre, tangents = decoded_squares(splats, up, ahead, radius, start, stop)
 
     def read_window(camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
         return np.asarray(arrays.opened(photos, f"photo_{camera}")[top:bottom, left:right])
 
     return make_patches(
         tuple(Camera.from_json(c) for c in work.summary(photos)["cameras"]), read_window, tuple(points["origin"]),
-        decoded_centres(splats, start, stop), (u, v), radius, arrays.read(splats, "camera", start, stop),
+        centre, tangents, radius, arrays.read(splats, "camera", start, stop),
         arrays.read(splats, "color", start, stop), start,
     )

@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.geometry.ellipsoids import decode_ellipsoids, encode_ellipsoids, squares_of
+from pipeline.geometry.frame import Direction, directions_of, tangent_frames
 from pipeline.geometry.normals import decode_normals, encode_normals
 from pipeline.geometry.positions import Boxes, decode_positions, encode_positions, fit_boxes
 from pipeline.splats.cameras import best_cameras
 from pipeline.splats.normals import turned_to
 from pipeline.splats.visibility import seen_points
 from storage import arrays, work
-from storage.schema import CHUNK, NO_CAMERA, Camera
+from storage.schema import CHUNK, ELLIPSOID_FIELDS, NO_CAMERA, Camera
 
 # A scan with neither colour nor intensity is shown as grey plaster under a lamp above and to the side: a flat grey
 # would show its outline only.
@@ -32,6 +34,7 @@ class Splats:
     depth_maps: Path | None
     radius: float
     held_out: tuple[int, ...] = ()  # cameras that texture nothing
+    ellipsoids: Path | None = None  # has_ellipsoid, centre and axes: these lie and look as their ellipsoids do
     name = "splats"
 
     def init(self, folder: Path) -> int:
@@ -41,6 +44,9 @@ class Splats:
             arrays.create(folder, name, shape, dtype)
         for name, dtype in (("box_low", "float32"), ("box_size", "float32"), ("box_bits", "uint8")):
             arrays.create(folder, name, (-(-n // CHUNK), 3), dtype, (arrays.BLOCK // CHUNK, 3))
+        if self.ellipsoids:
+            arrays.create(folder, "has_ellipsoid", (n,), "bool")
+            arrays.create(folder, "ellipsoid", (n, ELLIPSOID_FIELDS), "uint8")
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:
@@ -50,10 +56,16 @@ class Splats:
         absolute = position + points["origin"]
         normal = arrays.read(self.neighbours, "normal", start, stop).astype(np.float64)
         camera = self._cameras(scan, absolute, normal, start, stop)
-        normal = turned_to(normal, self._towards_viewer(scan, absolute, normal, camera, start, stop))
-        boxes, code, normal_code = fit_boxes(position), None, encode_normals(normal)
+        towards = self._towards_viewer(scan, absolute, normal, camera, start, stop)
+        color = self._colors(scan, turned_to(normal, towards), start, stop)
+        if self.ellipsoids:
+            self._take_ellipsoids(position, normal, start, stop)
+        normal = turned_to(normal, towards)
+        boxes, normal_code = fit_boxes(position), encode_normals(normal)
         code = encode_positions(position, boxes)
-        self._write(folder, start, code, normal_code, camera, self._colors(scan, normal, start, stop), boxes)
+        self._write(folder, start, code, normal_code, camera, color, boxes)
+        if self.ellipsoids:
+            self._write_ellipsoids(folder, scan, normal_code, start, stop)
         off = np.linalg.norm(decode_positions(code, boxes) - position, axis=1)
         cosine = np.clip((decode_normals(normal_code) * normal).sum(axis=1), -1, 1)
         return {"n_splats": stop - start, "n_without_camera": int((camera == NO_CAMERA).sum()),
@@ -70,6 +82,21 @@ class Splats:
             arrays.write(folder, name, start, rows)
         for name, rows in (("box_low", boxes.low), ("box_size", boxes.size), ("box_bits", boxes.bits)):
             arrays.write(folder, name, start // CHUNK, rows)
+
+    def _take_ellipsoids(self, position: np.ndarray, normal: np.ndarray, start: int, stop: int) -> None:
+        """Move what is an ellipsoid to its centre, and let it look along its shortest axis."""
+        has = arrays.read(self.ellipsoids, "has_ellipsoid", start, stop)
+        shortest = arrays.read(self.ellipsoids, "axes", start, stop)[has, 2].astype(np.float64)
+        position[has] = arrays.read(self.ellipsoids, "centre", start, stop)[has]
+        normal[has] = shortest / np.linalg.norm(shortest, axis=1, keepdims=True)
+
+    def _write_ellipsoids(self, folder: Path, scan: dict, normal_code: np.ndarray, start: int, stop: int) -> None:
+        has = arrays.read(self.ellipsoids, "has_ellipsoid", start, stop)
+        fields = np.zeros((stop - start, ELLIPSOID_FIELDS), np.uint8)
+        axes = arrays.read(self.ellipsoids, "axes", start, stop)[has].astype(np.float64)
+        fields[has] = encode_ellipsoids(normal_code[has], *directions_of(scan["cameras"]), axes, self.radius)
+        arrays.write(folder, "has_ellipsoid", start, has)
+        arrays.write(folder, "ellipsoid", start, fields)
 
     def _cameras(self, scan: dict, absolute: np.ndarray, normal: np.ndarray, start: int, stop: int) -> np.ndarray:
         cameras = tuple(Camera.from_json(c) for c in scan["cameras"])
@@ -126,6 +153,19 @@ def seen_by_cameras(
         candidate = arrays.read(partition, "candidate", start, stop).astype(np.int64)
         np.put_along_axis(seen, np.minimum(candidate, len(cameras)), True, axis=1)
     return seen[:, : len(cameras)]
+
+
+def decoded_squares(
+    splats: Path, up: Direction, ahead: Direction, radius: float, start: int, stop: int
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Middles and tangents of the squares that the splats of a block of whole chunks are textured on, all (n, 3)."""
+    normal_code = arrays.read(splats, "normal_code", start, stop)
+    centre, (u, v, _) = decoded_centres(splats, start, stop), tangent_frames(normal_code, up, ahead)
+    if arrays.exists(splats, "has_ellipsoid"):
+        has = np.flatnonzero(arrays.read(splats, "has_ellipsoid", start, stop))
+        axes = decode_ellipsoids(arrays.read(splats, "ellipsoid", start, stop)[has], normal_code[has], up, ahead, radius)
+        centre, u, v = squares_of(centre, u, v, has, axes, radius)
+    return centre, (u, v)
 
 
 def decoded_centres(splats: Path, start: int, stop: int) -> np.ndarray:

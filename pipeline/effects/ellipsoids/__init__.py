@@ -12,8 +12,7 @@ import numpy as np
 
 from pipeline.effects.block import Block, Sources
 from pipeline.effects.effect import Effect, Measured, Worth
-from pipeline.effects.ellipsoids.decision import REACH_RADII, decide
-from pipeline.effects.ellipsoids.fit import moments, principal_axes
+from pipeline.effects.ellipsoids.decision import REACH_RADII, thin_splats
 from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, gather, thinned
 from pipeline.effects.ellipsoids.noise import BINS, histogram_of, noise_radii, thirds_of
 from pipeline.effects.ellipsoids.stage import Ellipsoids
@@ -25,10 +24,9 @@ EVERY = 8  # splats of a measured block: 2,048 neighbourhoods
 def _measure_block(block: Block) -> dict:
     """Neighbourhoods here end at the block's own splats: those at its rim, a few per cent, seem a little thinner."""
     radius = block.sources.radius
-    around = gather(block.position[::EVERY], thinned(block.position, CELL_RADII * radius), REACH_RADII * radius)
-    histogram = histogram_of(thirds_of(around) / radius)
-    deviation, _ = principal_axes(moments(around.offset, around.count)[1])
-    thin = decide(around, deviation, radius, noise_radii(histogram) * radius).ellipsoid
+    point, around = block.position[::EVERY], thinned(block.position, CELL_RADII * radius)
+    histogram = histogram_of(thirds_of(gather(point, around, REACH_RADII * radius)) / radius)
+    thin = thin_splats(point, around, radius, noise_radii(histogram) * radius)
     return {"n_thin": int(thin.sum()), "n": len(thin), "thirds": histogram.tolist()}
 
 
@@ -38,15 +36,15 @@ def _conclude(sums: list[dict], sources: Sources) -> Measured:
     return Measured(share, share, {"noise_radii": noise_radii(thirds)})
 
 
-def _build(sources: Sources, outcome: dict) -> Stage:
-    return Ellipsoids(Path(sources.partition), sources.radius, outcome["noise_radii"])
+def _build(sources: Sources, outcome: dict, survey: Path | None) -> Stage:
+    return Ellipsoids(sources.partition, sources.radius, outcome["noise_radii"])
 
 
 EFFECT = Effect(
     name="ellipsoids",
     title="Splats on what is thinner or rounder than a disc are ellipsoids",
     measures="share of splats whose neighbourhood no plane explains, up to one clipline",
-    threshold=THRESHOLD,
+    threshold=0.01,
     reason="flat scans have less from noise alone",
     worth=Worth("not measured"),
     measure_block=_measure_block,

@@ -9,6 +9,9 @@ on what is thinner than the disc or more curved than the disc can follow.
 tolerance of the plane and on the kept side, those in a ring around the splat are sorted by direction; the longest run
 of directions without a wide gap is the arc. Inside a plane it is the full turn, at a border half of it; on a rope it is
 as narrow as the rope, at either end; on a ball next to nothing, as all that lies a radius away is off the plane.
+
+Scan lines further apart than a splat look like wires, but have their like on both sides: what seems thin is looked at
+again in twice and three times the reach, and is a disc after all where a plane explains nearly the full turn there.
 """
 
 from __future__ import annotations
@@ -19,7 +22,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from pipeline.effects.ellipsoids.neighbourhoods import LEAST_AFTER_OUTLIERS, Neighbourhood
+from pipeline.effects.ellipsoids.fit import moments, principal_axes
+from pipeline.effects.ellipsoids.neighbourhoods import LEAST_AFTER_OUTLIERS, OUTLIER_REACHES, Neighbourhood, gather
 
 # Lengths in splat radii, angles in radians. Tuned on the room of tests/thin_scene.py, seeds 0 to 2, with noise of
 # 0.05 to 0.23 radii; the test measures other seeds.
@@ -30,6 +34,9 @@ LEAST_ARC = math.radians(110)
 TOLERANCE_RADII = 0.3
 TOLERANCE_SIGMAS = 4.0  # of the scan's noise, where that is more
 MOST_TOLERANCE_RADII = 0.8  # noise beyond it hides whatever is thinner than a disc
+WIDER = (2.0, 3.0)
+WIDER_ARC = math.radians(270)
+WIDEST_RADII = OUTLIER_REACHES * REACH_RADII  # how far from a splat anything is looked at
 HYPOTHESES = 32  # planes through three members; a quarter of the threes at a crease lie on one side of it
 LINES = 16  # directions a line may have
 # A neighbourhood whose second deviation is at most this is thin whatever a plane explains: half a disc of REACH_RADII
@@ -58,12 +65,30 @@ def decide(around: Neighbourhood, deviation: np.ndarray, radius: float, noise: f
     flat = (sigma[:, 2] <= 0.5 * tolerance) & (sigma[:, 1] >= WIDE_RADII)
     open_ = np.flatnonzero(enough & ~line & ~flat)
     arc = np.where(flat, 2 * math.pi, 0.0)
-    arc[open_] = _best_arcs(around.offset[open_] / radius, around.count[open_], tolerance)
+    arc[open_] = _best_arcs(around.offset[open_] / radius, around.count[open_], tolerance, LEAST_ARC)
     return Verdict(enough & ~flat & (arc < LEAST_ARC), arc)
 
 
+def thin_splats(point: np.ndarray, around: np.ndarray, radius: float, noise: float) -> np.ndarray:
+    """Which of `point` (n, 3) call for an ellipsoid, (n,) bool. `around` (m, 3) are the scan's points, thinned by CELL_RADII, to
+    WIDEST_RADII about them."""
+    near = gather(point, around, REACH_RADII * radius)
+    deviation, _ = principal_axes(moments(near.offset, near.count)[1])
+    thin = decide(near, deviation, radius, noise).ellipsoid
+    for scale in WIDER:
+        rows = np.flatnonzero(thin)
+        thin[rows] = ~flat_further_out(gather(point[rows], around, scale * REACH_RADII * radius), scale * radius, noise)
+    return thin
+
+
+def flat_further_out(around: Neighbourhood, radius: float, noise: float) -> np.ndarray:
+    """Where a plane explains nearly all directions, (n,) bool, for splats as large as `radius`."""
+    tolerance = min(max(TOLERANCE_RADII, TOLERANCE_SIGMAS * noise / radius), MOST_TOLERANCE_RADII)
+    return _best_arcs(around.offset / radius, around.count, tolerance, WIDER_ARC) >= WIDER_ARC
+
+
 @numba.njit(cache=True, nogil=True)
-def _best_arcs(offset, count, tolerance):
+def _best_arcs(offset, count, tolerance, enough):
     """The longest arc (n,) of any hypothesis; stops at the first that is long enough."""
     n, most, _ = offset.shape
     best = np.zeros(n)
@@ -78,7 +103,7 @@ def _best_arcs(offset, count, tolerance):
             best[i] = max(best[i], _arc_of_plane(count[i], height, x, y, tolerance))
             height[: count[i]] *= -1
             best[i] = max(best[i], _arc_of_plane(count[i], height, x, y, tolerance))
-            if best[i] >= LEAST_ARC:
+            if best[i] >= enough:
                 break
     return best
 

@@ -13,22 +13,30 @@ from pipeline.effects.ellipsoids.neighbourhoods import gather
 REACH_RADII = 1.5
 SIGMAS = 3.0
 MOST_EXTENTS = 1.25
+LINE_SHARE = 0.3  # of the second deviation in the first: half a disc has 0.53
 LEAST_RADII = 0.25  # of the half axes: of a thing seen from one side, or by one row of points, less is known
 
 
 def fit(point: np.ndarray, around: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Where the ellipsoid's centre lies from its point, (n, 3), and its half axes as rows (n, 3, 3), longest first.
 
-    `point` (n, 3), `around` distinct points that hold all neighbours. Guarantees: axes at right angles, right-handed,
-    LEAST_RADII or more; a point that has no neighbourhood is a ball of that radius.
+    `point` (n, 3), `around` distinct points that hold all neighbours. Neighbours beyond the reach count only where all
+    are strung on a line, as along a wire: others that lie so far away have gaps between them. Guarantees: axes at
+    right angles, right-handed, LEAST_RADII or more, across the longest no more than the disc's radius; a point that has
+    no neighbourhood is a ball of LEAST_RADII.
     """
     members = gather(point, around, REACH_RADII * radius)
-    mean, covariance = moments(members.offset, members.count)
+    count = members.count
+    deviation, _ = principal_axes(moments(members.offset, count)[1])
+    near = (np.linalg.norm(members.offset, axis=2) <= REACH_RADII * radius) & (np.arange(members.offset.shape[1]) < count[:, None])
+    count = np.where(deviation[:, 1] <= LINE_SHARE * deviation[:, 0], count, near.sum(axis=1))
+    mean, covariance = moments(members.offset, count)
     deviation, direction = principal_axes(covariance)
     off = np.abs((members.offset - mean[:, None]) @ direction.transpose(0, 2, 1))
-    off[np.arange(off.shape[1]) >= members.count[:, None]] = 0
-    length = np.maximum(np.minimum(SIGMAS * deviation, MOST_EXTENTS * off.max(axis=1)), LEAST_RADII * radius)
-    return mean, direction * length[..., None]
+    off[np.arange(off.shape[1]) >= count[:, None]] = 0
+    length = np.minimum(SIGMAS * deviation, MOST_EXTENTS * off.max(axis=1))
+    length[:, 1:] = np.minimum(length[:, 1:], radius)
+    return mean, direction * np.maximum(length, LEAST_RADII * radius)[..., None]
 
 
 def moments(offset: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

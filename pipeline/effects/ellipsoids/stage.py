@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.effects.ellipsoids.decision import REACH_RADII, decide
-from pipeline.effects.ellipsoids.fit import fit, moments, principal_axes
-from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, OUTLIER_REACHES, gather, thinned
+from pipeline.effects.ellipsoids.decision import WIDEST_RADII, thin_splats
+from pipeline.effects.ellipsoids.fit import fit
+from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, thinned
 from storage import arrays, work
 
 
@@ -33,9 +33,7 @@ class Ellipsoids:
         start, stop = arrays.block_range(index, work.summary(self.partition)["n_splats"])
         position = arrays.read(self.partition, "position", start, stop)
         points = self._points_about(index)
-        around = gather(position, thinned(points, CELL_RADII * self.radius), REACH_RADII * self.radius)
-        deviation, _ = principal_axes(moments(around.offset, around.count)[1])
-        thin = decide(around, deviation, self.radius, self.noise_radii * self.radius).ellipsoid
+        thin = thin_splats(position, thinned(points, CELL_RADII * self.radius), self.radius, self.noise_radii * self.radius)
         centre, axes = np.zeros((stop - start, 3)), np.zeros((stop - start, 3, 3), np.float32)
         if thin.any():
             offset, axes[thin] = fit(position[thin], np.unique(points, axis=0), self.radius)
@@ -53,7 +51,7 @@ class Ellipsoids:
         """All points of the scan that can be neighbours of a block's: those in its box, grown by the outlier distance."""
         summary = work.summary(self.partition)
         low, high = np.array(summary["block_low"]), np.array(summary["block_high"])
-        reach = OUTLIER_REACHES * REACH_RADII * self.radius
+        reach = WIDEST_RADII * self.radius
         from_, to = low[index] - reach, high[index] + reach
         found = []
         for block in np.flatnonzero(((low <= to) & (high >= from_)).all(axis=1)):
