@@ -88,6 +88,7 @@ def test_api__a_scan_is_known_by_its_content(api, workspace):
     assert first.json()["id"] == again.json()["id"] == hashlib.sha256(workspace).hexdigest()
     found = api.get(first.headers["location"]).json()
     assert found["points"] == 144 and found["cameras"]["count"] == 3 and found["path"] == "plane.zip" and "textures" in found["calls_for"][0]
+    assert found["effects"] is None  # until a job has measured it
 
 
 def _zip(*entries: tuple[str, bytes], mode: int = 0o644) -> bytes:
