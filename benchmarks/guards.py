@@ -14,7 +14,7 @@ import types
 
 import numpy as np
 
-from benchmarks.patches import arguments, in_turns, some_dictionary, textured_patches
+from benchmarks.patches import arguments, in_turns, learned_dictionary, textured_patches
 from pipeline.coding import ksvd, omp, omp_kernels
 from pipeline.texture import patches as texture_patches
 from pipeline.texture.patches import make_patches
@@ -111,7 +111,7 @@ def main() -> None:
     options = arguments(__doc__).parse_args()
     patches = textured_patches(options.scan, options.patches)
     n_atoms = options.atoms[0]
-    dictionary = some_dictionary(patches, n_atoms)
+    dictionary = learned_dictionary(patches, n_atoms)[0]
     pairs = {"pursuit": pursuits(patches, dictionary), "projection": projections(), "learning": learning(patches, n_atoms),
              "checks of inputs": checks(patches, dictionary)}
     found = {}
