@@ -11,7 +11,10 @@ test: setup
 setup:
 	@deploy/setup.sh $(VENV)
 
-# After a change of pyproject.toml's dependencies; needs uv.
+COMPILE = uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
+	--no-emit-find-links --custom-compile-command "make lock"
+
+# deploy/requirements.lock is the same without what only tests need: for the image. After a change of pyproject.toml's dependencies; needs uv.
 lock:
-	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
-		--no-emit-find-links --custom-compile-command "make lock" --output-file requirements.lock
+	$(COMPILE) --extra dev --output-file requirements.lock
+	$(COMPILE) --constraint requirements.lock --output-file deploy/requirements.lock

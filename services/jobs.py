@@ -87,7 +87,7 @@ class JobRunner:
         work = work_folder(self.settings, job["scan"])
         work.mkdir(parents=True, exist_ok=True)
         scan = scan_path(self.settings, self.store.scan(job["scan"]))
-        link = SchedulerLink(self.scheduler, self.store, job["id"], check, out / PERFORMANCE)
+        link = SchedulerLink(self.scheduler, self.store, job["id"], check, out / PERFORMANCE, self.settings.performance_from_s)
         run = Run(work, link, progress)
 
         def step(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
@@ -98,6 +98,8 @@ class JobRunner:
 
             record = DBOS.run_step({"name": stage.name}, bring_about)
             progress.passed(record)
+            if stage.name == "ingest":
+                self.store.note_of_scan(job["scan"], bounds={"min": record.summary["low"], "max": record.summary["high"]})
             if stage.name == "ksvd-update":
                 write_json(out / LEARNING, progress.learning)
             return record
@@ -135,7 +137,7 @@ class JobRunner:
         if process["name"] == TRADEOFF:
             measure_ladder(run, scan, out, settings, process["knobs"], process["budget_s"])
         else:
-            make(run, scan, settings, out)
+            self.store.note_of_scan(job["scan"], effects=make(run, scan, settings, out)["effects"])
 
     def _check_of(self, job: dict) -> Callable[[], None]:
         token = dismissal_token(self.settings, job["id"], job["attempt"])

@@ -27,8 +27,10 @@ class SchedulerLink:
 
     n_workers = 1
 
-    def __init__(self, address: Callable[[], str], store: Store, job: str, check: Callable[[], None], report: Path) -> None:
+    def __init__(self, address: Callable[[], str], store: Store, job: str, check: Callable[[], None], report: Path,
+                 report_from_s: float) -> None:
         self._address, self._store, self._job, self._check, self._report_path = address, store, job, check, report
+        self._report_due = time.monotonic() + report_from_s
         self._executor: DaskExecutor | None = None
         self._report = None
         self._met = ""  # the scheduler's id; another one after every start
@@ -37,8 +39,8 @@ class SchedulerLink:
         return self
 
     def __exit__(self, error: type | None, *_) -> None:
-        """Leaves Dask's performance report, if there is a scheduler to ask."""
-        if self._executor is not None:
+        """Leaves Dask's performance report, if the job was long enough and there is a scheduler to ask."""
+        if self._executor is not None and time.monotonic() >= self._report_due:
             end_report(self._executor.client, self._report, REPORT_S if error is None else REPORT_OF_FAILURE_S)
         self._close()
 

@@ -208,16 +208,25 @@ class Store:
                 _replace_artifacts(connection, id, artifacts)
 
     @_patient
-    def dismiss(self, id: str) -> bool:
-        """False where it was dismissed before."""
+    def dismiss(self, id: str) -> str | None:
+        """What the job was until now; None where it was dismissed before. One that had ended loses its artifacts."""
         now = time.time()
         with self.engine.begin() as connection:
-            done = connection.execute(JOBS.update().where(JOBS.c.id == id, JOBS.c.status != DISMISSED).values(
-                status=DISMISSED, finished=sa.func.coalesce(JOBS.c.finished, now), updated=now, live=None,
-                webhook_due=_due(now))).rowcount == 1
-            if done:
-                connection.execute(_event(id, "status", {"status": DISMISSED}))
-            return done
+            for was in (*LIVE, SUCCESSFUL, FAILED):  # in the order that a job may move on while this looks
+                if connection.execute(JOBS.update().where(JOBS.c.id == id, JOBS.c.status == was).values(
+                    status=DISMISSED, finished=sa.func.coalesce(JOBS.c.finished, now), updated=now, live=None,
+                    webhook_due=_due(now))).rowcount:
+                    connection.execute(_event(id, "status", {"status": DISMISSED}))
+                    if was not in LIVE:
+                        _replace_artifacts(connection, id, [])
+                    return was
+        return None
+
+    def note_of_scan(self, id: str, **found) -> None:
+        """What a job has learned of a scan, beside what its headers told."""
+        scan = self.scan(id)
+        if scan is not None:
+            self._write(SCANS.update().where(SCANS.c.id == id).values(header=scan["header"] | found))
 
     @_patient
     def retry(self, id: str) -> bool:

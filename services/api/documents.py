@@ -35,9 +35,11 @@ def job_document(job: dict, settings: ServiceSettings) -> dict:
 
 
 def scan_document(scan: dict, settings: ServiceSettings) -> dict:
+    """Its headers' account; bounds that they lack and `effects`, the plan with what decided, once a job has measured them."""
     header = scan["header"]
     return {"id": scan["id"], "file": scan["file"], "bytes": scan["bytes"], "created": timestamp(scan["created"]),
-            "expires_at": timestamp(scan["created"] + settings.retention_s), **header, "calls_for": calls_for(header)}
+            "expires_at": timestamp(scan["created"] + settings.retention_s), "effects": None, **header,
+            "calls_for": calls_for(header)}
 
 
 def calls_for(header: dict) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from pathlib import Path
 from typing import Annotated, Literal, Union
 
@@ -14,10 +15,10 @@ from pipeline.knobs import KNOBS
 from pipeline.settings import DEFAULT_PRESET, PRESETS, settings_for
 from services.api.context import Database, Job, Owner, Settings
 from services.api.documents import job_document, timestamp
-from services.jobs import dismissal_token
+from services.jobs import dismissal_token, job_folder
 from services.problems import RESOURCE, Problem
 from services.processes import BUDGET_S, COMPRESS, PROCESSES, stored
-from services.store import DISMISSED, LEVELS, STATES, KeyReused, TooManyJobs
+from services.store import DISMISSED, FAILED, LEVELS, LIVE, STATES, SUCCESSFUL, KeyReused, TooManyJobs
 from services.webhooks import RefusedAddress, check_url
 
 router = APIRouter(tags=["jobs"])
@@ -116,9 +117,15 @@ def patch_job(job: Job, change: JobChange, settings: Settings, store: Database) 
 
 @router.delete("/jobs/{id}")
 def delete_job(job: Job, settings: Settings, store: Database) -> dict:
-    """Dismiss a job: it stops, and what it made so far stays until it expires. Again: 410."""
-    if not store.dismiss(job["id"]):
+    """Dismiss a job: one that runs stops, and what it made so far stays until it expires; one that has ended loses its
+    artifacts, unless it is pinned (409). Again: 410."""
+    if job["pinned"] and job["status"] in (SUCCESSFUL, FAILED):
+        raise Problem(409, "pinned", f"job {job['id']} is pinned", hint="unpin it first")
+    was = store.dismiss(job["id"])
+    if was is None:
         raise Problem(410, "dismissed", f"job {job['id']} was dismissed before")
+    if was not in LIVE:
+        shutil.rmtree(job_folder(settings, job["id"]), ignore_errors=True)
     token = dismissal_token(settings, job["id"], job["attempt"])
     token.parent.mkdir(parents=True, exist_ok=True)
     token.touch()

