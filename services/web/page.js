@@ -306,7 +306,12 @@ $("drop").ondragleave = () => $("drop").classList.remove("over");
 $("drop").ondrop = (event) => { event.preventDefault(); $("drop").classList.remove("over"); if (event.dataTransfer.files[0]) take(event.dataTransfer.files[0]); };
 $("submit").onsubmit = submit;
 $("slider").oninput = slide;
-$("cancel").onclick = guard(async () => { await ask("/v1/jobs/" + shown, { method: "DELETE" }); await refresh(shown); await listJobs(); });
+$("cancel").onclick = guard(async () => {
+  if ($("cancel").textContent !== "Dismiss" && !confirm("Delete what this job made?")) return;
+  await ask("/v1/jobs/" + shown, { method: "DELETE" });
+  await refresh(shown);
+  await listJobs();
+});
 $("retry").onclick = guard(async () => { await post(`/v1/jobs/${shown}/retry`); await show(shown); await listJobs(); });
 setInterval(() => { if (!document.hidden && $("login").hidden) listJobs().catch(() => {}); }, 5000); // also those begun elsewhere
 start();
