@@ -1,8 +1,8 @@
 """What a job would take, before it runs: a pilot of the real stages on a stratified sample, scaled to the whole scan.
 
 Reading the scan and putting its points in order are done in full: a job in the same work folder uses them again. All
-else runs on SAMPLE splats. Nothing here knows how a stage works; three things are known of it: whether its tasks are of
-splats, of training patches, or neither.
+else runs on SAMPLE splats. Nothing here knows how a stage works; known of it is whether it goes by splats, by training
+patches or by photographs, and of how many splats at most.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -177,11 +177,20 @@ def _stage_seconds(pilot: _Pilot, stage: Stage, record: StageRecord, settings: S
         atoms = learning["n_atoms"] / max(1, learning["n_atoms_pilot"])
         passes = _passes(pilot, settings) if record.name == "ksvd-update" else 1
         return passes * atoms * (once + _shared(busy * factor, len(tasks) * factor, pilot.n_workers))
+    if _sees_photographs_alone(stage, pilot):
+        return record.made_seconds
+    n_splats = min(pilot.n_splats, getattr(stage, "most_splats", pilot.n_splats))
     per_splat = min((seconds / n for seconds, n in tasks if n), default=None)
-    whole = busy / pilot.share if per_splat is None else per_splat * pilot.n_splats
+    whole = busy / pilot.share if per_splat is None else per_splat * n_splats
     if record.name == "encode" and learning:
         whole *= learning["n_atoms"] / max(1, learning["n_atoms_pilot"])
-    return once + _shared(whole, len(tasks) / pilot.share, pilot.n_workers)
+    return once + _shared(whole, len(tasks) * max(1.0, n_splats / pilot.n_sample), pilot.n_workers)
+
+
+def _sees_photographs_alone(stage: Stage, pilot: _Pilot) -> bool:
+    """Whether no field of a stage leads to points or splats, of which the pilot has a sample."""
+    folders = [value for f in fields(stage) if isinstance(value := getattr(stage, f.name), Path)]
+    return bool(folders) and all(folder == pilot.points[0].folder for folder in folders) and not hasattr(stage, "sources")
 
 
 def _passes(pilot: _Pilot, settings: Settings) -> float:

@@ -14,6 +14,7 @@ from pipeline.knobs import BY_NAME, KNOBS
 from pipeline.settings import PRESETS, Settings
 from pipeline.stage import Executor, Progress, StageRecord
 from renderer.close_ups import Variant, draw_close_ups, time_passes
+from renderer.compare import BEST_DB
 from renderer.report import sizes_of
 from renderer.tradeoff_page import summarised, write_tradeoff
 from services.processes import BUDGET_S
@@ -137,13 +138,18 @@ def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
     records, quality = run.records[first:], coded.codes.summary
     return {"key": step.key, "preset": step.preset, "knob": step.knob,
             "value": getattr(step.settings, step.knob) if step.knob else None, "command": step.command, "splats": prepared.splats.summary["n_splats"],
-            "texture_psnr_db": quality["texture_psnr_db"], "visible_psnr_db": quality["visible_psnr_db"],
+            "texture_psnr_db": _shown(quality["texture_psnr_db"]), "visible_psnr_db": _shown(quality["visible_psnr_db"]),
             "mean_atoms": quality["mean_atoms"], "gpu_bytes": sizes["gpu_bytes"], "file_bytes": sizes["file_bytes"],
             "bytes_per_splat": sizes["bytes_per_splat"], "n_dictionary": coded.n_dictionary,
             "seconds": sum(r.made_seconds for r in records), "run_seconds": sum(r.seconds for r in records),
             "peak_memory_bytes": max(r.peak_rss_bytes for r in records), "reused": [r.name for r in records if r.reused],
             "settings": asdict(step.settings), "frame_seconds": None, "_packed": path,
             "n_cameras": len(prepared.scan.summary["cameras"])}, prepared.photos
+
+
+def _shown(psnr_db: float | None) -> float:
+    """None stands for no error at all."""
+    return BEST_DB if psnr_db is None else min(BEST_DB, psnr_db)
 
 
 def _pictures(run: Run, points: list[dict], photographs: Path, out: Path) -> list[dict]:

@@ -22,6 +22,7 @@ class MeasureEffects:
     names: tuple[str, ...]  # of the effects that are left to measure
     surveys: tuple[tuple[str, Path], ...] = ()
     name = "measure-effects"
+    most_splats = MOST_BLOCKS * arrays.BLOCK
 
     def init(self, folder: Path) -> int:
         return min(MOST_BLOCKS, arrays.n_blocks(self.sources.n_splats))

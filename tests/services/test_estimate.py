@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pipeline.executors import SerialExecutor
 from pipeline.settings import settings_for
+from pipeline.stage import StageRecord
 from pipeline.stages.sampled import CELL, SampledPartition
 from services import estimate as module
 from services.cli import main
 from services.estimate import estimate
 from services.kept_estimates import against, known_estimate
 from services.workflow import Run, compress, points_of
-from storage import arrays
+from storage import arrays, work
 from tests.pipeline.test_stage import Heard
 from tests.services.scans import photo_scan, point_scan
 
@@ -98,3 +102,65 @@ def test_sampled_partition__takes_whole_cells_from_everywhere(scan, tmp_path, n_
         assert (np.diff(rows.reshape(-1, CELL)) == 1).all()
         assert np.diff(np.sort(rows[::CELL])).max() <= 2 * len(whole) * CELL // len(rows)
     assert (taken.min(axis=0) >= np.min(sample.summary["block_low"], axis=0)).all()
+
+
+# --- scaling, on stages that were never run
+
+
+@dataclass(frozen=True)
+class OfSplats:
+    splats: Path
+    name = "of-splats"
+
+
+@dataclass(frozen=True)
+class OfSomeSplats:
+    splats: Path
+    name = "of-some"
+    most_splats = 400
+
+
+@dataclass(frozen=True)
+class OfPhotographs:
+    ingest: Path
+    name = "of-photographs"
+
+
+@dataclass(frozen=True)
+class OfPatches:
+    training: Path
+    name = "quantise"
+
+
+def seconds_of(stage, folder: Path, tasks: list[tuple[float, int]], made: float, n_workers: int = 2) -> float:
+    """Of a scan of 2,000 splats by a pilot of 200, and of 900 training patches by 300."""
+    work.begin(folder)
+    for i, (seconds, n) in enumerate(tasks):
+        work.record_task(folder, i, {"seconds": seconds, **({"n_splats": n} if n else {})})
+    record = StageRecord(stage.name, folder, {}, made, 0, len(tasks), sum(n for _, n in tasks), False, made)
+    ingest = StageRecord("ingest", Path("ingest"), {}, 0, 0, 1, 0, False)
+    prepared = SimpleNamespace(scan=SimpleNamespace(summary={"n_points": 2000}), splats=SimpleNamespace(summary={"n_splats": 200}))
+    pilot = module._Pilot(prepared, None, SETTINGS, {}, [], [ingest], n_workers)
+    learning = {"n_patches": 900, "n_patches_pilot": 300, "n_atoms": 16, "n_atoms_pilot": 16}
+    return module._stage_seconds(pilot, stage, record, SETTINGS, learning)
+
+
+def test_scaling__tasks_of_splats_grow_with_the_scan_at_the_warm_rate(tmp_path):
+    """20 tasks of 0.5 s on two workers, and the 0.25 s that the stage took beside its tasks."""
+    assert seconds_of(OfSplats(Path("s")), tmp_path, [(1.0, 100), (0.5, 100)], 1.0) == pytest.approx(20 * 0.5 / 2 + 0.25)
+
+
+def test_scaling__a_last_round_leaves_workers_idle(tmp_path):
+    assert seconds_of(OfSplats(Path("s")), tmp_path, [(1.0, 200)], 1.0, n_workers=3) == pytest.approx(4.0)  # 10 tasks of 1 s
+
+
+def test_scaling__a_stage_that_looks_at_some_splats_grows_to_as_many(tmp_path):
+    assert seconds_of(OfSomeSplats(Path("s")), tmp_path, [(1.0, 100), (1.0, 100)], 1.0) == pytest.approx(2.0)
+
+
+def test_scaling__a_stage_of_photographs_does_not_grow(tmp_path):
+    assert seconds_of(OfPhotographs(Path("ingest")), tmp_path, [(1.0, 0), (1.0, 0)], 1.5) == 1.5
+
+
+def test_scaling__a_stage_of_training_patches_grows_with_them(tmp_path):
+    assert seconds_of(OfPatches(Path("t")), tmp_path, [(1.0, 150), (1.0, 150)], 1.0) == pytest.approx(3.0)
