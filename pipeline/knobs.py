@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from storage.schema import MAX_ATOMS
+from storage.schema import ATOM_SIZES, MAX_ATOMS
 
 
 @dataclass(frozen=True)
@@ -103,10 +103,17 @@ def _canonical_request(text: str) -> str:
 
 
 KNOBS = (
-    Knob("dictionary_bits", int, "bits of an atom's number: 256, 4,096 or 65,536 atoms at most",
+    Knob("coder", str, "how patches become codes: `paper` as published, with one cut-off, 32x32 atoms as they are and even weight levels",
+         "default: 2 to 3 dB at the bytes of `paper`, see docs/ACCURACY.md", "nothing but a format newer than version 2",
+         "training-set", choices=("default", "paper")),
+    Knob("atom_size", int, "texels to a side of an atom, with the default coder; auto: the fewest that show the target with 6 dB to spare",
+         "detail, where a splat covers as many photo pixels", "four times the dictionary's bytes, and the time of learning",
+         "coefficients", choices=("auto", *ATOM_SIZES[::-1])),
+    Knob("dictionary_bits", int, "bits of an atom's number: 256, 4,096 or 65,536 atoms, with the default coder an eighth of that in "
+         "8 turns; auto: as many atoms as half a byte a splat pays for",
          "atoms that fit a splat better: fewer of them for the same error",
          "time of learning and coding; 4,092 bytes an atom, whatever the scan's size; bits in every code; "
-         "texture fetches that miss the GPU's caches", "dictionary-seed", choices=(8, 12, 16), ladder=(8, 12)),
+         "texture fetches that miss the GPU's caches", "dictionary-seed", choices=("auto", 8, 9, 10, 11, 12, 13, 14, 16), ladder=(8, 10, 12)),
     Knob("weight_bits", int, "bits of a weight", "weights nearer to the best ones", "4 bits more an atom of a splat",
          "quantise", choices=(4, 8), ladder=(4, 8)),
     Knob("max_atoms", int, "atoms that a splat may take", "error of the splats with the most detail",

@@ -13,7 +13,9 @@ class Settings:
     """All that decides the bytes of a packed file, beside the scan itself: a value for each row of `knobs.KNOBS`."""
 
     preset: str = "balanced"
-    dictionary_bits: int = 8
+    coder: str = "default"
+    atom_size: int | str = "auto"
+    dictionary_bits: int | str = "auto"
     weight_bits: int = 4
     max_atoms: int = MAX_ATOMS
     target_psnr_db: float = 40.0

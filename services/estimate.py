@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.coding.grid import TURNS, AtomForm
 from pipeline.settings import Settings
 from pipeline.stage import Executor, Progress, Stage, StageRecord
 from pipeline.stages.sampled import SampledPartition
@@ -23,10 +24,12 @@ from renderer.report import sizes_of
 from services.kept_estimates import keep_estimate
 from services.stage_lock import stage_lock
 from services.workflow import (
-    PATCHES_AN_ATOM, Coded, Prepared, Run, code_patches, pack, points_of, resample, splats_from, with_effects,
+    PATCHES_AN_ATOM, Coded, Prepared, Run, code_patches, index_bits, pack, points_of, resample, splats_from,
+    with_effects,
 )
 from storage import arrays, work
 from storage.packed import SUFFIX, PackedFile
+from storage.schema import ATOM_SIZES
 
 SAMPLE = 2 * arrays.BLOCK + arrays.BLOCK // 4  # two tasks that warm workers up, and one that meets them warm
 MOST_TRAINING = 16_384  # patches that the pilot learns from
@@ -117,10 +120,12 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
 
 def _affordable(settings: Settings, patches: StageRecord, prepared: Prepared) -> Settings:
     """The settings, with as little learning as seconds allow: patches for the atoms that the job will have, and passes."""
-    n_atoms = min(2**settings.dictionary_bits, settings.training_splats // PATCHES_AN_ATOM, MOST_ATOMS)
+    form = None if settings.coder == "paper" else AtomForm(ATOM_SIZES[-1], TURNS)
+    bits = index_bits(settings, form, prepared.scan.summary["n_points"])
+    n_atoms = min(2**bits, settings.training_splats // PATCHES_AN_ATOM, MOST_ATOMS)
     n_training = min(settings.training_splats, max(MOST_TRAINING // 2, n_atoms * PATCHES_AN_ATOM))
     passes = max(2, MOST_PRODUCTS // (n_training * n_atoms))
-    return replace(settings, training_splats=n_training, iterations=min(settings.iterations, passes))
+    return replace(settings, dictionary_bits=bits, training_splats=n_training, iterations=min(settings.iterations, passes))
 
 
 # --- from the sample to the scan --------------------------------------------------------------------------------------
@@ -160,7 +165,10 @@ def _learning(pilot: _Pilot, settings: Settings) -> dict:
     training = next(record for _, record in pilot.stages if record.name == "training-set").summary
     n_active = training["n_active"] / pilot.share
     n_patches = min(settings.training_splats, n_active)
-    n_atoms = max(1, min(2**settings.dictionary_bits, int(n_patches) // PATCHES_AN_ATOM))
+    found = pilot.coded.quantized.summary
+    form = None if settings.coder == "paper" else AtomForm(found["atom_size"], found["n_turns"])
+    most = 2 ** index_bits(settings, form, pilot.n_splats) // found["n_turns"]
+    n_atoms = max(1, min(most, int(n_patches) // PATCHES_AN_ATOM))
     return {"n_active": int(n_active), "n_patches": int(n_patches), "n_patches_pilot": training["n_patches"],
             "n_atoms": n_atoms, "n_atoms_pilot": pilot.coded.n_dictionary}
 

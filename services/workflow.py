@@ -11,7 +11,10 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from pipeline.accuracy import psnr_db, squared_error_at
+from pipeline.coding.grid import TURNS, AtomForm
 from pipeline.effects.block import Sources
 from pipeline.effects.depth_margin import LEAST_RADII
 from pipeline.effects.exposure import exposed
@@ -31,9 +34,10 @@ from pipeline.stages.neighbours import Neighbourhoods, radius_of
 from pipeline.stages.pack import Pack, batches_of, write_packed
 from pipeline.stages.partition import Partition
 from pipeline.stages.patches import Resample
+from pipeline.stages.price import WHILE_LEARNING, Prices, price_for
 from pipeline.stages.quantization import Quantization
 from pipeline.stages.splats import Splats
-from pipeline.stages.training import Components, TrainingSet
+from pipeline.stages.training import Coefficients, Components, TrainingSet
 from pipeline.texture.resample import PATCH_DIM
 from renderer.report import build_report, sizes_of, write_report
 from renderer.report_page import write_page
@@ -41,9 +45,25 @@ from services.kept_estimates import against, known_estimate
 from services.rendering import previews_of
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile
-from storage.schema import EXTRAS, Camera, Header
+from storage.schema import ATOM_SIZES, EXTRAS, Camera, Header
 
 PATCHES_AN_ATOM = 4  # a dictionary that a scan can fill: fewer training patches an atom would only be stored
+
+
+# Squared error of a scan at its target that atoms of a size may leave, whatever their number: 6 dB below it. 8 texels are
+# then taken for fountain_p11 (51 dB), 16 for monstree (41 and 51 dB), each the better one there at the bytes of its target.
+BEYOND_ATOMS = 0.25
+# `auto`: on fountain_p11 and monstree four times the atoms gained 0.3 dB where they cost 0.3 bytes a splat more.
+DICTIONARY_BYTES_A_SPLAT = 0.5
+FEWEST_INDEX_BITS, MOST_INDEX_BITS = 8, 12
+
+
+@dataclass(frozen=True)
+class Stop:
+    """When a patch has enough atoms: at a squared error, or where the next lowers it by no more than a price."""
+
+    tolerance: float
+    price: float = 0.0
 
 
 def _at_once(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
@@ -198,35 +218,68 @@ def resample(run: Run, prepared: Prepared) -> StageRecord:
 def code_patches(run: Run, patches: StageRecord, settings: Settings) -> Coded:
     """Learn a dictionary if any patch calls for one, and code all patches."""
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
-    training = run.do(TrainingSet(patches.folder, tolerance, settings.training_splats, settings.seed))
-    quantized, learning, n_taken_back = None, [], 0
-    if settings.max_atoms and training.summary["n_patches"]:
-        components = run.do(Components(training.folder, tolerance * 10 ** (-settings.subspace_floor_db / 10)))
-        learned, learning = _learn(run, training, components, settings, tolerance)
-        quantized, n_taken_back = _quantize_best(run, components, learned, settings, tolerance)
-        n_taken_back += sum(not row["accepted"] for row in learning)
-    codes = encode(run, patches.folder, quantized, settings)
-    return Coded(patches, codes, quantized, learning, quantized.summary["n_atoms"] if quantized else 0, n_taken_back)
+    stop = Stop(tolerance) if settings.coder == "paper" else Stop(0.0, WHILE_LEARNING * tolerance)
+    training = run.do(TrainingSet(patches.folder, max(stop.tolerance, stop.price), settings.training_splats, settings.seed))
+    if not (settings.max_atoms and training.summary["n_patches"]):
+        return Coded(patches, encode(run, patches.folder, None, settings), None, [], 0, 0)
+    form = _form(training.summary, settings, tolerance)
+    if form is None:
+        space = run.do(Components(training.folder, tolerance * 10 ** (-settings.subspace_floor_db / 10)))
+    else:
+        space = run.do(Coefficients(training.folder, form.size))
+    learned, learning = _learn(run, training, space, settings, stop, form)
+    quantized, n_taken_back = _quantize_best(run, space, learned, settings, stop, form)
+    n_taken_back += sum(not row["accepted"] for row in learning)
+    price = 0.0
+    if form is not None:
+        ladder = run.do(Prices(space.folder, quantized.folder, settings.max_atoms, tolerance)).summary
+        price = price_for(ladder, training.summary, tolerance)
+    codes = encode(run, patches.folder, quantized, settings, price)
+    return Coded(patches, codes, quantized, learning, quantized.summary["n_atoms"], n_taken_back)
 
 
-def encode(run: Run, patches: Path, quantized: StageRecord | None, settings: Settings) -> StageRecord:
+def _form(training: dict, settings: Settings, tolerance: float) -> AtomForm | None:
+    """The atoms of the default coder: of the fewest texels that show what the target asks for; None for the paper's."""
+    if settings.coder == "paper":
+        return None
+    share = training["n_active"] / training["n_splats"]
+    fine = [s for s in ATOM_SIZES if training["beyond"][str(s)] * share <= BEYOND_ATOMS * tolerance]
+    return AtomForm(min(fine, default=ATOM_SIZES[0]) if settings.atom_size == "auto" else settings.atom_size, TURNS)
+
+
+def index_bits(settings: Settings, form: AtomForm | None, n_splats: int) -> int:
+    """Bits of an index: those asked for, or as many as the scan pays for."""
+    if settings.dictionary_bits != "auto":
+        return settings.dictionary_bits
+    if form is None:
+        return FEWEST_INDEX_BITS
+    affordable = n_splats * DICTIONARY_BYTES_A_SPLAT / (4 * form.size**2) * form.n_turns
+    return int(np.clip(np.log2(max(1.0, affordable)), FEWEST_INDEX_BITS, MOST_INDEX_BITS))
+
+
+def encode(run: Run, patches: Path, quantized: StageRecord | None, settings: Settings, price: float = 0.0) -> StageRecord:
     """Code patches by a dictionary that is there; None gives every splat its average colour alone."""
-    tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
-    return run.do(Encode(patches, quantized.folder if quantized else None, settings.max_atoms, tolerance))
+    if settings.coder == "paper":
+        tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
+        return run.do(Encode(patches, quantized.folder if quantized else None, settings.max_atoms, tolerance))
+    form = AtomForm(quantized.summary["atom_size"], quantized.summary["n_turns"]) if quantized else None
+    return run.do(Encode(patches, quantized.folder if quantized else None, settings.max_atoms, 0.0, price, form))
 
 
-def _learn(run: Run, training: StageRecord, components: StageRecord, settings: Settings,
-           tolerance: float) -> tuple[StageRecord, list[dict]]:
+def _learn(run: Run, training: StageRecord, space: StageRecord, settings: Settings, stop: Stop,
+           form: AtomForm | None) -> tuple[StageRecord, list[dict]]:
     """The last iteration, and the learning curve as estimates for the whole scan: of the best dictionary so far.
 
     Ends early where an iteration gains less than `least_gain_db`.
     """
     begun = time.perf_counter()
-    n_atoms = max(1, min(2**settings.dictionary_bits, training.summary["n_patches"] // PATCHES_AN_ATOM))
-    learned = run.do(DictionarySeed(components.folder, n_atoms, settings.seed)).folder
+    of_turns = form or AtomForm()
+    most = 2 ** index_bits(settings, form, training.summary["n_splats"]) // of_turns.n_turns
+    n_atoms = max(1, min(most, training.summary["n_patches"] // PATCHES_AN_ATOM))
+    learned = run.do(DictionarySeed(space.folder, n_atoms, settings.seed, of_turns)).folder
     curve = []
     for iteration in range(settings.iterations):
-        record = run.do(KsvdUpdate(components.folder, learned, settings.max_atoms, tolerance, iteration))
+        record = run.do(KsvdUpdate(space.folder, learned, settings.max_atoms, stop.tolerance, iteration, stop.price, of_turns))
         learned, found = record.folder, record.summary
         curve.append({"seconds": time.perf_counter() - begun, "replaced_atoms": found["n_replaced"],
                       "accepted": found["accepted"], "psnr_db": estimated_psnr_db(training.summary, found)})
@@ -242,13 +295,14 @@ def _is_settled(curve: list[dict], least_gain_db: float) -> bool:
     return curve[-1]["psnr_db"] - curve[-2]["psnr_db"] < least_gain_db
 
 
-def _quantize_best(run: Run, components: StageRecord, learned: StageRecord, settings: Settings, tolerance: float):
+def _quantize_best(run: Run, space: StageRecord, learned: StageRecord, settings: Settings, stop: Stop,
+                   form: AtomForm | None) -> tuple[StageRecord, int]:
     """The better of the last dictionary and the best before it, in bytes, and whether (0 or 1) the last was taken back.
 
     Quantising codes the training set once more, so the last dictionary, which no iteration has measured, is measured
     there. The one before it is quantised too only where the last looks worse.
     """
-    stages = (Quantization(components.folder, learned.folder, settings.max_atoms, tolerance, settings.weight_bits, name)
+    stages = (Quantization(space.folder, learned.folder, settings.max_atoms, stop.tolerance, settings.weight_bits, name, stop.price, form)
               for name in ("dictionary", "best"))
     last = run.do(next(stages))
     if last.summary["squared_error"] <= learned.summary["squared_error"]:
@@ -261,6 +315,19 @@ def estimated_psnr_db(training: dict, update: dict) -> float:
     """PSNR of the whole scan as far as an iteration's error over the training set tells; both are summaries."""
     error = update["squared_error"] / update["n_patches"] * training["n_active"] + training["settled_energy"]
     return psnr_db(error, training["n_splats"] * PATCH_DIM)
+
+
+def _stored_index_bits(coded: Coded | None, settings: Settings) -> int:
+    """No more than the indices take; the paper's coder has those of its name."""
+    if settings.coder == "paper" and settings.dictionary_bits != "auto":
+        return settings.dictionary_bits
+    n_indices = coded.n_dictionary * coded.quantized.summary["n_turns"] if coded and coded.quantized else 1
+    return max(1, (n_indices - 1).bit_length())
+
+
+def _stored_form(coded: Coded | None) -> dict:
+    found = coded.quantized.summary if coded and coded.quantized else {}
+    return {name: found[name] for name in ("atom_size", "n_turns") if name in found}
 
 
 def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, name: str, path: Path) -> StageRecord:
@@ -276,7 +343,7 @@ def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, 
         n_splats=n_splats, radius=prepared.radius, unit=scan["unit"],
         origin=tuple(prepared.partition.summary["origin"]), up=up, ahead=ahead,
         depth_margin=margin * prepared.radius, n_dictionary=coded.n_dictionary if coded else 0,
-        dictionary_bits=settings.dictionary_bits, weight_bits=settings.weight_bits,
+        dictionary_bits=_stored_index_bits(coded, settings), weight_bits=settings.weight_bits, **_stored_form(coded),
         batches=batches, effects=prepared.effects.outcomes,
         cameras=tuple(Camera.from_json(c) for c in scan["cameras"]),
         scan={"name": name, "format": scan["format"], "n_points": scan["n_read"]}, settings=asdict(settings),

@@ -88,19 +88,19 @@ def rows_at_a_time(split: ShortDictionary) -> int:
     return max(32, min(512, PRODUCT_BYTES // (4 * len(split.dictionary))))
 
 
-def pursue_rows(rows, energy, split: ShortDictionary, certify, tolerance, levels, atom, weight, code, n_atoms, residual):
+def pursue_rows(rows, energy, split: ShortDictionary, certify, tolerance, price, levels, atom, weight, code, n_atoms, residual):
     """`pursue` for a block of patches (n, d), in place. Returns how many products of full width with patches it took."""
     components = rows @ split.basis if len(split.basis) else rows.copy()
     rounding = 2.0**-23 * (split.short.shape[1] + 32)
     if len(split.short_gram):
         return pursue_certified(
             rows, energy, split.dictionary, components, split.short, split.short_gram, components @ split.short.T,
-            split.rest, rounding, certify, tolerance, levels, atom, weight, code, n_atoms, residual)
-    return _pursue_in_step(rows, energy, split, components, rounding, certify, tolerance, levels, atom, weight, code,
+            split.rest, rounding, certify, tolerance, price, levels, atom, weight, code, n_atoms, residual)
+    return _pursue_in_step(rows, energy, split, components, rounding, certify, tolerance, price, levels, atom, weight, code,
                            n_atoms, residual)
 
 
-def _pursue_in_step(rows, energy, split, components, rounding, certify, tolerance, levels, atom, weight, code, n_atoms,
+def _pursue_in_step(rows, energy, split, components, rounding, certify, tolerance, price, levels, atom, weight, code, n_atoms,
                     residual):
     """All patches take their first atom, then their second: each step is one GEMM of the residuals' components."""
     n, most = atom.shape
@@ -112,7 +112,7 @@ def _pursue_in_step(rows, energy, split, components, rounding, certify, toleranc
     while n_active:
         product = components[:n_active] @ split.short.T
         n_active, n_settled = advance(
-            rows, energy, split.dictionary, components, split.short, product, split.rest, rounding, certify, tolerance,
+            rows, energy, split.dictionary, components, split.short, product, split.rest, rounding, certify, tolerance, price,
             levels, atom, weight, code, n_atoms, residual, target, gram_support, chol, active, n_active)
         total += n_settled
     return total

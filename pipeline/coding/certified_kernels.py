@@ -235,7 +235,7 @@ def _margin(rounding, energy, weight, t):
 
 @numba.njit(cache=True, nogil=True)
 def pursue_certified(patches, energy, dictionary, components, short, short_gram, product, rest, rounding, certify, tolerance,
-                     levels, atom, weight, code, n_atoms, residual):
+                     price, levels, atom, weight, code, n_atoms, residual):
     """Orthogonal matching pursuit of every patch, rows of the short Gram matrix following the residual.
 
     patches (n, d), dictionary (k, d), components (n, p) of the patches, short (k, p) of the atoms, short_gram (k, k),
@@ -265,8 +265,8 @@ def pursue_certified(patches, energy, dictionary, components, short, short_gram,
             _bound_groups(current, rest, rho, upper)
             residue = _what_is_left(patches[i], dictionary, atom[i], weight[i], t, left)
             lowered, n_settled = _add_atom(
-                patches[i], residue, energy[i], dictionary, current, rest, rho, margin, certify, upper, levels, t, error,
-                atom[i], weight[i], code[i], target, gram_support, chol, trial, trial_code, passed)
+                patches[i], residue, energy[i], dictionary, current, rest, rho, margin, certify, upper, levels, t,
+                error - price, atom[i], weight[i], code[i], target, gram_support, chol, trial, trial_code, passed)
             total += n_settled
             if lowered < 0:
                 break
@@ -278,8 +278,8 @@ def pursue_certified(patches, energy, dictionary, components, short, short_gram,
 
 
 @numba.njit(cache=True, nogil=True)
-def advance(patches, energy, dictionary, components, short, product, rest, rounding, certify, tolerance, levels,
-            atom, weight, code, n_atoms, residual, target, gram_support, chol, active, n_active):
+def advance(patches, energy, dictionary, components, short, product, rest, rounding, certify, tolerance, price,
+            levels, atom, weight, code, n_atoms, residual, target, gram_support, chol, active, n_active):
     """One step for each of the patches active[:n_active], whose current short products are the rows of `product`.
 
     `components` become those of the residuals; patches that are done leave `active`. Per patch: target (n, r),
@@ -304,8 +304,8 @@ def advance(patches, energy, dictionary, components, short, product, rest, round
             _subtract_one(start, short[atom[i, j]], np.float32(-weight[i, j]))
         residue = _what_is_left(patches[i], dictionary, atom[i], weight[i], t, left)
         lowered, n_settled = _add_atom(
-            patches[i], residue, energy[i], dictionary, product[m], rest, rho, margin, certify, upper, levels, t, residual[i],
-            atom[i], weight[i], code[i], target[i], gram_support[i], chol[i], trial, trial_code, passed)
+            patches[i], residue, energy[i], dictionary, product[m], rest, rho, margin, certify, upper, levels, t,
+            residual[i] - price, atom[i], weight[i], code[i], target[i], gram_support[i], chol[i], trial, trial_code, passed)
         total += n_settled
         if lowered < 0:
             continue

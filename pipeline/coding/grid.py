@@ -12,6 +12,7 @@ Where a splat covers 7 photo pixels, 8 x 8 texels show 51 dB of `fountain_p11` a
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -19,6 +20,21 @@ import numpy as np
 from storage.schema import PATCH_SIZE
 
 TURNS = 8  # bit 2: mirrored at the diagonal, before that bit 0: left to right, bit 1: top to bottom
+
+
+@dataclass(frozen=True)
+class AtomForm:
+    """How many texels to a side atoms have, and in how many turns (1 or TURNS) a splat may take them."""
+
+    size: int = PATCH_SIZE
+    n_turns: int = 1
+
+    def in_turns(self, atoms: np.ndarray) -> np.ndarray:
+        """What indices name, (n_turns k, d), of atoms (k, d) as coefficients."""
+        return in_all_turns(atoms, self.size) if self.n_turns > 1 else atoms
+
+    def turned_back(self, rows: np.ndarray) -> np.ndarray:
+        return turned_back(rows, self.size) if self.n_turns > 1 else rows
 
 
 def coefficients(patches: np.ndarray, size: int) -> np.ndarray:

@@ -43,6 +43,7 @@ def sparse_encode(
     *,
     max_atoms: int,
     tolerance: float | np.ndarray = 0.0,
+    price: float = 0.0,
     weight_levels: np.ndarray | None = None,  # (max_atoms or more, n_levels), ascending rows
     search: str = "exact",
     n_threads: int | None = None,
@@ -50,7 +51,8 @@ def sparse_encode(
     """Code each patch by at most `max_atoms` atoms; returns `(atom_index, weight, n_atoms)`.
 
     A patch is done when its squared residual norm is at most `tolerance` (one number, or one a patch; in the units of
-    the patches squared, as scikit-learn's `tol` and SPAMS' `eps`). With `weight_levels` every weight of rank j is one
+    the patches squared, as scikit-learn's `tol` and SPAMS' `eps`), or when a further atom would lower it by no more than
+    `price`: one price for all patches spends atoms where they mend most. With `weight_levels` every weight of rank j is one
     of row j, chosen inside the loop: the next atom sees what the rounding left.
 
     `search` is how the atom of largest correlation is found: "exact" by all products; "certified" by short products
@@ -73,7 +75,7 @@ def sparse_encode(
     ([[1, 3]], [[3.0, -1.0]])
     """
     return pursue_patches(
-        patches, dictionary, max_atoms=max_atoms, tolerance=tolerance, weight_levels=weight_levels, search=search,
+        patches, dictionary, max_atoms=max_atoms, tolerance=tolerance, price=price, weight_levels=weight_levels, search=search,
         n_threads=available_cores() if n_threads is None else n_threads,
     ).codes
 
@@ -84,6 +86,7 @@ def pursue_patches(
     *,
     max_atoms: int,
     tolerance: float | np.ndarray = 0.0,
+    price: float = 0.0,
     weight_levels: np.ndarray | None = None,
     gram: np.ndarray | None = None,  # (n_dictionary, n_dictionary) float32, where it is at hand
     search: str = "exact",
@@ -117,7 +120,7 @@ def pursue_patches(
         if not np.isfinite(energy).all():
             raise ValueError(f"patch {start + int(np.argmin(np.isfinite(energy)))} is not finite")
         residual[part] = energy
-        todo = start + np.flatnonzero(energy > tolerance[part])
+        todo = start + np.flatnonzero(energy > np.maximum(tolerance[part], price))
         if not len(todo):
             return
         if len(todo) < len(rows):  # of fountain_p11 at 40 dB, a third: they need no products
@@ -125,9 +128,9 @@ def pursue_patches(
         found = (np.zeros((len(todo), max_atoms), np.int32), np.zeros((len(todo), max_atoms)),
                  np.zeros((len(todo), max_atoms), np.int32), np.zeros(len(todo), np.int32), np.zeros(len(todo)))
         if split is None:
-            pursue(rows @ dictionary.T, energy, gram, tolerance[todo], levels, *found)
+            pursue(rows @ dictionary.T, energy, gram, tolerance[todo], price, levels, *found)
         else:
-            pursue_rows(rows, energy, split, certify, tolerance[todo], levels, *found)
+            pursue_rows(rows, energy, split, certify, tolerance[todo], price, levels, *found)
         for whole, rows_found in zip((codes.atom_index, codes.weight, weight_code, codes.n_atoms, residual), found):
             whole[todo] = rows_found
 

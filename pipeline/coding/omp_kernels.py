@@ -119,11 +119,12 @@ def _residual_energy(energy, target, gram_support, weight, t):
 
 
 @numba.njit(cache=True, nogil=True)
-def pursue(initial, energy, gram, tolerance, levels, atom, weight, code, n_atoms, residual):
+def pursue(initial, energy, gram, tolerance, price, levels, atom, weight, code, n_atoms, residual):
     """Orthogonal matching pursuit of every row of `initial`, with weights from `levels` if there are any.
 
     initial (n, k) float32: correlations of patches and atoms; energy (n,) float64: squared norms; gram (k, k)
-    float32; tolerance (n,) float64: squared residual at which a patch is done; levels (r, w) float64, w = 0 for exact
+    float32; tolerance (n,) float64: squared residual at which a patch is done; price: by how much
+    more than that an atom must lower it; levels (r, w) float64, w = 0 for exact
     weights. Filled: atom (n, r) int32, weight (n, r) float64, code (n, r) int32, n_atoms (n,) int32, residual (n,)
     float64. The residual never rises with an atom: one that would not lower it ends the pursuit.
     """
@@ -162,7 +163,7 @@ def pursue(initial, energy, gram, tolerance, levels, atom, weight, code, n_atoms
             if quantized:
                 _quantize_weights(levels, target, gram_support, trial, trial_code, t + 1)
             lowered = _residual_energy(energy[i], target, gram_support, trial, t + 1)
-            if lowered >= error:
+            if lowered >= error - price:
                 break
             atom[i, t] = candidate
             t += 1

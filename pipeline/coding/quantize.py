@@ -32,13 +32,15 @@ def dequantize_atoms(texels: np.ndarray, scale: np.ndarray) -> np.ndarray:
 
 
 def mip_levels(texels: np.ndarray) -> list[np.ndarray]:
-    """The atoms at every size of MIP_SIZES, (k, s, s, 3) int8 each: means of the texels below, same scale."""
-    size = MIP_SIZES[0]
+    """Atoms (k, 3 s^2) at every size of MIP_SIZES from s down, (k, s, s, 3) int8 each: means of the texels below, same
+    scale."""
+    size = round((texels.shape[1] / 3) ** 0.5)
+    sizes = MIP_SIZES[MIP_SIZES.index(size) :]
     full = texels.reshape(-1, size, size, 3)
-    levels = [np.empty((len(full), s, s, 3), np.int8) for s in MIP_SIZES]
+    levels = [np.empty((len(full), s, s, 3), np.int8) for s in sizes]
     for start in range(0, len(full), ROWS):
         rows = slice(start, start + ROWS)
-        for level, s in zip(levels, MIP_SIZES):
+        for level, s in zip(levels, sizes):
             factor = size // s
             level[rows] = np.round(full[rows].reshape(-1, s, factor, s, factor, 3).mean(axis=(2, 4)))
     return levels
@@ -58,6 +60,22 @@ def train_weight_levels(weights: list[np.ndarray], n_levels: int, rounds: int = 
             sample = np.concatenate([sample, weights[earlier]])
         levels[rank] = _lloyd(np.sort(sample.astype(np.float64)), n_levels, rounds)
     return levels
+
+
+def uniform_weight_levels(weights: list[np.ndarray], n_levels: int) -> np.ndarray:
+    """Levels (r, n_levels) float32, the same for every rank, evenly from -w to w; w is chosen for least squared error."""
+    sample = np.abs(np.concatenate(weights).astype(np.float64))
+    if not len(sample):
+        return np.tile(np.linspace(-1, 1, n_levels).astype(np.float32), (len(weights), 1))
+    widths = sample.max() * np.linspace(0.15, 1, 35)
+    errors = [((sample - _to_even(sample, width, n_levels)) ** 2).sum() for width in widths]
+    width = widths[int(np.argmin(errors))]
+    return np.tile(np.linspace(-width, width, n_levels).astype(np.float32), (len(weights), 1))
+
+
+def _to_even(values: np.ndarray, width: float, n_levels: int) -> np.ndarray:
+    step = 2 * width / (n_levels - 1)
+    return np.clip(np.round((values + width) / step), 0, n_levels - 1) * step - width
 
 
 def _lloyd(ordered: np.ndarray, n_levels: int, rounds: int) -> np.ndarray:

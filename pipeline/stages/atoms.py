@@ -1,6 +1,7 @@
 """A dictionary in a stage's folder, with what its search needs: made once, read by every task.
 
-Arrays: dictionary (k, d) float32 unit rows; where it is searched by short products basis (d, p), short (k, p) and rest
+Arrays: dictionary (k, d) float32 unit rows; where atoms are turned too, turned (8 k, d), and the others are of those;
+where it is searched by short products basis (d, p), short (k, p) and rest
 (k,), else gram (k, k), all float32. Beyond 16,384 atoms there is no k x k array, here or in a task.
 """
 
@@ -14,6 +15,7 @@ import numpy as np
 from pipeline.coding.certified import (
     FEWEST_ATOMS, MOST_WITH_GRAM, ShortDictionary, shorten, split_by, unshortened,
 )
+from pipeline.coding.grid import AtomForm
 from pipeline.coding.omp import Pursuit, pursue_patches
 from storage import arrays
 
@@ -22,24 +24,26 @@ from storage import arrays
 class Atoms:
     """A dictionary as its stage left it."""
 
-    dictionary: np.ndarray  # (k, d) float32
+    dictionary: np.ndarray  # (k, d) float32, in all the turns there are
     split: ShortDictionary | None
     gram: np.ndarray | None
 
     def pursue(self, patches: np.ndarray, max_atoms: int, tolerance: float | np.ndarray,
-               levels: np.ndarray | None = None) -> Pursuit:
+               levels: np.ndarray | None = None, price: float = 0.0) -> Pursuit:
         """The pursuit of patches (n, d) on one thread, with the atoms that exact search takes."""
         most, split = min(max_atoms, len(self.dictionary)), self.split
         if split is None and self.gram is not None and len(self.dictionary) >= FEWEST_ATOMS:
             # As exact, and for 4,096 atoms of 128 components in two thirds of the time: groups of atoms share bounds.
             split = unshortened(self.dictionary, self.gram)
-        return pursue_patches(patches, split or self.dictionary, max_atoms=most, tolerance=tolerance, weight_levels=levels,
-                              gram=self.gram, search="exact" if split is None else "certified")
+        return pursue_patches(patches, split or self.dictionary, max_atoms=most, tolerance=tolerance, price=price,
+                              weight_levels=levels, gram=self.gram, search="exact" if split is None else "certified")
 
 
-def store_atoms(folder: Path, dictionary: np.ndarray) -> None:
-    split = shorten(dictionary)
+def store_atoms(folder: Path, dictionary: np.ndarray, form: AtomForm = AtomForm()) -> None:
     stored = {"dictionary": dictionary}
+    if form.n_turns > 1:
+        stored["turned"] = dictionary = form.in_turns(dictionary)
+    split = shorten(dictionary)
     if split is not None:
         stored |= {"basis": split.basis, "short": split.short, "rest": split.rest}
     elif len(dictionary) <= MOST_WITH_GRAM:
@@ -49,7 +53,7 @@ def store_atoms(folder: Path, dictionary: np.ndarray) -> None:
 
 
 def load_atoms(folder: Path) -> Atoms:
-    dictionary = arrays.read(folder, "dictionary")
+    dictionary = arrays.read(folder, "turned" if arrays.exists(folder, "turned") else "dictionary")
     if arrays.exists(folder, "basis"):
         return Atoms(dictionary, split_by(dictionary, *(arrays.read(folder, n) for n in ("basis", "short", "rest"))), None)
     return Atoms(dictionary, None, arrays.read(folder, "gram") if arrays.exists(folder, "gram") else None)

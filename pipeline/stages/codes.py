@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.accuracy import psnr_db
+from pipeline.coding.grid import AtomForm, coefficients, shown, texels_of
 from pipeline.coding.omp import Codes, Pursuit, reconstruct
 from pipeline.stages.atoms import load_atoms
 from pipeline.texture.patches import centred, patch_errors
@@ -26,6 +27,8 @@ class Encode:
     quantized: Path | None  # None where nothing calls for a dictionary: every splat has 0 atoms
     max_atoms: int
     tolerance: float
+    price: float = 0.0
+    form: AtomForm | None = None  # None: atoms are coded with as patches, else as coefficients
     name = "encode"
 
     def init(self, folder: Path) -> int:
@@ -66,8 +69,12 @@ class Encode:
         atoms, levels = load_atoms(self.quantized), arrays.read(self.quantized, "weight_levels")
 
         def encode(patches: np.ndarray) -> tuple[Pursuit, np.ndarray]:
-            found = atoms.pursue(patches, self.max_atoms, self.tolerance, levels)
-            return found, reconstruct(found.codes, atoms.dictionary)
+            if self.form is None:
+                found = atoms.pursue(patches, self.max_atoms, self.tolerance, levels)
+                return found, reconstruct(found.codes, atoms.dictionary)
+            size = self.form.size
+            found = atoms.pursue(coefficients(patches, size), self.max_atoms, self.tolerance, levels, self.price)
+            return found, shown(texels_of(reconstruct(found.codes, atoms.dictionary), size), size)
 
         return encode
 

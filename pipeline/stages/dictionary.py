@@ -1,4 +1,4 @@
-"""Patches in components -> dictionary in components: a random start, then k-SVD, one stage an iteration."""
+"""Patches in components, or as coefficients -> dictionary in the same: a random start, then k-SVD, one stage an iteration."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.coding.grid import AtomForm
 from pipeline.coding.ksvd import (
     Best, Sums, block_sums, initial_dictionary, judge, merge_in_order, merge_moments, next_trial,
 )
@@ -22,6 +23,7 @@ class DictionarySeed:
     training: Path
     n_atoms: int
     seed: int
+    form: AtomForm = AtomForm()
     name = "dictionary-seed"
 
     def init(self, folder: Path) -> int:
@@ -35,7 +37,7 @@ class DictionarySeed:
             patches = training_part(self.training, task).coefficients
             pool.append(patches[np.random.default_rng([self.seed, task]).permutation(len(patches))[:share]])
         dictionary = initial_dictionary(np.concatenate(pool), self.n_atoms, self.seed)
-        store_atoms(folder, dictionary)
+        store_atoms(folder, dictionary, self.form)
         return {"n_atoms": len(dictionary)}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
@@ -54,6 +56,8 @@ class KsvdUpdate:
     max_atoms: int
     tolerance: float
     iteration: int
+    price: float = 0.0
+    form: AtomForm = AtomForm()
     name = "ksvd-update"
 
     def init(self, folder: Path) -> int:
@@ -62,9 +66,9 @@ class KsvdUpdate:
     def run(self, folder: Path, index: int) -> dict:
         atoms = load_atoms(self.previous)
         patches, rest = training_part(self.training, index)
-        found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0))
+        found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0), price=self.price)
         pursuit = found._replace(residual=found.residual + rest)  # errors are those of whole patches
-        sums = block_sums(patches, atoms.dictionary, pursuit)
+        sums = _of_atoms(block_sums(patches, atoms.dictionary, pursuit), self.form)
         _store_sums(work.parts(folder), f"sums-{index}", sums)
         return {"n_splats": len(patches), "n_atoms_used": int(pursuit.codes.n_atoms.sum())}
 
@@ -73,12 +77,20 @@ class KsvdUpdate:
         sums = _merged(work.parts(folder), len(results), measured.shape)
         best, accepted = judge(_best_of(self.previous), measured, sums)
         trial, n_replaced = next_trial(best, measured, sums)
-        store_atoms(folder, trial)
+        store_atoms(folder, trial, self.form)
         arrays.store(folder, "best", best.dictionary.astype(np.float32, copy=False), (4096, best.dictionary.shape[1]))
         _store_sums(folder, "best-sums", best.sums)
         return {"squared_error": best.sums.error, "measured_error": sums.error, "accepted": accepted, "step": best.step,
                 "n_patches": sums.n_patches, "n_replaced": n_replaced,
                 "n_atoms_used": sum(r["n_atoms_used"] for r in results)}
+
+
+def _of_atoms(sums: Sums, form: AtomForm) -> Sums:
+    """The sums of atoms from those of their turns: each turn's share is turned back and added."""
+    if form.n_turns == 1:
+        return sums
+    gain, n_users = (values.reshape(-1, form.n_turns).sum(axis=1) for values in (sums.gain, sums.n_users))
+    return replace(sums, moment=form.turned_back(sums.moment), gain=gain, n_users=n_users)
 
 
 def _best_of(previous: Path) -> Best | None:

@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coding.quantize import dequantize_atoms, mip_levels, quantize_atoms, train_weight_levels
+from pipeline.coding.grid import AtomForm, coefficients_of_texels, texels_of
+from pipeline.coding.quantize import (
+    dequantize_atoms, mip_levels, quantize_atoms, train_weight_levels, uniform_weight_levels,
+)
 from pipeline.coding.subspace import lift
 from pipeline.stages.atoms import load_atoms, store_atoms
 from pipeline.stages.training import training_part
 from storage import arrays, work
-from storage.schema import MAX_ATOMS, MIP_SIZES
+from storage.schema import MAX_ATOMS, MIP_SIZES, PATCH_SIZE
 
 IN_COMPONENTS = "in-components"
 
@@ -32,24 +35,40 @@ class Quantization:
     tolerance: float
     weight_bits: int
     learned_array: str = "dictionary"
+    price: float = 0.0
+    form: AtomForm | None = None  # None: in components, atoms are learned from whole patches and have even weight levels
     name = "quantise"
 
     def init(self, folder: Path) -> int:
-        basis = arrays.read(self.training, "basis")
-        texels, scale = quantize_atoms(lift(arrays.read(self.learned, self.learned_array), basis))
-        decoded = dequantize_atoms(texels, scale)
-        store_atoms(folder, decoded)
-        short = decoded @ basis
-        store_atoms(folder / IN_COMPONENTS, short / np.linalg.norm(short, axis=1, keepdims=True))
+        learned = arrays.read(self.learned, self.learned_array)
+        texels, scale = self._of_components(folder, learned) if self.form is None else self._of_coefficients(folder, learned)
         contents = {"atom_scale": scale}
-        contents |= {f"atoms_{s}": level for s, level in zip(MIP_SIZES, mip_levels(texels))}
+        sizes = MIP_SIZES if self.form is None else MIP_SIZES[MIP_SIZES.index(self.form.size) :]
+        contents |= {f"atoms_{s}": level for s, level in zip(sizes, mip_levels(texels))}
         for name, rows in contents.items():
             arrays.store(folder, name, rows, (4096, *rows.shape[1:]))
         return work.summary(self.training)["n_tasks"]
 
+    def _of_components(self, folder: Path, learned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        basis = arrays.read(self.training, "basis")
+        texels, scale = quantize_atoms(lift(learned, basis))
+        decoded = dequantize_atoms(texels, scale)
+        store_atoms(folder, decoded)
+        short = decoded @ basis
+        store_atoms(folder / IN_COMPONENTS, short / np.linalg.norm(short, axis=1, keepdims=True))
+        return texels, scale
+
+    def _of_coefficients(self, folder: Path, learned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        texels, _ = quantize_atoms(texels_of(learned, self.form.size))
+        decoded = coefficients_of_texels(texels, self.form.size).astype(np.float64)
+        scale = (1 / np.linalg.norm(decoded, axis=1)).astype(np.float32)  # such that what is shown is a unit vector
+        store_atoms(folder, (decoded * scale[:, None]).astype(np.float32), self.form)
+        return texels, scale
+
     def run(self, folder: Path, index: int) -> dict:
         patches, rest = training_part(self.training, index)
-        found = load_atoms(folder / IN_COMPONENTS).pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0))
+        atoms = load_atoms(folder / IN_COMPONENTS if self.form is None else folder)
+        found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0), price=self.price)
         codes = found.codes
         work.write_parts(work.parts(folder) / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
         return {"n_splats": len(codes.n_atoms), "squared_error": float((found.residual + rest).sum())}
@@ -61,7 +80,9 @@ class Quantization:
                 for rank in range(stored["weight"].shape[1]):
                     samples[rank].append(stored["weight"][stored["n_atoms"] > rank, rank])
         ranks = [np.concatenate(s) if s else np.empty(0, np.float32) for s in samples]
-        levels = train_weight_levels(ranks, 2**self.weight_bits)
+        train = uniform_weight_levels if self.form is None else train_weight_levels
+        levels = train(ranks, 2**self.weight_bits)
         arrays.store(folder, "weight_levels", levels.astype(np.float32, copy=False))
         return {"n_atoms": arrays.opened(folder, "atom_scale").shape[0],
+                "atom_size": self.form.size if self.form else PATCH_SIZE, "n_turns": self.form.n_turns if self.form else 1,
                 "squared_error": sum(r["squared_error"] for r in results)}

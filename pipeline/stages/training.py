@@ -10,11 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.accuracy import psnr_db
+from pipeline.coding.grid import coefficients
 from pipeline.coding.ksvd import BLOCK as TASK_SPLATS
+from pipeline.coding.omp_kernels import squared_norms
 from pipeline.coding.subspace import HALF, find_components, halves_suffice, project
 from pipeline.stages.strata import octave_of, shares
 from pipeline.texture.patches import centred
 from storage import arrays, work
+from storage.schema import ATOM_SIZES
 
 ROWS = 1024  # patches in float32 at a time: 12 MiB
 
@@ -55,13 +58,22 @@ class TrainingSet:
         for name in ("texel", "average"):
             rows = arrays.read_rows(self.patches, name, chosen)
             arrays.store(folder, f"{name}_{index}", rows, rows.shape)
-        return {"n_splats": len(chosen), "n_active": int(active.sum()),
+        shown = _patches(folder, index, slice(ROWS))
+        beyond = [float((squared_norms(shown) - squared_norms(coefficients(shown, s))).sum()) for s in ATOM_SIZES]
+        return {"n_splats": len(chosen), "n_active": int(active.sum()), "n_shown": len(shown), "beyond": beyond,
                 "settled_energy": float(energy[~active].sum(dtype=np.float64))}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         return {"n_tasks": len(results), "n_patches": sum(r["n_splats"] for r in results),
                 "n_splats": work.read_json(folder / "share.json")["n_splats"],
-                "n_active": sum(r["n_active"] for r in results), "settled_energy": sum(r["settled_energy"] for r in results)}
+                "n_active": sum(r["n_active"] for r in results), "settled_energy": sum(r["settled_energy"] for r in results),
+                "beyond": self._beyond(results)}
+
+    @staticmethod
+    def _beyond(results: list[dict]) -> dict[str, float]:
+        """By size of atoms, the squared norm that they leave of a patch of this set on average, whatever their number."""
+        n = max(1, sum(r["n_shown"] for r in results))
+        return {str(size): max(0.0, sum(r["beyond"][i] for r in results) / n) for i, size in enumerate(ATOM_SIZES)}
 
 
 @dataclass(frozen=True)
@@ -105,8 +117,36 @@ class Components:
                 "floor_psnr_db": floor}
 
     def _patches(self, index: int, rows: slice) -> np.ndarray:
-        texel, average = (arrays.opened(self.training, f"{name}_{index}")[rows] for name in ("texel", "average"))
-        return centred(np.asarray(texel), np.asarray(average))
+        return _patches(self.training, index, rows)
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """The training set as coefficients of what atoms of a size can show, a task a task of it; arrays as `Components`
+    but for the basis."""
+
+    training: Path
+    size: int
+    name = "coefficients"
+
+    def init(self, folder: Path) -> int:
+        return work.summary(self.training)["n_tasks"]
+
+    def run(self, folder: Path, index: int) -> dict:
+        n = arrays.opened(self.training, f"average_{index}").shape[0]
+        values, rest = np.empty((n, 3 * self.size**2), np.float32), np.empty(n, np.float32)
+        for at in range(0, n, ROWS):
+            rows = slice(at, at + ROWS)
+            patches = _patches(self.training, index, rows)
+            values[rows] = coefficients(patches, self.size)
+            rest[rows] = np.maximum(squared_norms(patches) - squared_norms(values[rows]), 0)
+        for name, stored in (("coefficient", values), ("rest", rest)):
+            arrays.store(folder, f"{name}_{index}", stored, stored.shape)
+        return {"n_splats": n, "rest": float(rest.sum(dtype=np.float64))}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        n, rest = (sum(r[k] for r in results) for k in ("n_splats", "rest"))
+        return {"n_tasks": len(results), "n_patches": n, "rest": rest}
 
 
 def membership(stage: TrainingSet, folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -118,7 +158,7 @@ def membership(stage: TrainingSet, folder: Path) -> tuple[np.ndarray, np.ndarray
 
 
 def training_part(folder: Path, index: int) -> TrainingPart:
-    """The patches of one task of `Components`."""
+    """The patches of one task of `Components` or `Coefficients`."""
     coefficients = arrays.read(folder, f"coefficient_{index}").astype(np.float32, copy=False)
     return TrainingPart(coefficients, arrays.read(folder, f"rest_{index}").astype(np.float64))
 
@@ -132,3 +172,8 @@ def uniform_hash(start: int, stop: int, seed: int) -> np.ndarray:
         z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         z ^= z >> np.uint64(31)
     return (z >> np.uint64(11)) / 2.0**53
+
+
+def _patches(training: Path, index: int, rows: slice) -> np.ndarray:
+    texel, average = (arrays.opened(training, f"{name}_{index}")[rows] for name in ("texel", "average"))
+    return centred(np.asarray(texel), np.asarray(average))

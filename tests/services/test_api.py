@@ -332,7 +332,7 @@ def test_api__a_job_has_ogc_fields_and_a_key_makes_it_one(api, scan):
 
 
 @pytest.mark.parametrize(("change", "status", "words"), [
-    ({"options": {"dictionary_bits": 9}}, 422, "allowed: 8, 12, 16"), ({"options": {"colour": 1}}, 422, "colour"),
+    ({"options": {"dictionary_bits": 7}}, 422, "allowed: auto, 8, 9, 10, 11, 12, 13, 14, 16"), ({"options": {"colour": 1}}, 422, "colour"),
     ({"options": {"target_psnr_db": "NaN"}}, 422, "target_psnr_db"), ({"preset": "fast"}, 422, "preset"),
     ({"scan": "0" * 64}, 422, "no scan"), ({"scan": "../.."}, 422, "scan"), ({"seed": -1}, 422, "seed"),
     ({"webhook": "http://127.0.0.1/x"}, 422, "private"), ({"webhook": "http://[::ffff:10.0.0.1]/"}, 422, "private"),
@@ -470,7 +470,7 @@ def test_api__on_loopback_no_other_page_may_ask(api):
 
 def test_api__options_and_presets_are_those_of_the_command_line(api):
     options = {o["name"]: o for o in api.get("/v1/options").json()}
-    assert options["dictionary_bits"]["domain"] == {"enum": [8, 12, 16]} and options["iterations"]["value"] == 6
+    assert options["dictionary_bits"]["domain"] == {"enum": ["auto", 8, 9, 10, 11, 12, 13, 14, 16]} and options["iterations"]["value"] == 6
     assert [p["name"] for p in api.get("/v1/presets").json()] == ["draft", "balanced", "high"]
 
 

@@ -44,7 +44,7 @@ def test_cli__json_is_the_last_line_of_stdout(scan, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (["compress", "{scan}", "--out", "{tmp}/o", "--dictionary-bits", "9"], 1, "dictionary_bits is 9; allowed: 8, 12, 16"),
+        (["compress", "{scan}", "--out", "{tmp}/o", "--dictionary-bits", "7"], 1, "dictionary_bits is 7; allowed: auto, 8"),
         (["compress", "{scan}", "--out", "{tmp}/o", "--preset", "fast"], 1, "preset is 'fast'; allowed: draft, balanced, high"),
         (["compress", "{scan}", "--out", "{tmp}/o", "--radius", "-1"], 1, "radius is -1; allowed: above 0"),
         (["compress", "{scan}", "--out", "{tmp}/o", "--workers", "0"], 1, "--workers"),

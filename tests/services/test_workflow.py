@@ -58,7 +58,7 @@ def test_workflow__the_report_has_its_keys_and_its_figures_agree(packed_serially
     assert len(made["learning"]) == 2 and made["learning"][1]["psnr_db"] > made["learning"][0]["psnr_db"]
     names = [s["name"] for s in made["stages"]]
     assert names == ["ingest", "partition", "neighbours", "splats", "nearest-points", "measure-effects", "resample",
-                     "training-set", "components", "dictionary-seed", "ksvd-update", "quantise", "encode", "pack"]
+                     "training-set", "coefficients", "dictionary-seed", "ksvd-update", "quantise", "prices", "encode", "pack"]
     assert all(s["seconds"] > 0 and s["peak_rss_bytes"] > 1e7 for s in made["stages"])
 
 
@@ -131,7 +131,7 @@ def test_workflow__another_seed_gives_another_dictionary(scan, packed_serially, 
     atoms = []
     for folder in (packed_serially[0], tmp_path / "out"):
         with PackedFile(folder / "wavy plane.splatpress") as packed:
-            atoms.append(packed.read("atoms_32"))
+            atoms.append(packed.read(f"atoms_{packed.header.atom_size}"))
     assert not np.array_equal(*atoms)
 
 

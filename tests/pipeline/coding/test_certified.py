@@ -114,7 +114,7 @@ def test_certified__settles_few_atoms_of_smooth_patches():
     weight, residual = np.zeros((n, most)), np.zeros(n)
     energy = (patches.astype(np.float64) ** 2).sum(axis=1)
     n_settled = certified.pursue_rows(
-        patches, energy, split, True, np.zeros(n), np.empty((0, 0)), np.zeros((n, most), np.int32), weight,
+        patches, energy, split, True, np.zeros(n), 0.0, np.empty((0, 0)), np.zeros((n, most), np.int32), weight,
         np.zeros((n, most), np.int32), np.zeros(n, np.int32), residual)
     assert n * most <= n_settled < 0.1 * n * most * N_ATOMS
 

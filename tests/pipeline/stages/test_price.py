@@ -1,0 +1,71 @@
+"""One price for all splats: what it does to a pursuit, and how it is found."""
+
+import numpy as np
+import pytest
+
+from pipeline.coding.omp import pursue_patches
+from pipeline.coding.quantize import uniform_weight_levels
+from pipeline.stages.price import price_for
+
+
+def patches_and_atoms(n_atoms: int, dim: int = 96) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(5)
+    atoms = rng.standard_normal((n_atoms, dim)).astype(np.float32)
+    patches = rng.standard_normal((60, dim)) * rng.uniform(0.1, 2, (60, 1))
+    return patches.astype(np.float32), atoms / np.linalg.norm(atoms, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("search", ["exact", "certified"])
+@pytest.mark.parametrize("n_atoms", [40, 1200])
+@pytest.mark.parametrize("price", [0.3, 2.0])
+def test_price__every_atom_taken_is_worth_it_and_the_next_is_not(search, n_atoms, price):
+    patches, atoms = patches_and_atoms(n_atoms)
+    steps = np.stack([(patches.astype(np.float64) ** 2).sum(axis=1)] + [
+        pursue_patches(patches, atoms, max_atoms=most, search=search).residual for most in range(1, 7)], axis=1)
+    worth = -np.diff(steps, axis=1) > price
+    expected = np.where(worth.all(axis=1), 6, worth.argmin(axis=1))
+    found = pursue_patches(patches, atoms, max_atoms=6, price=price, search=search)
+    assert 0 < expected.mean() < 6
+    assert (found.codes.n_atoms == expected).all()
+    np.testing.assert_allclose(found.residual, steps[np.arange(60), expected], rtol=1e-5)
+
+
+def test_price__spends_the_same_atoms_better_than_a_cut_off():
+    patches, atoms = patches_and_atoms(200)
+    priced = pursue_patches(patches, atoms, max_atoms=8, price=0.5)
+    cut = min((pursue_patches(patches, atoms, max_atoms=8, tolerance=t) for t in np.geomspace(0.01, 300, 80)),
+              key=lambda found: (found.codes.n_atoms.sum() > priced.codes.n_atoms.sum(), found.residual.sum()))
+    assert priced.residual.sum() < cut.residual.sum()
+
+
+LADDER = {"price": [2.0, 1.0, 0.5], "error": [8.0, 4.0, 2.0]}
+WHOLE = {"n_active": 10, "n_splats": 10, "settled_energy": 0.0}
+
+
+def test_price__is_found_between_those_of_the_ladder():
+    assert price_for(LADDER, WHOLE, 4.0) == pytest.approx(1.0)
+    assert price_for(LADDER, WHOLE, np.sqrt(32)) == pytest.approx(np.sqrt(2))
+
+
+def test_price__settled_splats_leave_more_to_the_others():
+    half = {"n_active": 5, "n_splats": 10, "settled_energy": 5.0}
+    assert price_for(LADDER, half, 2.5) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("wanted", "found"), [(0.1, 0.5), (100.0, 2.0)])
+def test_price__beyond_the_ladder_is_its_end(wanted, found):
+    assert price_for(LADDER, WHOLE, wanted) == pytest.approx(found)
+
+
+def test_weights__even_levels_are_the_same_for_every_rank_and_as_wide_as_pays():
+    rng = np.random.default_rng(0)
+    ranks = [rng.normal(0, scale, 4000) for scale in (2, 1, 0.5)]
+    levels = uniform_weight_levels(ranks, 16)
+    assert (levels == levels[0]).all()
+    np.testing.assert_allclose(np.diff(levels[0]), levels[0, -1] / 7.5, rtol=1e-5)
+    sample = np.concatenate(ranks)
+
+    def error(row):
+        return np.abs(sample[:, None] - row).min(axis=1) @ np.abs(sample[:, None] - row).min(axis=1)
+
+    assert error(levels[0]) <= min(error(levels[0] * factor) for factor in (0.8, 1.25))
