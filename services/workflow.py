@@ -272,7 +272,7 @@ def _learn(run: Run, training: StageRecord, space: StageRecord, settings: Settin
 
     Ends early where an iteration gains less than `least_gain_db`.
     """
-    begun = time.perf_counter()
+    seconds = 0.0  # of the passes as they were made, now or by an earlier run
     of_turns = form or AtomForm()
     most = 2 ** index_bits(settings, form, training.summary["n_splats"]) // of_turns.n_turns
     n_atoms = max(1, min(most, training.summary["n_patches"] // PATCHES_AN_ATOM))
@@ -280,8 +280,9 @@ def _learn(run: Run, training: StageRecord, space: StageRecord, settings: Settin
     curve = []
     for iteration in range(settings.iterations):
         record = run.do(KsvdUpdate(space.folder, learned, settings.max_atoms, stop.tolerance, iteration, stop.price, of_turns))
+        seconds += record.made_seconds
         learned, found = record.folder, record.summary
-        curve.append({"seconds": time.perf_counter() - begun, "replaced_atoms": found["n_replaced"],
+        curve.append({"seconds": seconds, "replaced_atoms": found["n_replaced"],
                       "accepted": found["accepted"], "psnr_db": estimated_psnr_db(training.summary, found)})
         if _is_settled(curve, settings.least_gain_db):
             break
