@@ -46,10 +46,7 @@ def directions_of(cameras: list[dict]) -> tuple[Direction, Direction]:
     rotation = np.array([c["rotation"] for c in cameras], np.float64)  # (n, 3, 3)
     up = whole_direction(_leading(-rotation[:, 1]))
     level = np.eye(3) - np.outer(_unit(up), _unit(up))
-    ahead = rotation[:, 2] @ level
-    if np.linalg.norm(ahead) < 1e-3 * len(cameras):  # all look straight up or down
-        ahead = -rotation[:, 1] @ level + rotation[:, 0] @ level
-    return up, whole_direction(level @ _leading(ahead))
+    return up, whole_direction(level @ _leading(rotation[:, 2] @ level))  # which is not 0: up is no photograph's z alone
 
 
 def whole_direction(direction: np.ndarray) -> Direction:

@@ -120,3 +120,5 @@ def test_directions__whole_numbers_are_within_a_degree():
         assert np.linalg.norm(found) <= LONGEST_DIRECTION
         assert np.degrees(np.arccos(min(1.0, unit(found) @ unit(direction)))) < 1.2
     assert whole_direction(np.array([0.0, -1e-9, 0.0])) == (0, -1, 0)
+    for longest in ((35, 8, 2), (-20, 22, 20), (36, 0, 0)):
+        assert whole_direction(np.array(longest) / 7.0) == tuple(n // np.gcd.reduce(longest) for n in longest)

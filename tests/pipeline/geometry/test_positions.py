@@ -113,3 +113,14 @@ def test_positions__mean_error_on_a_dense_wall_is_far_below_a_splat():
     boxes = fit_boxes(position)
     error = np.linalg.norm(decode_positions(encode_positions(position, boxes), boxes) - position, axis=1)
     assert error.mean() < 0.02 / 30
+
+
+def test_positions__boxes_hold_their_points_and_are_not_larger_than_float32_calls_for():
+    rng = np.random.default_rng(8)
+    position = rng.standard_normal((40 * CHUNK, 3)) * 10 ** rng.uniform(-3, 3, (40 * CHUNK, 1))
+    boxes = fit_boxes(position)
+    rows = position.reshape(40, CHUNK, 3)
+    low, size = boxes.low.astype(float), boxes.size.astype(float)
+    assert (low <= rows.min(axis=1)).all() and (low + size >= rows.max(axis=1)).all()
+    assert (np.nextafter(boxes.low, np.float32(np.inf)) > rows.min(axis=1)).all()
+    assert (low + np.nextafter(boxes.size, np.float32(0)) < rows.max(axis=1)).all()
