@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -162,16 +163,25 @@ QUARTER = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
 @pytest.mark.parametrize("placed", [
     Placed(np.eye(3), shift=(4.5e5, 5.4e6, 100.0)), Placed(np.eye(3), 1e-6), Placed(np.eye(3), 1e6),
     Placed(QUARTER), Placed(QUARTER, 1000.0, (-3e5, 1e5, 2e6)),
-    Placed(Rotation.from_euler("xyz", (10, 20, 30), degrees=True).as_matrix()),
-    Placed(Rotation.from_euler("zyx", (115, -40, 65), degrees=True).as_matrix()),
-], ids=["far", "tiny", "huge", "turned by axes", "all three", "turned a little", "turned a lot"])
+], ids=["far", "tiny", "huge", "turned by axes", "all three"])
 def test_whole__moving_turning_and_scaling_leave_psnr(tmp_path, wall, placed):
     report, packed = compressed(photographed_wall(tmp_path / "scan", placed), tmp_path / "out")
     for figure in ("texture_psnr_db", "visible_psnr_db"):
         assert report["quality"][figure] == pytest.approx(wall[0]["quality"][figure], abs=0.05)
     mine, moved = (r["quality"]["geometry"]["mean_position_error_in_radii"] for r in (wall[0], report))
-    by_quarters = (np.abs(placed.turn).max(axis=1) == 1).all()
-    assert moved == pytest.approx(mine, rel=0.35) if by_quarters else moved < 1 / 30  # a tilted wall's boxes are thicker
+    assert moved == pytest.approx(mine, rel=0.35)
+
+
+def test_whole__turning_a_scan_by_any_angles_leaves_psnr(tmp_path):
+    """Chunks then hold other splats, and learning starts from others; this wall has enough of them for that not to matter."""
+    settings = replace(QUICK, training_splats=4000)
+    turns = (np.eye(3), *(Rotation.from_euler("zyx", angles, degrees=True).as_matrix() for angles in ((10, 20, 30), (115, -40, 65))))
+    still, *turned = (compressed(photographed_wall(tmp_path / f"scan{i}", Placed(turn), n_side=60), tmp_path / f"out{i}", settings)[0]
+                      for i, turn in enumerate(turns))
+    for report in turned:
+        for figure in ("texture_psnr_db", "visible_psnr_db"):
+            assert report["quality"][figure] == pytest.approx(still["quality"][figure], abs=0.05)
+        assert report["quality"]["geometry"]["mean_position_error_in_radii"] < 1 / 30  # a tilted wall's boxes are thicker
 
 
 def test_whole__patches_of_a_far_scan_are_those_of_the_near_one(tmp_path, wall):
@@ -196,6 +206,9 @@ class _Backwards:
             result = run_task(stage, folder, index)
             if index in indices:
                 on_done(index, result)
+
+    def call(self, name, function, *arguments):
+        return function(*arguments)
 
 
 def test_whole__bytes_do_not_depend_on_the_order_of_tasks(tmp_path, wall, monkeypatch):

@@ -102,7 +102,7 @@ def process(*command: str, log: Path):
 def test_faults__a_worker_that_is_cut_off_is_given_up_and_what_it_still_does_changes_no_byte(network, tmp_path):
     """It goes on with its task after another has been given the same, and is let back in before the job has ended."""
     namespace, address, cable = network
-    options = {**OPTIONS, "iterations": 6}
+    options = {**OPTIONS, "iterations": 12}
     scan = photo_scan(tmp_path / "plane", n_side=60)
     scheduler = f"tcp://{address}:{free_port()}"
     dask = [str(Path(sys.executable).with_name("dask"))]
@@ -124,7 +124,7 @@ def test_faults__a_worker_that_is_cut_off_is_given_up_and_what_it_still_does_cha
         events = []
         ended = served.client.watch(job, events.append)
         assert ended["status"] == "successful", ended["problem"]
-        assert re.search(r"worker tcp://10\.213\.7\.2:\S+ was lost with 1 tasks of ksvd-update", served.log_of(job))
+        assert re.search(r"worker tcp://10\.213\.7\.2:\S+ was lost with 1 tasks of \S+", served.log_of(job))
         assert [e["data"]["status"] for e in events if e["kind"] == "status"] == ["accepted", "running", "successful"]
         served.client.fetch(job, tmp_path / "got", ["plane.splatpress"])
     assert (tmp_path / "got" / "plane.splatpress").read_bytes() == packed_by_compress(scan, tmp_path / "out", options)
