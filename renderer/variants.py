@@ -10,8 +10,8 @@ from statistics import median
 import numpy as np
 
 from renderer.compare import psnr_db
-from renderer.pictures import resized
-from renderer.previews import even_choice, limited_view
+from renderer.pictures import resized, save_picture
+from renderer.previews import even_choice, limited_view, safe_names
 from renderer.renderer import Picture, Renderer
 from renderer.report import sizes_of
 from renderer.scene import GpuScene
@@ -23,6 +23,7 @@ from storage.schema import Camera
 N_VIEWS, MAX_SIDE_PX, ORBIT_PX = 4, 1024, (960, 720)
 ROUNDS = 3  # every variant is drawn once a round, so that a machine's mood falls on all alike
 WARM_UP_PX = (64, 48)
+SPOT_PX, ENLARGED = 120, 4
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,12 @@ class Variant:
     photos: Path
 
 
-def compare_variants(variants: Sequence[Variant]) -> list[dict]:
+def compare_variants(variants: Sequence[Variant], folder: Path | None = None) -> list[dict]:
     """A row a variant: `frame_s` (median over views of the best of ROUNDS), `gpu_bytes`, `file_bytes`, `psnr_vs_photos_db`
     (mean over views, over the pixels that all variants cover; each against the photographs as it was textured from them),
-    `psnr_vs_first_db` (against the first variant's picture) and the `programs` that drew it. None without photographs."""
+    `psnr_vs_first_db` (against the first variant's picture) and the `programs` that drew it. None without photographs.
+    With a `folder` each variant but the first has NAME.png there: where it differs most from the first one, itself, the first
+    one and, if there is one, the photograph as the first was textured from it, side by side."""
     renderer = Renderer()
     scenes = []
     for variant in variants:
@@ -47,6 +50,7 @@ def compare_variants(variants: Sequence[Variant]) -> list[dict]:
     chosen = even_choice(len(cameras), N_VIEWS)
     views = [limited_view(cameras[i], MAX_SIDE_PX) for i in chosen] or orbit_views(scenes[0].scene, N_VIEWS, ORBIT_PX)
     seconds = [[] for _ in variants]
+    spots = [(-1.0, None)] * len(variants)
     figures = [{"psnr_vs_photos_db": [], "psnr_vs_first_db": []} for _ in variants]
     programs = [set() for _ in variants]
     for scene in scenes:
@@ -55,6 +59,7 @@ def compare_variants(variants: Sequence[Variant]) -> list[dict]:
         pictures, best = _rounds(renderer, scenes, view)
         covered = np.logical_and.reduce([picture.coverage for picture in pictures])
         for k, picture in enumerate(pictures):
+            spots[k] = max(spots[k], _spot(pictures[0], picture, covered, i), key=lambda spot: spot[0])
             seconds[k].append(best[k])
             programs[k] |= set(picture.programs)
             figures[k]["psnr_vs_first_db"].append(psnr_db(picture.rgb, pictures[0].rgb, covered))
@@ -66,9 +71,30 @@ def compare_variants(variants: Sequence[Variant]) -> list[dict]:
         "gpu_bytes": sizes_of(scenes[k].scene, 0)["gpu_bytes"], **{name: _mean(values) for name, values in figures[k].items()},
         "programs": sorted(programs[k]),
     } for k, variant in enumerate(variants)]
+    for k in range(1, len(variants) if folder else 0):
+        _, (i, at) = spots[k]
+        shown = [renderer.render(scenes[n], views[i]).rgb for n in (k, 0)]
+        if chosen:
+            photo = arrays.read(variants[0].photos, f"photo_{chosen[i]}")
+            shown.append(resized(photo, views[i].width_px, views[i].height_px))
+        save_picture(folder / f"{safe_names([variants[k].name])[0]}.png", _enlarged(shown, at))
     for scene in scenes:
         scene.release()
     return rows
+
+
+def _spot(first: Picture, other: Picture, covered: np.ndarray, view: int) -> tuple[float, tuple]:
+    """By how much a picture differs from the first one in the square where it does so most, and the view and that square."""
+    off = np.where(covered, np.abs(first.rgb.astype(np.int32) - other.rgb).sum(axis=2), 0).astype(np.float64)
+    side = min(SPOT_PX, *off.shape)
+    running = np.pad(off.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    sums = running[side:, side:] - running[:-side, side:] - running[side:, :-side] + running[:-side, :-side]
+    row, column = np.unravel_index(sums.argmax(), sums.shape)
+    return float(sums[row, column]), (view, (slice(row, row + side), slice(column, column + side)))
+
+
+def _enlarged(pictures: list[np.ndarray], at: tuple[slice, slice]) -> np.ndarray:
+    return np.concatenate([np.repeat(np.repeat(rgb[at], ENLARGED, axis=0), ENLARGED, axis=1) for rgb in pictures], axis=1)
 
 
 def _rounds(renderer: Renderer, scenes: list[GpuScene], view: Camera) -> tuple[list[Picture], list[float]]:

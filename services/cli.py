@@ -98,7 +98,7 @@ def _effects(options: argparse.Namespace) -> int:
     work = Path(options.work) if options.work else None
     if options.measure:
         with _executor(options) as executor:
-            found = worth_of_effects(scan, settings, executor, _progress(), work)
+            found = worth_of_effects(scan, settings, executor, _progress(), work, Path(options.out) if options.out else None)
         print(json.dumps(found) if options.json else _variant_lines(found["variants"]))
         return OK
     with _executor(options) as executor:
@@ -402,6 +402,7 @@ def _add_effects(commands) -> None:
     effects.add_argument("scan", metavar="SCAN")
     effects.add_argument("--measure", action="store_true",
                          help="pack and draw it as planned, with all on, and with each effect alone off: what each is worth")
+    effects.add_argument("--out", metavar="DIR", help="with --measure: pictures of where each variant differs, and effects.json")
     add_settings(effects)
     effects.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
     effects.add_argument("--json", action="store_true", help="the rows as the last line of stdout")

@@ -10,6 +10,7 @@ from pathlib import Path
 from pipeline.effects.request import parse_request
 from pipeline.settings import Settings
 from pipeline.stage import Executor, Progress
+from renderer.files import write_json
 from renderer.variants import Variant, compare_variants
 from services.workflow import Run, code, is_textured, pack, plan_scan, prepare, splats_of
 from storage.packed import SUFFIX
@@ -22,10 +23,11 @@ def effects_of(scan: Path, settings: Settings, executor: Executor, progress: Pro
 
 
 def worth_of_effects(
-    scan: Path, settings: Settings, executor: Executor, progress: Progress, work: Path | None = None
+    scan: Path, settings: Settings, executor: Executor, progress: Progress, work: Path | None = None, out: Path | None = None
 ) -> dict:
     """`rows`, the plan, and `variants`: the scan packed and drawn as planned, with all effects on, and with each that is on
-    alone off; what renderer.variants measures of each, with the seconds that its stages took."""
+    alone off; what renderer.variants measures of each, with the seconds that its stages took.
+    With `out` there are pictures of where each differs most from the plan, and all of it as effects.json."""
     with _run(executor, progress, work) as run, tempfile.TemporaryDirectory(prefix="splatpress-variants-") as folder:
         plan, variants, seconds = None, [], []
         requests = {"plan": settings.effects}
@@ -42,8 +44,11 @@ def worth_of_effects(
                 plan = prepared.effects
                 requests["all on"] = "all=on"
                 requests |= {f"without {e}": f"{settings.effects},{e}=off" for e in plan.enabled}
-        rows = compare_variants(variants)
-        return {"rows": plan.to_json(), "variants": [row | {"stage_s": s} for row, s in zip(rows, seconds, strict=True)]}
+        rows = compare_variants(variants, out)
+        found = {"rows": plan.to_json(), "variants": [row | {"stage_s": s} for row, s in zip(rows, seconds, strict=True)]}
+        if out is not None:
+            write_json(out / "effects.json", found)
+        return found
 
 
 @contextmanager

@@ -19,7 +19,8 @@ SETTINGS = settings_for("draft", max_atoms=0)
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory, renderer) -> dict:
     folder = tmp_path_factory.mktemp("step")
-    return worth_of_effects(step_scan(folder / "step", n_side=61), SETTINGS, SerialExecutor(), Heard(), folder / "work")
+    return worth_of_effects(step_scan(folder / "step", n_side=61), SETTINGS, SerialExecutor(), Heard(), folder / "work",
+                            folder / "out") | {"out": folder / "out"}
 
 
 def test_effects__measure_has_the_plan_all_on_and_each_alone_off(measured):
@@ -28,7 +29,10 @@ def test_effects__measure_has_the_plan_all_on_and_each_alone_off(measured):
     assert [v["variant"] for v in measured["variants"]] == ["plan", "all on", *(f"without {e}" for e in on)]
     for v in measured["variants"]:
         assert v["frame_s"] > 0 and v["gpu_bytes"] > 0 and v["file_bytes"] > 0 and v["psnr_vs_photos_db"] > 10
-    json.dumps(measured, allow_nan=False)
+    found = json.loads((measured["out"] / "effects.json").read_text())
+    assert found["variants"] == json.loads(json.dumps(measured["variants"], allow_nan=False))
+    pictures = {path.name for path in measured["out"].glob("*.png")}
+    assert pictures == {"all_on.png", *(f"without_{e}.png" for e in on)}
 
 
 def test_effects__off_takes_its_bytes_and_its_shader_code_along(measured):
