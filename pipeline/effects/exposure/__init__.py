@@ -72,7 +72,7 @@ EFFECT = Effect(
     measures="levels of 255 by which the median spread of a splat's colours across photographs falls",
     threshold=1.0,
     reason="a seam of one level of 255 is what rounding makes of equal photographs; less cannot be told from it",
-    worth=Worth("not measured"),
+    worth=Worth("fountain_p11, draft, 4 views of 1024 px, a loaded machine", seconds_a_million=38, gain_db=1.91),
     measure_block=_measure_block,
     conclude=_conclude,
     build=_build,
