@@ -43,6 +43,10 @@ LINES = 16  # directions a line may have
 # has 0.66, a rope of one radius across its own 0.35. One above the second figure that is flat is no rope.
 LINE_RADII = 0.45
 WIDE_RADII = 0.7
+# What no plane explains and yet fills the neighbourhood is rough or noisy, such as stray points of a stereo scan about
+# relief (deviations of 1.2, 0.9 and 0.5 on fountain_p11): it has no outline of its own to be drawn.
+SLENDER_RADII = 0.8  # second deviation: more than that of 95 % of points on ropes
+SMALL_RADII = 1.0  # first deviation, of all small balls
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,8 @@ def decide(around: Neighbourhood, deviation: np.ndarray, radius: float, noise: f
     open_ = np.flatnonzero(enough & ~line & ~flat)
     arc = np.where(flat, 2 * math.pi, 0.0)
     arc[open_] = _best_arcs(around.offset[open_] / radius, around.count[open_], tolerance, LEAST_ARC)
-    return Verdict(enough & ~flat & (arc < LEAST_ARC), arc)
+    slender = (sigma[:, 1] <= SLENDER_RADII) | (sigma[:, 0] <= SMALL_RADII)
+    return Verdict(enough & ~flat & slender & (arc < LEAST_ARC), arc)
 
 
 def thin_splats(point: np.ndarray, around: np.ndarray, radius: float, noise: float) -> np.ndarray:
