@@ -127,7 +127,7 @@ def main() -> None:
         PHOTOGRAPHS.update({row["scan"]: (int(options.photographs[0]), options.photographs[1]) for row in rows})
     if options.write:
         costs = {name: asdict(cost) for name, cost in fitted(rows).items()}
-        about = sorted({f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers" for row in rows})
+        about = sorted({f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers, coder {row.get('coder', 'paper')}" for row in rows})
         COSTS.write_text(json.dumps({"fitted_to": about, "stages": costs}, indent=1) + "\n")
         return
     found = checked(rows)

@@ -28,14 +28,16 @@ PHOTOS, BY_PHOTO, SAMPLE = "a photograph", "the splats of a photograph", "a bloc
 TASKS = {
     "ingest": SCAN, "photographs": PHOTOS, "partition": SCAN, "neighbours": BLOCKS, "splats": BLOCKS,
     "nearest-points": BY_PHOTO, "measure-effects": SAMPLE, "cliplines": BLOCKS, "resample": BLOCKS,
-    "training-set": TRAINING, "components": TRAINING, "dictionary-seed": SEED, "ksvd-update": TRAINING,
-    "quantise": TRAINING, "encode": BLOCKS, "pack": GROUPS,
+    "training-set": TRAINING, "components": TRAINING, "coefficients": TRAINING, "dictionary-seed": SEED,
+    "ksvd-update": TRAINING, "quantise": TRAINING, "prices": TRAINING, "encode": BLOCKS, "pack": GROUPS,
 }
 READS = {  # whose output a stage reads whole; the training set reads its own share of patches
     "partition": ("ingest",), "neighbours": ("partition",), "splats": ("partition", "neighbours"),
     "nearest-points": ("partition",), "cliplines": ("splats", "nearest-points"), "resample": ("splats", "photographs"),
-    "components": ("training-set",), "dictionary-seed": ("components",), "ksvd-update": ("components",),
-    "quantise": ("components",), "encode": ("resample",), "pack": ("splats", "encode"),
+    "components": ("training-set",), "coefficients": ("training-set",), "dictionary-seed": ("components", "coefficients"),
+    "ksvd-update": ("components", "coefficients"), "quantise": ("components", "coefficients"),
+    "prices": ("components", "coefficients"),
+    "encode": ("resample",), "pack": ("splats", "encode"),
 }
 
 
@@ -102,7 +104,8 @@ def _plan_stage(name: str, cost: StageCost, job: Job, written: dict[str, float])
     if name == "training-set":
         read = written[name] + 4.0 * job.n_splats
     return StagePlan(
-        name, passes * n_tasks, together, task_s, passes * (once_s + busy_s), passes * once_s, passes * n_calls * DISPATCH_S, passes * read, passes * written[name],
+        name, passes * n_tasks, together, task_s, passes * (once_s + busy_s), passes * once_s, passes * n_calls * DISPATCH_S,
+        passes * read, passes * written[name],
         cost.memory_bytes + cost.memory_bytes_a_unit * units)
 
 
