@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numba
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from pipeline.effects.block import Sources
-from pipeline.effects.cliplines.eyes import cells_of, eyes_of, seen_by_eye
+from pipeline.effects.cliplines.eyes import cell_of, eyes_of, seen_by_eye
 from storage import arrays, work
 
 CELLS_A_RADIUS = 3.0
@@ -22,7 +23,7 @@ UNKNOWN = np.float32(np.nan)
 
 @dataclass(frozen=True)
 class NearestPoints:
-    """A task an eye; it streams all points. Array nearest_<i> (h, w, 3) float32: the position, against the scan's origin,
+    """A task an eye; it streams the blocks that may lie in its picture. Array nearest_<i> (h, w, 3) float32: the position, against the scan's origin,
     of the point nearest to each cell of eye i, or NaN throughout where it sees nothing."""
 
     sources: Sources
@@ -37,10 +38,10 @@ class NearestPoints:
         scale = eye.scale_for(self._median_distance(index), s.radius, CELLS_A_RADIUS)
         position = np.full((*eye.shape(scale), 3), UNKNOWN, np.float32)
         distance = np.full(eye.shape(scale), np.inf)
-        for block in map(s.block, range(arrays.n_blocks(s.n_splats))):
-            points = block.position[seen_by_eye(block, index)]
-            row, column, inside = cells_of(eye, scale, points + s.origin)
-            _keep_nearest(position, distance, row[inside], column[inside], points[inside], eye.project(points[inside] + s.origin)[2])
+        points = work.summary(s.partition)
+        low, high = np.array(points["block_low"]) + s.origin, np.array(points["block_high"]) + s.origin
+        for block in (s.block(i) for i in range(arrays.n_blocks(s.n_splats)) if eye.may_see(low[i], high[i])):
+            _keep_nearest(position, distance, eye.numbers, eye.around, scale, block.position, s.origin, seen_by_eye(block, index))
         if np.isfinite(distance).any():
             row, column = distance_transform_edt(~np.isfinite(distance), return_distances=False, return_indices=True)
             position = position[row, column]
@@ -54,13 +55,20 @@ class NearestPoints:
         """Of the middles of the blocks that lie in the eye's picture; 1 where none does."""
         points = work.summary(self.sources.partition)
         middle = (np.array(points["block_low"]) + points["block_high"]) / 2 + self.sources.origin
-        distance = eyes_of(self.sources)[index].project(middle)[2]
+        distance = eyes_of(self.sources)[index].distances(middle)
         return float(np.nanmedian(distance)) if np.isfinite(distance).any() else 1.0
 
 
-def _keep_nearest(position, distance, row, column, points, away) -> None:
+@numba.njit(cache=True, nogil=True)
+def _keep_nearest(position, distance, eye, around, scale, points, origin, seen):
     """Let each cell have, of the points that fall into it, the one nearest to the eye; the first of equals."""
-    order = np.lexsort((-np.arange(len(away)), -away))  # the last to be written stays
-    nearer = order[away[order] < distance[row[order], column[order]]]
-    distance[row[nearer], column[nearer]] = away[nearer]
-    position[row[nearer], column[nearer]] = points[nearer]
+    height, width = distance.shape
+    for i in range(len(points)):
+        if not seen[i]:
+            continue
+        p = points[i]
+        row, column, away = cell_of(eye, around, scale, width, height, p[0] + origin[0], p[1] + origin[1], p[2] + origin[2])
+        if row >= 0 and away < distance[row, column]:
+            distance[row, column] = away
+            for k in range(3):
+                position[row, column, k] = p[k]

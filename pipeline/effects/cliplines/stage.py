@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numba
 import numpy as np
 
 from pipeline.effects.block import Block, Sources
-from pipeline.effects.cliplines.eyes import cells_of, eye_of_splats, eyes_of
+from pipeline.effects.cliplines.eyes import Eye, cell_of, eye_of_splats, eyes_of
 from pipeline.effects.cliplines.lines import best_lines, disc_points
 from storage import arrays, work
 
@@ -54,10 +55,11 @@ def cliplines_of(
     """Codes (n,) uint32 of the splats of a block, and which are worth one, (n,) bool; of every n-th splat, zeros between."""
     code, has = np.zeros(len(block.centre), np.uint32), np.zeros(len(block.centre), bool)
     eye = np.where(np.arange(len(code)) % every, -1, eye_of_splats(block))
+    eyes, scales = eyes_of(block.sources), work.summary(nearest)["scale"]
     for i in np.unique(eye[eye >= 0]):
-        position = arrays.read(nearest, f"nearest_{i}")
+        position = np.asarray(arrays.mapped(nearest, f"nearest_{i}"))
         for rows in _pieces(np.flatnonzero(eye == i)):
-            foreign = _foreign(block, rows, int(i), work.summary(nearest)["scale"][i], position, foreign_radii)
+            foreign = _foreign(block, rows, eyes[i], scales[i], position, foreign_radii)
             some = rows[foreign.any(axis=1)]
             code[some], gain = best_lines(foreign[foreign.any(axis=1)])
             has[some] = gain >= least_gain
@@ -69,13 +71,28 @@ def _pieces(rows: np.ndarray) -> list[np.ndarray]:
     return [rows[at : at + ROWS] for at in range(0, len(rows), ROWS)]
 
 
-def _foreign(block: Block, rows: np.ndarray, eye: int, scale: float, nearest: np.ndarray, foreign_radii: float) -> np.ndarray:
+def _foreign(block: Block, rows: np.ndarray, eye: Eye, scale: float, nearest: np.ndarray, foreign_radii: float) -> np.ndarray:
     """Which of the disc's points belong to another surface, (n, m) bool."""
-    s, (u, v, normal) = block.sources, (axis[rows] for axis in block.frame)
-    points, _ = disc_points()
-    offset = s.radius * (points[:, 0, None] * u[:, None] + points[:, 1, None] * v[:, None])
-    on_disc = (block.centre[rows][:, None] + offset).reshape(-1, 3)
-    row, column, inside = cells_of(eyes_of(s)[eye], scale, on_disc + s.origin)
-    found = nearest[row, column].reshape(len(rows), len(points), 3)
-    off = ((found - block.centre[rows][:, None]) * normal[:, None]).sum(axis=2)
-    return inside.reshape(off.shape) & (np.abs(off) > foreign_radii * s.radius)
+    s, points = block.sources, disc_points()[0]
+    foreign = np.zeros((len(rows), len(points)), bool)
+    _look_up(foreign, rows, block.centre, *block.frame, points, s.radius, foreign_radii * s.radius,
+             eye.numbers, eye.around, scale, s.origin, nearest)
+    return foreign
+
+
+@numba.njit(cache=True, nogil=True)
+def _look_up(foreign, rows, centre, u, v, normal, points, radius, tolerance, eye, around, scale, origin, nearest):
+    """Mark the points of discs whose nearest point lies further than `tolerance` from the disc's plane."""
+    height, width, _ = nearest.shape
+    for k, i in enumerate(rows):
+        c, p, q, n = centre[i], u[i], v[i], normal[i]
+        for j in range(len(points)):
+            a, b = points[j]
+            x = c[0] + radius * (a * p[0] + b * q[0]) + origin[0]
+            y = c[1] + radius * (a * p[1] + b * q[1]) + origin[1]
+            z = c[2] + radius * (a * p[2] + b * q[2]) + origin[2]
+            row, column, _ = cell_of(eye, around, scale, width, height, x, y, z)
+            if row >= 0:
+                found = nearest[row, column]
+                off = (found[0] - c[0]) * n[0] + (found[1] - c[1]) * n[1] + (found[2] - c[2]) * n[2]
+                foreign[k, j] = abs(off) > tolerance

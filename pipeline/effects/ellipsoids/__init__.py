@@ -25,8 +25,9 @@ def _measure_block(block: Block) -> dict:
     """Neighbourhoods here end at the block's own splats: those at its rim, a few per cent, seem a little thinner."""
     radius = block.sources.radius
     point, around = block.position[::EVERY], thinned(block.position, CELL_RADII * radius)
-    histogram = histogram_of(thirds_of(gather(point, around, REACH_RADII * radius)) / radius)
-    thin = thin_splats(point, around, radius, noise_radii(histogram) * radius)
+    near = gather(point, around, REACH_RADII * radius)
+    histogram = histogram_of(thirds_of(near) / radius)
+    thin = thin_splats(point, around, radius, noise_radii(histogram) * radius, near)
     return {"n_thin": int(thin.sum()), "n": len(thin), "thirds": histogram.tolist()}
 
 

@@ -54,7 +54,7 @@ class Verdict:
     """What was decided of each splat, and from what."""
 
     ellipsoid: np.ndarray  # (n,) bool
-    arc: np.ndarray  # (n,) float64 radians: of the best plane and line found, at least LEAST_ARC where it is a disc by that
+    arc: np.ndarray  # (n,) float64 radians: of the best plane and line found, where only it could tell; 0 elsewhere
 
 
 def decide(around: Neighbourhood, deviation: np.ndarray, radius: float, noise: float) -> Verdict:
@@ -67,17 +67,19 @@ def decide(around: Neighbourhood, deviation: np.ndarray, radius: float, noise: f
     enough = around.count >= LEAST_AFTER_OUTLIERS
     line = sigma[:, 1] <= LINE_RADII
     flat = (sigma[:, 2] <= 0.5 * tolerance) & (sigma[:, 1] >= WIDE_RADII)
-    open_ = np.flatnonzero(enough & ~line & ~flat)
-    arc = np.where(flat, 2 * math.pi, 0.0)
-    arc[open_] = _best_arcs(around.offset[open_] / radius, around.count[open_], tolerance, LEAST_ARC)
     slender = (sigma[:, 1] <= SLENDER_RADII) | (sigma[:, 0] <= SMALL_RADII)
+    open_ = np.flatnonzero(enough & slender & ~line & ~flat)  # most splats are neither: planes are tried for few
+    arc = np.zeros(len(sigma))
+    arc[open_] = _best_arcs(around.offset[open_] / radius, around.count[open_], tolerance, LEAST_ARC)
     return Verdict(enough & ~flat & slender & (arc < LEAST_ARC), arc)
 
 
-def thin_splats(point: np.ndarray, around: np.ndarray, radius: float, noise: float) -> np.ndarray:
+def thin_splats(
+    point: np.ndarray, around: np.ndarray, radius: float, noise: float, near: Neighbourhood | None = None
+) -> np.ndarray:
     """Which of `point` (n, 3) call for an ellipsoid, (n,) bool. `around` (m, 3) are the scan's points, thinned by CELL_RADII, to
-    WIDEST_RADII about them."""
-    near = gather(point, around, REACH_RADII * radius)
+    WIDEST_RADII about them; `near` their neighbourhoods of REACH_RADII, if they are known."""
+    near = gather(point, around, REACH_RADII * radius) if near is None else near
     deviation, _ = principal_axes(moments(near.offset, near.count)[1])
     thin = decide(near, deviation, radius, noise).ellipsoid
     for scale in WIDER:
@@ -123,15 +125,21 @@ def _three(hypothesis, count):
 
 
 @numba.njit(cache=True, nogil=True)
+def _cross(p, q):
+    """As of numpy, whose own takes seconds to compile."""
+    return np.array([p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]])
+
+
+@numba.njit(cache=True, nogil=True)
 def _project(offset, count, a, b, c, height, x, y):
     """Members in the frame of the plane through `a`, `b` and `c`; False where those are nearly on a line."""
     p, q = b - a, c - a
-    normal = np.cross(p, q)
+    normal = _cross(p, q)
     area, length = math.sqrt((normal * normal).sum()), math.sqrt((p * p).sum())
     if area <= 0.2 * length * math.sqrt((q * q).sum()):
         return False
     normal, along = normal / area, p / length
-    across = np.cross(normal, along)
+    across = _cross(normal, along)
     for j in range(count):
         o = offset[j]
         height[j] = (o[0] - a[0]) * normal[0] + (o[1] - a[1]) * normal[1] + (o[2] - a[2]) * normal[2]

@@ -10,6 +10,7 @@ from storage.schema import Camera
 
 EVERY = 32  # splats of a block: 512
 STEEPEST = 0.3  # cosine: beyond 73 degrees a disc is a smear of what lies about it
+LINEAR = linear_of(np.arange(256) / 255.0)  # light by level
 RINGS = ((0.0, 1), (0.5, 6), (0.9, 10))  # radius and number of lookups on the disc
 
 
@@ -38,7 +39,7 @@ def _in_photo(block: Block, index: int, camera: Camera, rows: np.ndarray) -> tup
     if len(row):
         left, top = int(column.min()), int(row.min())
         window = block.photo(index, left, top, int(column.max()) + 1, int(row.max()) + 1)
-        light = linear_of(window[row - top, column - left] / 255.0).mean(axis=1)
+        light = LINEAR[window[row - top, column - left]].mean(axis=1)
     return (usable[whole], np.full(len(row), index), x[whole, 0] * 2 / camera.width_px - 1,
             y[whole, 0] * 2 / camera.height_px - 1, light)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS, srgb_of, terms
@@ -41,13 +42,15 @@ def solve_fields(seen: Observations, n_photos: int) -> np.ndarray:
     seen = seen.only(usable)
     basis = terms(seen.x, seen.y)
     groups = [np.flatnonzero(seen.photo == i) for i in range(n_photos)]
+    bases = [basis[rows] for rows in groups]
+    order, start = _by_splat(seen.splat)
     for channel in range(3):
         log_light = np.log(seen.light[:, channel])
         for _ in range(ROUNDS if len(log_light) else 0):
             corrected = log_light + (basis * fields[seen.photo, channel]).sum(axis=1)
-            wanted = _medians(seen.splat, corrected) - log_light
+            wanted = _medians(order, start, corrected) - log_light
             for i, rows in enumerate(groups):
-                fields[i, channel] = _fitted(basis[rows], wanted[rows], fields[i, channel])
+                fields[i, channel] = _fitted(bases[i], wanted[rows], fields[i, channel])
             fields[:, channel, 0] -= fields[:, channel, 0].mean()
     return fields
 
@@ -77,12 +80,26 @@ def _fitted(basis: np.ndarray, wanted: np.ndarray, field: np.ndarray) -> np.ndar
     return np.linalg.solve(weighted.T @ basis + np.diag(PRIOR), weighted.T @ wanted)
 
 
-def _medians(splat: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """The median of each splat's values, at each of its rows."""
-    order = np.lexsort((value, splat))
-    _, start, at, count = np.unique(splat[order], return_index=True, return_inverse=True, return_counts=True)
-    ordered = value[order]
-    middle = (ordered[start + (count - 1) // 2] + ordered[start + count // 2]) / 2
+def _by_splat(splat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (m,) in the order of their splats, and where each splat's begin, (s + 1,)."""
+    order = np.argsort(splat, kind="stable")
+    return order, np.flatnonzero(np.diff(splat[order], prepend=-1, append=-1))
+
+
+@numba.njit(cache=True, nogil=True)
+def _medians(order, start, value):
+    """The median of each splat's values, at each of its rows; as many values as photographs: sorted by insertion."""
     result = np.empty(len(value))
-    result[order] = middle[at]
+    for s in range(len(start) - 1):
+        rows = order[start[s] : start[s + 1]]
+        n = len(rows)
+        held = np.empty(n)
+        for j in range(n):
+            k = j
+            while k > 0 and held[k - 1] > value[rows[j]]:
+                held[k] = held[k - 1]
+                k -= 1
+            held[k] = value[rows[j]]
+        for j in range(n):
+            result[rows[j]] = (held[(n - 1) // 2] + held[n // 2]) / 2
     return result
