@@ -72,8 +72,24 @@ def mapped(folder: Path, name: str) -> np.ndarray:
     return _chunk(folder, name, array, 0)
 
 
-def _chunk(folder: Path, name: str, array: zarr.Array, index: int) -> np.memmap:
-    path = folder / f"{name}.zarr" / "c" / "/".join([str(index), *"0" * (len(array.shape) - 1)])
+def read_window(folder: Path, name: str, top: int, bottom: int, left: int, right: int) -> np.ndarray:
+    """Rows top..bottom and columns left..right of a picture (h, w, channels) in tiles, which must lie in it; only what is
+    in the window is read from disk."""
+    array = opened(folder, name)
+    height, width, _ = array.chunks
+    assert not array.compressors and 0 <= top < bottom <= array.shape[0] and 0 <= left < right <= array.shape[1]
+    result = np.empty((bottom - top, right - left, array.shape[2]), array.dtype)
+    for i in range(top // height, -(-bottom // height)):
+        for j in range(left // width, -(-right // width)):
+            y, x = slice(max(top, i * height), min(bottom, (i + 1) * height)), slice(max(left, j * width), min(right, (j + 1) * width))
+            tile = _chunk(folder, name, array, i, j)[y.start - i * height : y.stop - i * height, x.start - j * width : x.stop - j * width]
+            result[y.start - top : y.stop - top, x.start - left : x.stop - left] = tile
+    return result
+
+
+def _chunk(folder: Path, name: str, array: zarr.Array, *index: int) -> np.memmap:
+    """A chunk by its first indices; the others are 0."""
+    path = folder / f"{name}.zarr" / "c" / "/".join([*map(str, index), *"0" * (len(array.shape) - len(index))])
     return np.memmap(path, array.dtype, "r", shape=tuple(array.chunks))
 
 

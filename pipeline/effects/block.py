@@ -98,6 +98,6 @@ class Block:
         s = self.sources
         return seen_by_cameras(s.partition, s.depth_maps, s.cameras, self.centre + s.origin, self.frame[2], s.radius, *self.rows)
 
-    def photo(self, camera: int, left: int = 0, top: int = 0, right: int | None = None, bottom: int | None = None) -> np.ndarray:
-        """Pixels (h, w, 3) uint8 of a photograph, or of a window of it."""
-        return np.asarray(arrays.opened(self.sources.ingest, f"photo_{camera}")[top:bottom, left:right])
+    def photo(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
+        """Pixels (h, w, 3) uint8 of a window of a photograph."""
+        return arrays.read_window(self.sources.ingest, f"photo_{camera}", top, bottom, left, right)

@@ -24,9 +24,8 @@ def residuals(position: np.ndarray, normal: np.ndarray, radius: float, every: in
     """How far the neighbours of every n-th splat lie off its plane, flat, in radii: those whose discs overlap its own."""
     tree = cKDTree(position)
     rows = np.arange(0, len(position), every)
-    pairs = tree.query_ball_point(position[rows], OVERLAP_RADII * radius, return_sorted=False)
-    at = np.repeat(rows, [len(p) for p in pairs])
-    other = np.concatenate([np.asarray(p, np.int64) for p in pairs]) if len(pairs) else np.empty(0, np.int64)
+    pairs = cKDTree(position[rows]).sparse_distance_matrix(tree, OVERLAP_RADII * radius, output_type="ndarray")
+    at, other = rows[pairs["i"]], pairs["j"]
     at, other = at[at != other], other[at != other]
     return np.abs(((position[other] - position[at]) * normal[at]).sum(axis=1)) / radius
 

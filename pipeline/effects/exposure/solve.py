@@ -47,7 +47,7 @@ def solve_fields(seen: Observations, n_photos: int) -> np.ndarray:
     for channel in range(3):
         log_light = np.log(seen.light[:, channel])
         for _ in range(ROUNDS if len(log_light) else 0):
-            corrected = log_light + (basis * fields[seen.photo, channel]).sum(axis=1)
+            corrected = _corrected(log_light, basis, fields[:, channel], seen.photo)
             wanted = _medians(order, start, corrected) - log_light
             for i, rows in enumerate(groups):
                 fields[i, channel] = _fitted(bases[i], wanted[rows], fields[i, channel])
@@ -84,6 +84,18 @@ def _by_splat(splat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows (m,) in the order of their splats, and where each splat's begin, (s + 1,)."""
     order = np.argsort(splat, kind="stable")
     return order, np.flatnonzero(np.diff(splat[order], prepend=-1, append=-1))
+
+
+@numba.njit(cache=True, nogil=True)
+def _corrected(log_light, basis, field, photo):
+    """Light with the field (n_photos, N_TERMS) of its photograph on it, (m,), logarithmic."""
+    result = np.empty(len(log_light))
+    for i in range(len(log_light)):
+        gain = 0.0
+        for t in range(N_TERMS):
+            gain += basis[i, t] * field[photo[i], t]
+        result[i] = log_light[i] + gain
+    return result
 
 
 @numba.njit(cache=True, nogil=True)
