@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.effects.exposure import exposed
 from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS, linear_of, relit, srgb_of, terms
-from pipeline.effects.exposure.solve import Observations, solve_fields, spread
+from pipeline.effects.exposure.solve import Observations, _by_splat, _medians, solve_fields, spread
 from pipeline.executors import SerialExecutor
 from pipeline.settings import settings_for
 from services.workflow import Run, compress, prepare, report
@@ -62,10 +62,26 @@ def test_solve__finds_gains_and_slopes_though_some_splats_are_hidden(wrong):
         assert spread(seen, found) < 0.1 * spread(seen)
 
 
+def test_solve__medians_are_those_of_numpy():
+    rng = np.random.default_rng(6)
+    splat, value = rng.integers(0, 90, 400), rng.normal(size=400).round(1)
+    wanted = [np.median(value[splat == s]) for s in splat]
+    np.testing.assert_array_equal(_medians(*_by_splat(splat), value), wanted)
+    assert not len(_medians(*_by_splat(splat[:0]), value[:0]))
+
+
 def test_solve__a_photograph_that_shares_no_splat_is_left_as_it_is():
     seen = observations(np.zeros((3, 3, N_TERMS)))
     found = solve_fields(seen, 4)
     assert np.abs(found).max() < 1e-6 and found.shape == (4, 3, N_TERMS)
+
+
+def test_read_window__is_that_part_of_a_picture_whatever_its_tiles(tmp_path):
+    picture = np.random.default_rng(7).integers(0, 256, (23, 31, 3)).astype(np.uint8)
+    arrays.store(tmp_path, "picture", picture, (8, 10, 3))
+    for top, bottom, left, right in ((0, 23, 0, 31), (7, 9, 9, 11), (8, 16, 10, 20), (22, 23, 30, 31), (3, 20, 5, 29)):
+        found = arrays.read_window(tmp_path, "picture", top, bottom, left, right)
+        assert np.array_equal(found, picture[top:bottom, left:right])
 
 
 @pytest.fixture(scope="module")

@@ -90,6 +90,17 @@ def noisy_plane(noise_radii: float, n: int = 3000) -> np.ndarray:
     return np.column_stack([rng.uniform(0, 5, (n, 2)), rng.normal(0, noise_radii * 0.1, n)])
 
 
+def test_depth_margin__residuals_are_those_of_every_pair_of_discs_that_overlap():
+    rng = np.random.default_rng(8)
+    position, normal = rng.uniform(0, 1, (120, 3)), rng.normal(size=(120, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    offset = position - position[::5, None]
+    near = (np.linalg.norm(offset, axis=2) <= OVERLAP_RADII * 0.15) & (np.arange(120) != np.arange(0, 120, 5)[:, None])
+    wanted = np.abs((offset * normal[::5, None]).sum(axis=2))[near] / 0.15
+    assert len(wanted) > 50
+    np.testing.assert_allclose(np.sort(residuals(position, normal, 0.15, every=5)), np.sort(wanted), atol=1e-12)
+
+
 def margin(noise_radii: float) -> Measured:
     position = noisy_plane(noise_radii)
     off = residuals(position, np.tile([0.0, 0.0, 1.0], (len(position), 1)), 0.1, every=1)
