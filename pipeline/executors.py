@@ -8,8 +8,9 @@ import uuid
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from pipeline.calls import run_call
 from pipeline.stage import Stage
-from pipeline.task import run_call, run_task, run_tasks
+from pipeline.task import run_task, run_tasks
 from storage.errors import ResourceExhausted
 
 WATCH_S = 0.5  # how often a waiting executor asks whether it is still wanted

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from pipeline.task import run_call
+from pipeline.calls import run_call
 from storage import work
-
 
 COST = "cost.json"
 

@@ -15,7 +15,7 @@ from dbos import DBOS
 
 from pipeline.settings import Settings
 from pipeline.stage import Stage, StageRecord
-from pipeline.task import error_of_disk
+from pipeline.calls import error_of_disk
 from services.cluster import GL
 from services.disk import check_room, drop_ballast, take_ballast
 from services.job_progress import JobProgress

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.calls import run_call
 from pipeline.executors import DaskExecutor, SerialExecutor
 from pipeline.settings import settings_for
-from pipeline.task import run_call, run_task
+from pipeline.task import run_task
 from services import workflow
 from services.workflow import compress, report
 from storage.errors import InvalidScan, ResourceExhausted
