@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dbos import DBOS
+from sqlalchemy.exc import SQLAlchemyError
 
 from pipeline.settings import Settings
 from pipeline.stage import Stage, StageRecord
@@ -20,7 +21,7 @@ from services.cluster import GL
 from services.disk import check_room, drop_ballast, take_ballast
 from services.job_progress import JobProgress
 from services.processes import TRADEOFF, process_of_job, settings_of_job
-from services.problems import problem_of_job
+from services.problems import is_of_database, problem_of_job
 from services.rendering import previews_of
 from services.scheduler_link import SchedulerLink
 from services.scans import file_hash, scan_path, work_folder
@@ -67,7 +68,7 @@ class JobRunner:
         out = made_folder(self.settings, id, attempt)
         out.mkdir(parents=True, exist_ok=True)
         try:
-            self._make(job, out)
+            self._make_though_the_database_may_go(job, out)
         except Dismissed:
             self.store.log(id, "warning", f"attempt {attempt}: dismissed; what it made so far stays")
             self.store.keep_artifacts(id, attempt, artifacts_in(out))
@@ -80,6 +81,16 @@ class JobRunner:
             return "failed"
         self.store.end(id, attempt, SUCCESSFUL, artifacts_in(out))
         return "successful"
+
+    def _make_though_the_database_may_go(self, job: dict, out: Path) -> None:
+        """Again where a step's end could not be noted: what the step did is on disk, and found there."""
+        while True:
+            try:
+                return self._make(job, out)
+            except SQLAlchemyError as error:
+                if not is_of_database(error) or is_of_database(error, full=True):
+                    raise
+                self.store.log(job["id"], "warning", "the database was away at the end of a step; going on")  # once it is back
 
     def _make(self, job: dict, out: Path) -> None:
         check = self._check_of(job)

@@ -67,7 +67,8 @@ def make_patches(
 def centred(texel: np.ndarray, average: np.ndarray) -> np.ndarray:
     """What is coded: patches less their stored average, (n, PATCH_DIM) float32 in [-1, 1]."""
     result = np.empty(texel.shape, np.float32)
-    _centre(texel.reshape(len(texel), -1, 3), average, result.reshape(len(texel), -1, 3))
+    shape = (len(texel), texel.shape[1] // 3, 3)
+    _centre(texel.reshape(shape), average, result.reshape(shape))
     return result
 
 

@@ -179,8 +179,8 @@ def test_whole__turning_a_scan_by_any_angles_leaves_psnr(tmp_path):
     still, *turned = (compressed(photographed_wall(tmp_path / f"scan{i}", Placed(turn), n_side=60), tmp_path / f"out{i}", settings)[0]
                       for i, turn in enumerate(turns))
     for report in turned:
-        for figure in ("texture_psnr_db", "visible_psnr_db"):
-            assert report["quality"][figure] == pytest.approx(still["quality"][figure], abs=0.05)
+        for figure, bound_db in (("texture_psnr_db", 0.05), ("visible_psnr_db", 0.15)):  # the price is set for the first
+            assert report["quality"][figure] == pytest.approx(still["quality"][figure], abs=bound_db)
         assert report["quality"]["geometry"]["mean_position_error_in_radii"] < 1 / 30  # a tilted wall's boxes are thicker
 
 

@@ -80,7 +80,7 @@ def test_knobs__a_whole_number_for_a_real_one_is_the_same_setting():
 
 
 def test_knobs__an_unknown_setting_is_refused_by_name():
-    with pytest.raises(ValueError, match="'atoms' is no setting; allowed: dictionary_bits, "):
+    with pytest.raises(ValueError, match="'atoms' is no setting; allowed: coder, atom_size, "):
         settings_for(atoms=3)
 
 
