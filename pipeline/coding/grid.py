@@ -103,7 +103,7 @@ def _along_both(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     matrix = matrix.astype(np.float32)
     half = matrix @ rows.reshape(n, s, 3 * s).astype(np.float32, copy=False)  # (n, m, s 3)
     channels = half.reshape(n, m, s, 3).swapaxes(2, 3).reshape(-1, s) @ matrix.T
-    return np.ascontiguousarray(channels.reshape(n, m, 3, m).swapaxes(2, 3)).reshape(n, -1)
+    return np.ascontiguousarray(channels.reshape(n, m, 3, m).swapaxes(2, 3)).reshape(n, 3 * m * m)
 
 
 @cache
