@@ -134,7 +134,7 @@ def _cross(p0, p1, p2, q0, q1, q2):
 def _project(offset, count, a, b, c, height, x, y):
     """Members in the frame of the plane through members `a`, `b` and `c`; False where those are nearly on a line.
 
-    Number by number: with arrays of three, these kernels took 6 s to compile, and 1 s without.
+    Number by number: with arrays of three, these kernels took 6.3 s to compile; so, 1.9 s.
     """
     a0, a1, a2 = offset[a, 0], offset[a, 1], offset[a, 2]
     p0, p1, p2 = offset[b, 0] - a0, offset[b, 1] - a1, offset[b, 2] - a2
