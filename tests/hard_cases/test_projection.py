@@ -180,8 +180,7 @@ def test_projection__a_naive_test_of_the_centre_alone_lets_corners_behind_throug
 
 
 def test_projection__the_nearest_corner_may_be_a_twentieth_of_the_distance_away():
-    for share, seen in ((0.051, True), (0.049, False)):
-        depth = 1.0
+    for share, seen, depth in ((0.051, True, 1.0), (0.049, False, 1.0), (0.051, True, 1e3), (0.049, False, 1e3), (0.051, True, 1e-3)):
         v = np.array([0, 0, 1.0])
         radius = depth * (1 - share)
         h = homographies(CAMERA, (0, 0, 0), np.array([[0, 0, depth]]), np.array([[1.0, 0, 0]]), v[None], radius)
