@@ -219,7 +219,8 @@ def code_patches(run: Run, patches: StageRecord, settings: Settings) -> Coded:
     """Learn a dictionary if any patch calls for one, and code all patches."""
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
     stop = Stop(tolerance) if settings.coder == "paper" else Stop(0.0, WHILE_LEARNING * tolerance)
-    training = run.do(TrainingSet(patches.folder, max(stop.tolerance, stop.price), settings.training_splats, settings.seed))
+    training = run.do(TrainingSet(patches.folder, max(stop.tolerance, stop.price), settings.training_splats, settings.seed,
+                                  tolerance))
     if not (settings.max_atoms and training.summary["n_patches"]):
         return Coded(patches, encode(run, patches.folder, None, settings), None, [], 0, 0)
     form = _form(training.summary, settings, tolerance)
@@ -233,7 +234,7 @@ def code_patches(run: Run, patches: StageRecord, settings: Settings) -> Coded:
     price = 0.0
     if form is not None:
         ladder = run.do(Prices(space.folder, quantized.folder, settings.max_atoms, tolerance)).summary
-        price = price_for(ladder, training.summary, tolerance)
+        price = price_for(ladder, training.summary)
     codes = encode(run, patches.folder, quantized, settings, price)
     return Coded(patches, codes, quantized, learning, quantized.summary["n_atoms"], n_taken_back)
 

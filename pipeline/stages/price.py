@@ -1,4 +1,7 @@
-"""What an atom must be worth: one price for all splats, such that the whole scan meets its target.
+"""What an atom must be worth: one price for all splats, such that the whole scan has the error that its target promises.
+
+The promise is the cut-off's: a splat that its average colour leaves below the target's error keeps what it has, every other
+comes down to that error. Which splats then pay for it is left to the price.
 
 An atom is taken where it lowers a splat's squared error by more than the price. With one price for all, no atom moved
 from one splat to another would lower the sum (a Lagrange multiplier, Everett 1963; Shoham and Gersho 1988), where one
@@ -55,11 +58,12 @@ class Prices:
         return {"price": [share * self.tolerance for share in LADDER], "error": error.tolist(), "n_atoms": n_atoms.tolist()}
 
 
-def price_for(ladder: dict, training: dict, patch_error: float) -> float:
-    """The price at which all patches have `patch_error` on average; `ladder` and `training` are summaries.
+def price_for(ladder: dict, training: dict) -> float:
+    """The price at which all patches together have the error that a cut-off promises; both are summaries.
 
     The least of the ladder where none is low enough: what a decibel then costs is out of proportion.
     """
+    patch_error = training["cutoff_error"] / training["n_splats"]
     share = training["n_active"] / training["n_splats"]
     error = np.array(ladder["error"]) * share + training["settled_energy"] / training["n_splats"]
     order = np.argsort(error)

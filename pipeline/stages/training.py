@@ -37,9 +37,10 @@ class TrainingSet:
     """
 
     patches: Path
-    tolerance: float
+    tolerance: float  # squared error at which a patch needs no atom
     n_wanted: int
     seed: int
+    cutoff: float  # squared error of a patch at the target: the summary has what would be left were no patch above it
     name = "training-set"
 
     def init(self, folder: Path) -> int:
@@ -60,13 +61,15 @@ class TrainingSet:
             arrays.store(folder, f"{name}_{index}", rows, rows.shape)
         shown = _patches(folder, index, slice(ROWS))
         beyond = [float((squared_norms(shown) - squared_norms(coefficients(shown, s))).sum()) for s in ATOM_SIZES]
-        return {"n_splats": len(chosen), "n_active": int(active.sum()), "n_shown": len(shown), "beyond": beyond,
+        cut = float(np.minimum(energy, self.cutoff).sum(dtype=np.float64))
+        return {"n_splats": len(chosen), "n_active": int(active.sum()), "cutoff_error": cut, "n_shown": len(shown), "beyond": beyond,
                 "settled_energy": float(energy[~active].sum(dtype=np.float64))}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         return {"n_tasks": len(results), "n_patches": sum(r["n_splats"] for r in results),
                 "n_splats": work.read_json(folder / "share.json")["n_splats"],
-                "n_active": sum(r["n_active"] for r in results), "settled_energy": sum(r["settled_energy"] for r in results),
+                "n_active": sum(r["n_active"] for r in results),
+                "cutoff_error": sum(r["cutoff_error"] for r in results), "settled_energy": sum(r["settled_energy"] for r in results),
                 "beyond": self._beyond(results)}
 
     @staticmethod

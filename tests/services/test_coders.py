@@ -51,7 +51,7 @@ def test_coders__the_default_has_more_quality_for_fewer_bytes(made):
 
 @pytest.mark.parametrize(("name", "target_psnr_db"), [("default", 33.0), ("lower", 31.0), ("large", 32.0)])
 def test_coders__the_default_meets_its_target_on_the_whole(made, name, target_psnr_db):
-    assert made[name]["quality"]["texture_psnr_db"] == pytest.approx(target_psnr_db, abs=0.5)
+    assert target_psnr_db - 0.3 < made[name]["quality"]["texture_psnr_db"] < target_psnr_db + 2
 
 
 def test_coders__the_default_takes_small_atoms_in_turns_where_they_show_the_target(made):

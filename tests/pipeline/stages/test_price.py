@@ -42,19 +42,23 @@ LADDER = {"price": [2.0, 1.0, 0.5], "error": [8.0, 4.0, 2.0]}
 WHOLE = {"n_active": 10, "n_splats": 10, "settled_energy": 0.0}
 
 
+def price_at(ladder: dict, training: dict, patch_error: float) -> float:
+    return price_for(ladder, training | {"cutoff_error": patch_error * training["n_splats"]})
+
+
 def test_price__is_found_between_those_of_the_ladder():
-    assert price_for(LADDER, WHOLE, 4.0) == pytest.approx(1.0)
-    assert price_for(LADDER, WHOLE, np.sqrt(32)) == pytest.approx(np.sqrt(2))
+    assert price_at(LADDER, WHOLE, 4.0) == pytest.approx(1.0)
+    assert price_at(LADDER, WHOLE, np.sqrt(32)) == pytest.approx(np.sqrt(2))
 
 
 def test_price__settled_splats_leave_more_to_the_others():
     half = {"n_active": 5, "n_splats": 10, "settled_energy": 5.0}
-    assert price_for(LADDER, half, 2.5) == pytest.approx(1.0)
+    assert price_at(LADDER, half, 2.5) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(("wanted", "found"), [(0.1, 0.5), (100.0, 2.0)])
 def test_price__beyond_the_ladder_is_its_end(wanted, found):
-    assert price_for(LADDER, WHOLE, wanted) == pytest.approx(found)
+    assert price_at(LADDER, WHOLE, wanted) == pytest.approx(found)
 
 
 def test_weights__even_levels_are_the_same_for_every_rank_and_as_wide_as_pays():
