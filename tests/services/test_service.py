@@ -204,10 +204,12 @@ def test_service__a_job_dismissed_in_a_reduction_whose_worker_hangs_stops_and_a_
     scan_id = served.client.upload(scan)["id"]
     job = served.client.submit(scan_id, preset="draft", options=options)["jobID"]
     frozen = _frozen_in_a_reduction(served, served.data / "work" / scan_id)
-    served.client.cancel(job)
-    until(lambda: "what it made so far stays" in served.log_of(job), 12)
-    left = [w for w in frozen if w.is_running() and w.status() == psutil.STATUS_STOPPED]
-    [w.resume() for w in left]
+    try:
+        served.client.cancel(job)
+        until(lambda: "what it made so far stays" in served.log_of(job), 60)
+        left = [w for w in frozen if w.is_running() and w.status() == psutil.STATUS_STOPPED]
+    finally:
+        [w.resume() for w in frozen if w.is_running()]
     assert len(left) == len(frozen) - 1  # the one that had it was ended
     served.client.retry(job)
     assert served.client.watch(job, lambda event: None)["status"] == "successful"
