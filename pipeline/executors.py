@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import queue
 import time
 import uuid
 from collections.abc import Callable, Iterable
+from concurrent.futures import wait
 from pathlib import Path
 
 from pipeline.calls import run_call
@@ -128,17 +130,14 @@ class DaskExecutor:
         self._wanted = {f.key for f in futures}
         for future in futures:
             future.add_done_callback(ready.put)
-        finished = False
         try:
-            n_missing = len(futures)
-            while n_missing:
+            while futures:
                 self._watch()
                 meanwhile()
                 for future in _waiting(ready):
-                    on_done(futures[future], future.result())
+                    result = self._result(future)
+                    on_done(futures.pop(future), result)
                     future.release()
-                    n_missing -= 1
-            finished = True
         except KilledWorker as error:
             raise ResourceExhausted(
                 f"stage {name}, task {error.task}", "the workers that ran it died",
@@ -146,13 +145,25 @@ class DaskExecutor:
             ) from error
         finally:
             self._wanted = set()
-            if not finished:
-                self._stop([f for f in futures if not f.done()])
+            if futures:
+                self._stop(list(futures))
+
+    def _result(self, future):
+        """Of a task that is done; its worker may hang before it hands it over, and `watch` is called meanwhile."""
+        fetching = asyncio.run_coroutine_threadsafe(
+            self._client.gather(future, asynchronous=True), self._client.loop.asyncio_loop)
+        try:
+            while not wait([fetching], WATCH_S).done:
+                self._watch()
+            return fetching.result()
+        finally:
+            fetching.cancel()
 
     def _stop(self, futures: list) -> None:
         keys = {f.key for f in futures}
         try:
-            busy = [worker for worker, given in self._client.processing().items() if keys & set(given)]
+            busy = {worker for worker, given in self._client.processing().items() if keys & set(given)}
+            busy = sorted(busy.union(*self._client.who_has(futures).values()))
             self._client.cancel(futures, force=True)
             deadline = time.monotonic() + GRACE_S
             while busy and time.monotonic() < deadline:

@@ -17,7 +17,7 @@ from pipeline.settings import settings_for
 from services.workflow import compress
 from tests.pipeline.test_stage import Heard
 from tests.services.scans import photo_scan
-from tests.services.service_process import ROOT, free_port, service
+from tests.services.service_process import ROOT, free_port, service, until
 
 OPTIONS = {"target_psnr_db": 32.0, "training_splats": 2000, "iterations": 2}
 DISK_BYTES = 96 << 20
@@ -102,7 +102,7 @@ def process(*command: str, log: Path):
 def test_faults__a_worker_that_is_cut_off_is_given_up_and_what_it_still_does_changes_no_byte(network, tmp_path):
     """It goes on with its task after another has been given the same, and is let back in before the job has ended."""
     namespace, address, cable = network
-    options = {**OPTIONS, "iterations": 12}
+    options = {**OPTIONS, "iterations": 6}
     scan = photo_scan(tmp_path / "plane", n_side=60)
     scheduler = f"tcp://{address}:{free_port()}"
     dask = [str(Path(sys.executable).with_name("dask"))]
@@ -116,7 +116,7 @@ def test_faults__a_worker_that_is_cut_off_is_given_up_and_what_it_still_does_cha
         start("drawer", *worker, "--resources", "GL=1", "--local-directory", str(tmp_path / "drawer"))
         served = stack.enter_context(service(tmp_path / "data", scheduler=scheduler, log=tmp_path / "log"))
         job = served.client.submit(served.client.upload(scan)["id"], preset="draft", options=options)["jobID"]
-        served.event(job, "learning", lambda data: data["iteration"] == 1)
+        until(lambda: list((served.data / "work").glob("*/ksvd-update-*")), every=0.002)  # an event would come too late
         subprocess.run(["ip", "link", "set", cable, "down"], check=True)
         start("near", *worker, "--resources", "CPU=1", "--local-directory", str(tmp_path / "near"))
         served.event(job, "learning", lambda data: data["iteration"] == 3)

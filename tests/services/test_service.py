@@ -199,7 +199,6 @@ def test_service__ten_equal_jobs_without_a_key_are_ten_and_share_what_they_make(
     assert len(hashes) == 1
 
 
-@pytest.mark.xfail(strict=False, reason="not every time: with all workers frozen at once dismissal sometimes waits for them")
 def test_service__a_job_dismissed_in_a_reduction_whose_worker_hangs_stops_and_a_retry_packs_the_same(served, tmp_path):
     """The worker is frozen between the last task of a k-SVD update and its summary: there `finalise` runs."""
     scan, options = photo_scan(tmp_path / "frozen", n_side=40), {**OPTIONS, "iterations": 6}
