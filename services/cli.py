@@ -404,7 +404,7 @@ def _add_effects(commands) -> None:
                          help="pack and draw it as planned, with all on, and with each effect alone off: what each is worth")
     effects.add_argument("--out", metavar="DIR", help="with --measure: pictures of where each variant differs, and effects.json")
     add_settings(effects)
-    effects.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
+    _add_work(effects)
     effects.add_argument("--json", action="store_true", help="the rows as the last line of stdout")
     _add_executor(effects)
     effects.set_defaults(command=_effects)
@@ -424,10 +424,8 @@ def _add_plan(commands) -> None:
 def _add_compress(commands) -> None:
     compress = commands.add_parser("compress", help="a scan into a packed file, previews and a report")
     compress.add_argument("scan", metavar="SCAN", help="COLMAP workspace (folder or .zip), .ply, .las, .laz, .e57")
-    compress.add_argument("--out", required=True, metavar="DIR")
+    _add_output(compress)
     add_settings(compress)
-    compress.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
-    compress.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
     _add_running(compress)
     compress.set_defaults(command=_compress)
 
@@ -435,12 +433,10 @@ def _add_compress(commands) -> None:
 def _add_evaluate(commands) -> None:
     evaluate = commands.add_parser("evaluate", help="the tables and figures of the HPG 2021 paper, measured on a scan with photographs")
     evaluate.add_argument("scan", metavar="SCAN")
-    evaluate.add_argument("--out", required=True, metavar="DIR")
+    _add_output(evaluate)
     add_settings(evaluate)
     evaluate.add_argument("--rows", metavar="NAME,...", help="of Table 1; default: all")
     evaluate.add_argument("--hold-out", type=_count, metavar="N", help="keep every N-th photograph out of texturing and compare with it")
-    evaluate.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
-    evaluate.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
     _add_measuring(evaluate)
     evaluate.set_defaults(command=_evaluate)
 
@@ -448,12 +444,10 @@ def _add_evaluate(commands) -> None:
 def _add_tradeoff(commands) -> None:
     tradeoff = commands.add_parser("tradeoff", help="what accuracy costs on this scan: presets, and each knob alone, measured")
     tradeoff.add_argument("scan", metavar="SCAN")
-    tradeoff.add_argument("--out", required=True, metavar="DIR")
+    _add_output(tradeoff)
     add_settings(tradeoff)
     tradeoff.add_argument("--knob", action="append", default=[], metavar="NAME=V1,V2,...", help="vary these instead of the usual; may be repeated")
     tradeoff.add_argument("--budget", default="10min", metavar="TIME", help="as 90s, 10min, 2h; default: 10min")
-    tradeoff.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
-    tradeoff.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
     _add_measuring(tradeoff)
     tradeoff.set_defaults(command=_tradeoff)
 
@@ -466,6 +460,16 @@ def _add_estimate(commands) -> None:
     estimate.add_argument("--json", action="store_true", help="the estimate as the last line of stdout")
     _add_executor(estimate)
     estimate.set_defaults(command=_estimate)
+
+
+def _add_output(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--out", required=True, metavar="DIR")
+    command.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
+    _add_work(command)
+
+
+def _add_work(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
 
 
 def _add_running(command: argparse.ArgumentParser) -> None:

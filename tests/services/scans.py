@@ -7,7 +7,11 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
+from pipeline.executors import SerialExecutor
+from pipeline.settings import settings_for
+from services.workflow import compress
 from tests.pipeline.readers.workspace import write_photo, write_ply, write_workspace
+from tests.pipeline.test_stage import Heard
 
 
 def photo_scan(path: Path, n_side: int = 140, grain: int = 40, n_cameras: int = 3) -> Path:
@@ -28,3 +32,9 @@ def point_scan(path: Path, n: int = 3000) -> Path:
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     write_ply(path, normal * 2, normal, ((normal + 1) * 127).astype(np.uint8))
     return path
+
+
+def packed_by_compress(scan: Path, out: Path, options: dict) -> bytes:
+    """What `splatpress compress --preset draft` packs, in this process."""
+    compress(scan, out, settings_for("draft", **options), SerialExecutor(), Heard(), render=False)
+    return (out / f"{scan.name}.splatpress").read_bytes()

@@ -12,12 +12,8 @@ import httpx
 import psutil
 import pytest
 
-from pipeline.executors import SerialExecutor
-from pipeline.settings import settings_for
-from services.workflow import compress
-from tests.pipeline.test_stage import Heard
 from tests.services.composed import COMPOSE, OURS, composed_in
-from tests.services.scans import photo_scan
+from tests.services.scans import packed_by_compress, photo_scan
 from tests.services.service_process import ROOT
 
 OPTIONS = {"target_psnr_db": 32.0, "training_splats": 2000, "iterations": 8}
@@ -63,10 +59,7 @@ def scan(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def expected(scan, tmp_path_factory) -> bytes:
-    """What `splatpress compress` packs."""
-    out = tmp_path_factory.mktemp("expected") / "out"
-    compress(scan, out, settings_for("draft", **OPTIONS), SerialExecutor(), Heard(), render=False)
-    return (out / "plane.splatpress").read_bytes()
+    return packed_by_compress(scan, tmp_path_factory.mktemp("expected") / "out", OPTIONS)
 
 
 def run_and_break(composed, scan: Path, out: Path, seed: int, breaks) -> tuple[bytes, str]:
@@ -108,5 +101,4 @@ def test_compose__a_job_goes_through_though_postgresql_is_restarted(composed, sc
 
     found, log = run_and_break(composed, scan, tmp_path / "a", 1, restart)
     assert "the database was away" in log and log.count("ksvd-update: ") == OPTIONS["iterations"]
-    compress(scan, tmp_path / "out", settings_for("draft", **OPTIONS, seed=1), SerialExecutor(), Heard(), render=False)
-    assert found == (tmp_path / "out" / "plane.splatpress").read_bytes()
+    assert found == packed_by_compress(scan, tmp_path / "out", {**OPTIONS, "seed": 1})

@@ -12,11 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.executors import SerialExecutor
-from pipeline.settings import settings_for
-from services.workflow import compress
-from tests.pipeline.test_stage import Heard
-from tests.services.scans import photo_scan
+from tests.services.scans import packed_by_compress, photo_scan
 from tests.services.service_process import ROOT, free_port, service, until
 
 OPTIONS = {"target_psnr_db": 32.0, "training_splats": 2000, "iterations": 2}
@@ -25,11 +21,6 @@ DISK_BYTES = 96 << 20
 
 def allowed(*command: str) -> bool:
     return shutil.which(command[0]) is not None and subprocess.run(command, capture_output=True).returncode == 0
-
-
-def packed_by_compress(scan: Path, out: Path, options: dict) -> bytes:
-    compress(scan, out, settings_for("draft", **options), SerialExecutor(), Heard(), render=False)
-    return (out / f"{scan.name}.splatpress").read_bytes()
 
 
 @pytest.fixture

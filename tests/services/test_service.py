@@ -17,14 +17,10 @@ import httpx
 import psutil
 import pytest
 
-from pipeline.executors import SerialExecutor
-from pipeline.settings import settings_for
 from services.cli import main
 from services.client import Client, zip_folder
-from services.workflow import compress
-from tests.pipeline.test_stage import Heard
 from tests.services.chromium import Page, chromium_path
-from tests.services.scans import photo_scan
+from tests.services.scans import packed_by_compress, photo_scan
 from tests.services.service_process import service, until
 
 OPTIONS = {"target_psnr_db": 32.0, "training_splats": 2000, "iterations": 2}
@@ -38,10 +34,7 @@ def scan(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def expected(scan, tmp_path_factory) -> bytes:
-    """What `splatpress compress` packs."""
-    out = tmp_path_factory.mktemp("expected") / "out"
-    compress(scan, out, settings_for("draft", **OPTIONS), SerialExecutor(), Heard(), render=False)
-    return (out / "plane.splatpress").read_bytes()
+    return packed_by_compress(scan, tmp_path_factory.mktemp("expected") / "out", OPTIONS)
 
 
 @pytest.fixture(scope="module")
@@ -160,8 +153,7 @@ def test_service__a_job_survives_the_death_of_a_worker_and_of_the_runner(served,
     assert "the runner was started anew and goes on" in log
     assert log.count("resample: ") == 1 and log.count("ksvd-update: ") <= 9  # what was done was not done again
     assert [e["data"]["status"] for e in events if e["kind"] == "status"] == ["accepted", "running", "successful"]
-    compress(scan, tmp_path / "out", settings_for("draft", **options), SerialExecutor(), Heard(), render=False)
-    assert packed(served, job, tmp_path) == (tmp_path / "out" / "plane.splatpress").read_bytes()
+    assert packed(served, job, tmp_path) == packed_by_compress(scan, tmp_path / "out", options)
 
 
 def test_service__a_render_worker_that_dies_in_a_picture_is_replaced_and_the_pictures_are_the_same(served, tmp_path):
@@ -216,9 +208,8 @@ def test_service__a_job_dismissed_in_a_reduction_whose_worker_hangs_stops_and_a_
     assert len(left) < len(frozen)  # the one that had it was ended
     served.client.retry(job)
     assert served.client.watch(job, lambda event: None)["status"] == "successful"
-    compress(scan, tmp_path / "out", settings_for("draft", **options), SerialExecutor(), Heard(), render=False)
     served.client.fetch(job, tmp_path, ["frozen.splatpress"])
-    assert (tmp_path / "frozen.splatpress").read_bytes() == (tmp_path / "out" / "frozen.splatpress").read_bytes()
+    assert (tmp_path / "frozen.splatpress").read_bytes() == packed_by_compress(scan, tmp_path / "out", options)
 
 
 def _frozen_in_a_reduction(served, work: Path) -> list:
