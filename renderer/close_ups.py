@@ -122,8 +122,13 @@ def close_up(camera: Camera, centre: np.ndarray, side_px: int = SIDE_PX, zoom: i
     """The part of a photograph's view around a point, magnified; it stays within the photograph."""
     side = min(side_px, camera.width_px, camera.height_px)
     x, y, z = np.array(camera.rotation) @ np.subtract(centre, camera.centre)
-    left = float(np.clip(round(camera.fx_px * x / z + camera.cx_px - side / 2), 0, camera.width_px - side))
-    top = float(np.clip(round(camera.fy_px * y / z + camera.cy_px - side / 2), 0, camera.height_px - side))
+    left = int(np.clip(round(camera.fx_px * x / z + camera.cx_px - side / 2), 0, camera.width_px - side))
+    top = int(np.clip(round(camera.fy_px * y / z + camera.cy_px - side / 2), 0, camera.height_px - side))
+    return window_view(camera, left, top, side, zoom)
+
+
+def window_view(camera: Camera, left: int, top: int, side: int, zoom: int = ZOOM) -> Camera:
+    """A square of a photograph's view, its first pixel (left, top), magnified."""
     return replace(camera, width_px=side * zoom, height_px=side * zoom, fx_px=camera.fx_px * zoom, fy_px=camera.fy_px * zoom,
                    cx_px=(camera.cx_px - left) * zoom, cy_px=(camera.cy_px - top) * zoom)
 

@@ -45,6 +45,22 @@ def psnr_db(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float | None:
     return psnr_of_error(float(np.mean(difference * difference, dtype=np.float64)))
 
 
+def difference(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """By how much two pictures (height, width, 3) uint8 differ in each pixel, summed over channels, (height, width) int32; 0 outside `mask`."""
+    _check_sizes(a, b, mask)
+    return np.where(mask, np.abs(a.astype(np.int32) - b).sum(axis=2), 0)
+
+
+def fullest_square(values: np.ndarray, side_px: int) -> tuple[float, int, int]:
+    """The square of `side_px` (or of as much as there is) of `values` (height, width) with the largest sum: that sum, and the
+    square's first row and column; the first of equals."""
+    height, width = (min(side_px, n) for n in values.shape)
+    running = np.pad(values.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    sums = running[height:, width:] - running[:-height, width:] - running[height:, :-width] + running[:-height, :-width]
+    row, column = np.unravel_index(sums.argmax(), sums.shape)
+    return float(sums[row, column]), int(row), int(column)
+
+
 def ssim(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float | None:
     """Structural similarity of `a` to the reference `b`, (height, width, 3) uint8, averaged over `mask` (height, width).
 

@@ -14,6 +14,7 @@ is all there is:
     settings  {name: value}
     estimate  {seconds, peak_memory_bytes, gpu_bytes, texture_psnr_db: {value, low, high, happened}}, up to the packed file
     effects   [{effect, enabled, share, measure, threshold, reason, ...}]: the plan, see pipeline/effects/plan.py
+    edges     [{camera, left_px, top_px, side_px, with_db, without_db, pictures: {with, without, photo}}], see renderer/edges.py
 """
 
 from __future__ import annotations
@@ -39,9 +40,8 @@ def build_report(scene: PackedScene, file_bytes: int, record: dict | None = None
     `file_bytes` is the length of the packed file on disk, `record` the run record (above), `views` what
     `renderer.previews` returned.
 
-    Guarantees: the keys scan, splats, sizes, quality, atoms, learning, numerics, stages, settings, effects, estimate and warnings are
-    always there;
-    what was not measured is None or an empty list, never a guess; nothing is NaN or infinite.
+    Guarantees: the keys scan, splats, sizes, quality, atoms, learning, numerics, stages, settings, effects, edges, estimate and
+    warnings are always there; what was not measured is None or an empty list, never a guess; nothing is NaN or infinite.
     """
     header, record = scene.header, record or {}
     scan = dict.fromkeys(("name", "format", "n_points")) | {"unit": header.unit, "n_cameras": len(header.cameras)}
@@ -60,6 +60,7 @@ def build_report(scene: PackedScene, file_bytes: int, record: dict | None = None
         "settings": record.get("settings") or header.settings,
         "estimate": record.get("estimate"),
         "effects": list(record.get("effects") or ()),
+        "edges": list(record.get("edges") or ()),
         "programs": sorted({name for view in views for name in view.get("programs") or ()}),
         "warnings": list(scan.get("warnings") or ()),
     })

@@ -18,9 +18,10 @@ from renderer.pictures import data_uri, jpeg_within, png_uri
 from storage.packed import PackedScene
 
 PAGE_NAME = "report.html"
-# As base64 12 MB; with 1.3 MB of Bokeh and at most 1.1 MB of dictionary a page stays under 15 MB.
-ALL_PICTURES_BYTES = 9_000_000
+# As base64 12 MB, the close-ups of edges included; with 1.3 MB of Bokeh and at most 1.1 MB of dictionary a page stays under 15 MB.
+ALL_PICTURES_BYTES = 8_400_000
 ONE_PICTURE_BYTES = 400_000
+EDGE_PICTURE_BYTES = 50_000  # three pictures of 448 px a close-up, four close-ups
 
 
 def write_page(folder: Path, report: dict, scene: PackedScene) -> Path:
@@ -49,7 +50,7 @@ def page_of(report: dict, scene: PackedScene, folder: Path) -> str:
         numerics=report_words.numerics(report["numerics"]), estimate_figures=report_words.ESTIMATE,
         passes=report_words.PASSES, pass_seconds=report_words.mean_pass_seconds(views, "seconds"),
         baseline_seconds=report_words.mean_pass_seconds(views, "baseline_seconds"),
-        pictures=_embedded(views, folder),
+        pictures=_embedded(views, folder, _bytes_a_picture(views)), edges=_embedded(report["edges"], folder, EDGE_PICTURE_BYTES),
         dictionary=Markup(png_uri(dictionary)) if dictionary is not None else None,
         n_dictionary=scene.header.n_dictionary,
         bokeh=Markup(Resources(mode="inline", components=["bokeh"]).render()),
@@ -84,12 +85,14 @@ def _plots(report: dict) -> dict:
     return plots
 
 
-def _embedded(views: list[dict], folder: Path) -> list[dict[str, Markup]]:
-    """For every view its pictures by kind, as data URIs of JPEGs small enough for the page."""
-    n_pictures = sum(len(view["pictures"]) for view in views)
-    max_bytes = min(ONE_PICTURE_BYTES, ALL_PICTURES_BYTES // max(1, n_pictures))
+def _bytes_a_picture(views: list[dict]) -> int:
+    return min(ONE_PICTURE_BYTES, ALL_PICTURES_BYTES // max(1, sum(len(view["pictures"]) for view in views)))
+
+
+def _embedded(rows: list[dict], folder: Path, max_bytes: int) -> list[dict[str, Markup]]:
+    """For every row its pictures by kind, as data URIs of JPEGs small enough for the page."""
     return [
         {kind: Markup(data_uri(jpeg_within(decode_photo(str(folder / path), path), max_bytes), "image/jpeg"))
-         for kind, path in view["pictures"].items()}
-        for view in views
+         for kind, path in row["pictures"].items()}
+        for row in rows
     ]

@@ -9,7 +9,7 @@ from statistics import median
 
 import numpy as np
 
-from renderer.compare import psnr_db
+from renderer.compare import difference, fullest_square, psnr_db
 from renderer.pictures import resized, save_picture
 from renderer.previews import even_choice, limited_view, safe_names
 from renderer.renderer import Picture, Renderer
@@ -59,7 +59,9 @@ def compare_variants(variants: Sequence[Variant], folder: Path | None = None) ->
         pictures, best = _rounds(renderer, scenes, view)
         covered = np.logical_and.reduce([picture.coverage for picture in pictures])
         for k, picture in enumerate(pictures):
-            spots[k] = max(spots[k], _spot(pictures[0], picture, covered, i), key=lambda spot: spot[0])
+            off, row, column = fullest_square(difference(picture.rgb, pictures[0].rgb, covered), SPOT_PX)
+            at = slice(row, row + SPOT_PX), slice(column, column + SPOT_PX)
+            spots[k] = max(spots[k], (off, (i, at)), key=lambda spot: spot[0])
             seconds[k].append(best[k])
             programs[k] |= set(picture.programs)
             figures[k]["psnr_vs_first_db"].append(psnr_db(picture.rgb, pictures[0].rgb, covered))
@@ -81,16 +83,6 @@ def compare_variants(variants: Sequence[Variant], folder: Path | None = None) ->
     for scene in scenes:
         scene.release()
     return rows
-
-
-def _spot(first: Picture, other: Picture, covered: np.ndarray, view: int) -> tuple[float, tuple]:
-    """By how much a picture differs from the first one in the square where it does so most, and the view and that square."""
-    off = np.where(covered, np.abs(first.rgb.astype(np.int32) - other.rgb).sum(axis=2), 0).astype(np.float64)
-    side = min(SPOT_PX, *off.shape)
-    running = np.pad(off.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-    sums = running[side:, side:] - running[:-side, side:] - running[side:, :-side] + running[:-side, :-side]
-    row, column = np.unravel_index(sums.argmax(), sums.shape)
-    return float(sums[row, column]), (view, (slice(row, row + side), slice(column, column + side)))
 
 
 def _enlarged(pictures: list[np.ndarray], at: tuple[slice, slice]) -> np.ndarray:

@@ -39,6 +39,7 @@ from pipeline.stages.quantization import Quantization
 from pipeline.stages.splats import Splats
 from pipeline.stages.training import Coefficients, Components, TrainingSet
 from pipeline.texture.resample import PATCH_DIM
+from renderer.edges import draw_edges
 from renderer.report import build_report, sizes_of, write_report
 from renderer.report_page import write_page
 from services.kept_estimates import against, known_estimate
@@ -411,11 +412,12 @@ def _estimate(run: Run, path: Path, coded: Coded | None, settings: Settings) -> 
 
 
 def write_outputs(run: Run, path: Path, photos: Path, record: dict, out: Path, render: bool) -> dict:
-    """previews/, report.json and report.html beside each other in `out`. Returns the report."""
+    """previews/, edges/, report.json and report.html beside each other in `out`. Returns the report."""
     with PackedFile(path) as packed:
         scene = packed.load()
     views = _views(run, path, photos, out) if render else []
-    record = record | {"stages": [stage_row(r) for r in merged(run.records)]}
+    edges = run.paint(draw_edges, path, photos, out) if render and "cliplines" in scene.arrays and scene.header.cameras else []
+    record = record | {"edges": edges, "stages": [stage_row(r) for r in merged(run.records)]}
     report = build_report(scene, path.stat().st_size, record, views)
     write_report(out, report)
     write_page(out, report, scene)
