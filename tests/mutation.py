@@ -1,8 +1,10 @@
 """A mutation run: break one comparison, sign, constant or guard at a time and see whether a test notices.
 
-    python tests/mutation.py --each 20 --seconds 600 [--only ksvd]
+    python tests/mutation.py [--only omp] [--each 40] [--seconds 600] [--seed 0]
 
-Changes no file; prints every survivor with its line, and the share that was killed. Not part of the tests.
+Changes no file; prints every survivor with its line and column, and the share that was killed. Not part of the tests.
+Tests are collected once, timed once, and run fastest first in a fork of the process that holds the mutant; those that
+never enter the function that was changed are left out.
 """
 
 from __future__ import annotations
@@ -11,14 +13,19 @@ import argparse
 import ast
 import copy
 import importlib
+import json
 import os
 import random
-import signal
+import resource
 import sys
+import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from _pytest.runner import runtestprotocol
+from scipy.stats import beta
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
@@ -26,34 +33,50 @@ CODING = ["tests/pipeline/coding", "tests/hard_cases/test_coding.py", "tests/har
 GEOMETRY = ["tests/pipeline/geometry", "tests/hard_cases/test_geometry.py"]
 TARGETS = {  # file: tests that ought to notice
     "pipeline/coding/omp.py": CODING, "pipeline/coding/omp_kernels.py": CODING, "pipeline/coding/ksvd.py": CODING,
+    "pipeline/coding/certified.py": CODING, "pipeline/coding/certified_kernels.py": CODING,
     "pipeline/geometry/chunks.py": GEOMETRY, "pipeline/geometry/positions.py": GEOMETRY,
     "pipeline/geometry/normals.py": GEOMETRY, "pipeline/geometry/frame.py": GEOMETRY,
+    "pipeline/geometry/cliplines.py": GEOMETRY, "pipeline/geometry/ellipsoids.py": GEOMETRY,
     "pipeline/texture/projection.py": ["tests/pipeline/texture", "tests/hard_cases/test_projection.py"],
 }
+LEFT_OUT = "not jit_off and not million"  # a process of its own, which imports the file as it is; too slow
 FLIPPED = {ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
-           ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.And: ast.Or, ast.Or: ast.And, ast.BitAnd: ast.BitOr}
+           ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult,
+           ast.And: ast.Or, ast.Or: ast.And, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd}
+CPU_SECONDS = 8  # of one mutant, beside twice what its tests take when watched: who takes longer does not end
+MEMORY_BYTES = 8 << 30
 
 
-def mutants(tree: ast.Module) -> list[tuple[str, ast.Module]]:
-    """Every mutant of a module: what was done where, and the module. Annotations and docstrings are left alone."""
-    found = []
+# ---- mutants
+
+def mutants(tree: ast.Module) -> list[tuple[ast.AST, str, ast.Module]]:
+    """Every mutant of a module: where, what was done, and the module. Annotations and docstrings are left alone."""
+    found, hints = [], _annotations(tree)
     for index, node in enumerate(ast.walk(tree)):
-        for change in _changes(node):
+        for change in [] if node in hints else _changes(node):
             other = copy.deepcopy(tree)
             what = change(next(n for i, n in enumerate(ast.walk(other)) if i == index))
-            found.append((f"line {node.lineno}: {what}", other))
+            found.append((node, f"{node.lineno}:{node.col_offset} {what}", other))
     return found
+
+
+def _annotations(tree: ast.Module) -> set[ast.AST]:
+    roots = [getattr(node, name, None) for node in ast.walk(tree) for name in ("annotation", "returns")]
+    return {node for root in roots if root is not None for node in ast.walk(root)}
 
 
 def _changes(node: ast.AST) -> list:
     changes = []
-    if isinstance(node, ast.Compare) and type(node.ops[0]) in FLIPPED:
-        changes.append(lambda n: _replace(n.ops, 0, FLIPPED[type(n.ops[0])](), ast.unparse(n)))
-    if isinstance(node, (ast.BinOp, ast.BoolOp)) and type(node.op) in FLIPPED and "|" not in ast.unparse(node):
+    if isinstance(node, ast.Compare):
+        changes += [lambda n, i=i, op=op: _replace(n.ops, i, FLIPPED[type(op)](), ast.unparse(n))
+                    for i, op in enumerate(node.ops) if type(op) in FLIPPED]
+    if isinstance(node, (ast.BinOp, ast.BoolOp, ast.AugAssign)) and type(node.op) in FLIPPED:
         changes.append(lambda n: _set(n, "op", FLIPPED[type(n.op)]()))
-    if isinstance(node, ast.If):
+    if isinstance(node, ast.UnaryOp):
+        changes.append(lambda n: _set(n, "op", ast.UAdd() if isinstance(n.op, ast.USub) else ast.USub()))
+    if isinstance(node, (ast.If, ast.IfExp)):
         changes.append(lambda n: _set(n, "test", ast.Constant(False)))
-    if isinstance(node, ast.Constant) and type(node.value) in (int, float) and hasattr(node, "lineno"):
+    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
         changes.append(lambda n: _set(n, "value", n.value + 1))
     return changes
 
@@ -69,65 +92,212 @@ def _set(node: ast.AST, name: str, value) -> str:
     return f"{before} -> {ast.unparse(node).splitlines()[0]}"
 
 
-def survives(file: str, module: ast.Module, tests: list[str]) -> bool | None:
-    """None where it took too long to tell.
+# ---- putting one in place
 
-    A child of this process, which has imported and compiled everything, runs the tests with the mutant's functions put
-    in place; kernels are Python objects of numba and have to be replaced where they are used too.
+def _put_in_place(module, node: ast.AST, mutant: ast.Module) -> None:
+    """Run again what the change reaches inside its file, and hand the new objects to all who hold the old ones.
+
+    Kernels of other files that were compiled with a changed kernel of this one keep the old one inside.
     """
+    old = dict(vars(module))
+    body = _reached(mutant, node.lineno)
+    for statement in body:
+        for decorator in getattr(statement, "decorator_list", []):  # numba's cache does not tell constants apart
+            if isinstance(decorator, ast.Call):
+                decorator.keywords = [k for k in decorator.keywords if k.arg != "cache"]
+    exec(compile(ast.fix_missing_locations(ast.Module(body, [])), module.__file__, "exec"), vars(module))  # noqa: S102
+    changed = {id(value): vars(module)[name] for name, value in old.items() if vars(module)[name] is not value}
+    for user in [m for n, m in list(sys.modules.items()) if n.startswith(("pipeline", "services", "tests"))]:
+        for name, value in list(vars(user).items()):
+            if id(value) in changed and not isinstance(value, (int, float)):
+                setattr(user, name, changed[id(value)])
+
+
+def _reached(tree: ast.Module, line: int) -> list[ast.stmt]:
+    """The statements of a module that the change is in or that name one of them, in order."""
+    reached = [s for s in tree.body if _first_line(s) <= line <= s.end_lineno]
+    grown = True
+    while grown:
+        names = {name for s in reached for name in _defined(s)}
+        more = [s for s in tree.body if s in reached or any(
+            isinstance(n, ast.Name) and n.id in names and isinstance(n.ctx, ast.Load) for n in ast.walk(s))]
+        grown, reached = len(more) > len(reached), more
+    return reached
+
+
+def _defined(statement: ast.stmt) -> list[str]:
+    if isinstance(statement, (ast.FunctionDef, ast.ClassDef)):
+        return [statement.name]
+    return [n.id for n in ast.walk(statement) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
+
+
+def _first_line(statement: ast.stmt) -> int:
+    return min([statement.lineno, *[d.lineno for d in getattr(statement, "decorator_list", [])]])
+
+
+# ---- running tests
+
+class Session:
+    """The collected tests of one group of files; `work` gets them, once, inside of pytest's own loop."""
+
+    def __init__(self, work):
+        self.work = work
+
+    def pytest_sessionstart(self):
+        from hypothesis import Phase, settings  # not earlier: pytest has to see it first
+
+        settings.register_profile("mutation", phases=[Phase.explicit, Phase.generate], derandomize=True, database=None, deadline=None)
+        settings.load_profile("mutation")
+
+    def pytest_runtestloop(self, session):
+        self.work(session.items)
+        return True
+
+
+def in_a_fork(work, cpu_seconds: float) -> tuple[int, str]:
+    """Exit status of `work`, a function that returns what is to be told, and that; negative where it was killed."""
+    reads, writes = os.pipe()
     child = os.fork()
     if not child:
+        os.close(reads)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         os.dup2(1, 2)
-        _put_in_place(importlib.import_module(file.removesuffix(".py").replace("/", ".")), module)
-        os._exit(int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-k", "not jit_off and not million", *tests])))
-    end = time.monotonic() + 150
-    while time.monotonic() < end:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return status == 0
-        time.sleep(0.05)
-    os.kill(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return None
+        resource.setrlimit(resource.RLIMIT_CPU, (int(cpu_seconds), int(cpu_seconds) + 1))
+        resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
+        try:
+            told = work()
+        except BaseException as error:  # noqa: BLE001
+            told = json.dumps(f"{type(error).__name__} before the tests")
+        with os.fdopen(writes, "w") as pipe:
+            pipe.write(told)
+        os._exit(0)
+    os.close(writes)
+    with os.fdopen(reads) as pipe:
+        told = pipe.read()
+    return os.waitpid(child, 0)[1], told
 
 
-def _put_in_place(module, mutant: ast.Module) -> None:
-    old = dict(vars(module))
-    exec(compile(mutant, module.__file__, "exec"), vars(module))  # noqa: S102
-    for name, value in old.items():
-        new = vars(module)[name]
-        if new is not value and not name.startswith("__"):
-            for user in [m for n, m in list(sys.modules.items()) if n.startswith(("pipeline", "services", "tests"))]:
-                if vars(user).get(name) is value:
-                    setattr(user, name, new)
+def timed(items) -> str:
+    """JSON of each test: seconds, and the functions of the project that it entered."""
+    return json.dumps([_entered(item) for item in items])
+
+
+def _entered(item) -> tuple[float, bool, list[str]]:
+    seen = set()
+
+    def note(frame, event, arg):
+        code = frame.f_code
+        if event == "call" and code.co_filename.startswith(str(ROOT / "pipeline")):
+            seen.add(f"{code.co_filename}:{code.co_qualname.split('.')[0]}")
+
+    start = time.process_time()
+    with _profiled(note):
+        passed = _passes(item)
+    return time.process_time() - start, passed, sorted(seen)
+
+
+@contextmanager
+def _profiled(note):
+    threading.setprofile(note)
+    sys.setprofile(note)
+    try:
+        yield
+    finally:
+        sys.setprofile(None)
+        threading.setprofile(None)
+
+
+def _passes(item) -> bool:
+    return not any(report.failed for report in runtestprotocol(item, log=False, nextitem=None))
+
+
+def first_that_fails(items) -> str:
+    for item in items:
+        if not _passes(item):
+            return item.nodeid
+    return ""
+
+
+# ---- the run
+
+def run_group(files: list[str], tests: list[str], options, deadline: float) -> list[tuple[str, str, str]]:
+    """(file, mutant, who noticed or "" or "too long") of the mutants of files that the same tests are to notice."""
+    outcomes = []
+
+    def work(items):
+        status, told = in_a_fork(lambda: timed(items), 1200)
+        assert status == 0, "the tests could not be timed"
+        order = sorted(zip(json.loads(told), items, strict=True), key=lambda pair: pair[0][0])
+        failing = [item.nodeid for (_, passed, _), item in order if not passed]
+        assert not failing, f"tests fail as the code is: {failing}"
+        for file in files:  # else what kills the mutants may be the way they are put in place
+            tree = ast.parse((ROOT / file).read_text())
+            for node in [s for s in tree.body if isinstance(s, (ast.FunctionDef, ast.Assign))]:
+                noticed = _outcome(file, node, tree, _that_enter(order, file, node, tree)[:20])
+                assert not noticed, f"{file}:{node.lineno} unchanged, put in place: {noticed}"
+        for file, node, what, mutant in chosen(files, options):
+            if time.monotonic() > deadline:
+                break
+            relevant = _that_enter(order, file, node, mutant)
+            outcomes.append((file, what, _outcome(file, node, mutant, relevant)))
+            print(f"{outcomes[-1][2] or 'SURVIVED'} <- {file}:{what}", flush=True)
+
+    pytest.main(["-q", "-s", "-p", "no:cacheprovider", "--durations=0", "-k", LEFT_OUT, *tests], plugins=[Session(work)])
+    return outcomes
+
+
+def _outcome(file, node, mutant, tests) -> str:
+    def work():
+        _put_in_place(importlib.import_module(file.removesuffix(".py").replace("/", ".")), node, mutant)
+        return json.dumps(first_that_fails([item for _, item in tests]))
+
+    status, told = in_a_fork(work, CPU_SECONDS + 2 * sum(seconds for (seconds, *_), _ in tests))
+    return json.loads(told) if status == 0 and told else "too long"
+
+
+def _that_enter(order, file, node, mutant) -> list:
+    """The tests that enter the function which holds the change; all of them where that cannot be seen from outside."""
+    inside = [s for s in mutant.body if _first_line(s) <= node.lineno <= s.end_lineno]
+    if not inside or not isinstance(inside[0], ast.FunctionDef) or inside[0].decorator_list or "kernels" in file:
+        return order
+    name = f"{ROOT / file}:{inside[0].name}"
+    return [pair for pair in order if name in pair[0][2]]
+
+
+def chosen(files: list[str], options) -> list:
+    """All mutants of the files, or as many of each, by chance, as asked for; in an order by chance."""
+    rng, plan = random.Random(options.seed), []
+    for file in files:
+        every = [(file, *m) for m in mutants(ast.parse((ROOT / file).read_text()))]
+        plan += rng.sample(every, min(options.each or len(every), len(every)))
+    rng.shuffle(plan)
+    return plan
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--each", type=int, default=20, help="mutants a file, chosen at random")
-    parser.add_argument("--seconds", type=float, default=600)
+    parser.add_argument("--each", type=int, default=0, help="mutants a file, chosen at random; 0 for all")
+    parser.add_argument("--seconds", type=float, default=1e9)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="part of a file's name")
     options = parser.parse_args()
-    rng, end = random.Random(options.seed), time.monotonic() + options.seconds
-    plan = []
-    for file in (f for f in TARGETS if options.only in f):
-        every = mutants(ast.parse((ROOT / file).read_text()))
-        plan += [(file, *m) for m in rng.sample(every, min(options.each, len(every)))]
-    rng.shuffle(plan)
-    for file in sorted({file for file, *_ in plan}):
-        importlib.import_module(file.removesuffix(".py").replace("/", "."))
-        assert survives(file, ast.parse((ROOT / file).read_text()), TARGETS[file]), f"{file}: tests fail as it is"
-    outcomes = []
-    for file, what, module in plan:
-        if time.monotonic() > end:
-            break
-        outcomes.append(survives(file, module, TARGETS[file]))
-        if outcomes[-1] is not False:
-            print(f"{'survived' if outcomes[-1] else 'took too long'}: {file} {what}", flush=True)
-    killed, told = outcomes.count(False), len(outcomes) - outcomes.count(None)
-    print(f"{killed} of {told} mutants killed ({100 * killed / max(1, told):.0f} %), {len(plan)} planned")
+    deadline, outcomes = time.monotonic() + options.seconds, []
+    groups = {tuple(tests): [f for f, t in TARGETS.items() if t == tests and options.only in f] for tests in TARGETS.values()}
+    for tests, files in groups.items():
+        if files:
+            outcomes += run_group(files, list(tests), options, deadline)
+    _print_result(outcomes)
+
+
+def _print_result(outcomes) -> None:
+    for file in sorted({file for file, *_ in outcomes}):
+        of_file = [who for f, _, who in outcomes if f == file]
+        print(f"{file}: {len(of_file) - of_file.count('')} of {len(of_file)} killed")
+    killed = sum(bool(who) for *_, who in outcomes)
+    late = sum(who == "too long" for *_, who in outcomes)
+    least = beta.ppf(0.05, killed, len(outcomes) - killed + 1) if killed else 0.0
+    print(f"{killed} of {len(outcomes)} killed ({100 * killed / max(1, len(outcomes)):.1f} %; were it a sample, above "
+          f"{100 * least:.0f} % at 95 % confidence), {late} of them by not ending")
 
 
 if __name__ == "__main__":

@@ -39,9 +39,8 @@ def bilinear(photo: np.ndarray, x: float, y: float) -> np.ndarray:
     x0, y0 = int(x), int(y)
     x1, y1 = min(x0 + 1, width - 1), min(y0 + 1, height - 1)
     f, g = x - x0, y - y0
-    photo = photo.astype(np.float64)
-    upper = (1 - f) * photo[y0, x0] + f * photo[y0, x1]
-    lower = (1 - f) * photo[y1, x0] + f * photo[y1, x1]
+    (a, b), (c, d) = photo[np.ix_([y0, y1], [x0, x1])].astype(np.float64)
+    upper, lower = (1 - f) * a + f * b, (1 - f) * c + f * d
     return (1 - g) * upper + g * lower
 
 

@@ -7,6 +7,7 @@ bit streams and search for with tables, this takes from storage's own readers.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -54,16 +55,19 @@ def render(scene: PackedScene, view: Camera, max_atoms: int = 8) -> tuple[np.nda
     header = scene.header
     finest = MIP_SIZES.index(header.atom_size)
 
+    @cache
+    def levels_of(index: int, turn: int) -> list[np.ndarray]:
+        return [turned(scene.arrays[f"atoms_{size}"][index].astype(np.float64), turn) for size in header.mip_sizes]
+
     def color(splat: int, fragments: Fragments) -> np.ndarray:
         level = mip_level(ATOM_AREA, fragments.area_px, 5)
         total = np.tile(scene.arrays["color"][splat] / 255.0, (len(fragments.x), 1))
         for rank in range(min(max_atoms, scene.n_atoms[splat])):
             index, turn = divmod(atom[splat, rank], header.n_turns)
             weight = scene.arrays["weight_levels"][rank, weight_code[splat, rank]] * scene.arrays["atom_scale"][index]
-            levels = [turned(scene.arrays[f"atoms_{size}"][index].astype(np.float64), turn) for size in header.mip_sizes]
             places = (fragments.x, fragments.y) if fragments.ball is None else fragments.ball.T[:2]
             x, y = (texel_of(at, header.atom_size) for at in places)
-            total += float(weight) * sample(levels, x, y, max(level - finest, 0))
+            total += float(weight) * sample(levels_of(int(index), int(turn)), x, y, max(level - finest, 0))
         return np.clip(total, 0, 1)
 
     return blend(scene, view, color)
