@@ -29,7 +29,7 @@ def find_neighbours(
     high: np.ndarray,  # (n_blocks, 3)
 ) -> Neighbours:
     """The k nearest of every point of `block` among all blocks' distinct positions, the point's own left out."""
-    points, inverse = np.unique(load(block), axis=0, return_inverse=True)
+    points, inverse = _distinct(load(block))
     distance = np.full((len(points), k), np.inf)
     position = np.repeat(points[:, None], k, axis=1)
     _ask(points, np.arange(len(points)), points, distance, position)
@@ -42,8 +42,11 @@ def find_neighbours(
         away = _box_distance(points, points, low[other], high[other])
         needy = np.flatnonzero(away < distance[:, -1])
         if len(needy):
-            _ask(np.unique(load(other), axis=0), needy, points, distance, position)
-    inverse = inverse.reshape(-1)
+            reach = distance[needy, -1].max() * (1 + 1e-9)  # beyond it none of them can be served
+            there = load(other)
+            there = there[_box_distance(there, there, points[needy].min(axis=0), points[needy].max(axis=0)) <= reach]
+            if len(there):
+                _ask(_distinct(there)[0], needy, points, distance, position)
     return Neighbours(distance[inverse], position[inverse])
 
 
@@ -60,6 +63,17 @@ def _ask(there: np.ndarray, needy: np.ndarray, points: np.ndarray, distance: np.
     distance[needy] = np.take_along_axis(both, nearest, axis=1)
     kept = np.take_along_axis(places, nearest[:, :, None], axis=1)
     position[needy] = np.where(np.isfinite(distance[needy])[:, :, None], kept, points[needy, None])
+
+
+def _distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`np.unique` of rows (n, 3) with its inverse, in half of its time."""
+    order = np.lexsort(points.T[::-1])
+    ordered = points[order]
+    is_first = np.ones(len(points), bool)
+    is_first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    inverse = np.empty(len(points), np.int64)
+    inverse[order] = np.cumsum(is_first) - 1
+    return ordered[is_first], inverse
 
 
 def _box_distance(low: np.ndarray, high: np.ndarray, other_low: np.ndarray, other_high: np.ndarray) -> np.ndarray:

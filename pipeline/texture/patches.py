@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.texture.projection import homographies, is_in_front, is_whole, project_corners
 from pipeline.texture.resample import (
-    PROBES, Window, disc_weights, resample_patches, resampling_error, window_bounds,
+    PATCH_DIM, PROBES, Window, disc_weights, resample_patches, resampling_error, window_bounds,
 )
 from storage.schema import NO_CAMERA, PATCH_SIZE, Camera
 
@@ -43,22 +43,24 @@ def make_patches(
     """Resample a block. A splat without a camera has a patch of its one colour, and so no energy; so has one whose
     square, once its geometry is quantised, reaches behind its camera. Both are flagged, as are those that reach beyond
     their photo's edge, where texels repeat the edge."""
-    texel = np.tile(color, PATCH_SIZE * PATCH_SIZE)
-    blind = camera == NO_CAMERA
-    error, n_probes, n_flagged = 0.0, 0, int(blind.sum())
-    for i in np.unique(camera[~blind]):
+    texel = np.empty((len(camera), PATCH_DIM), np.uint8)
+    unseen = camera == NO_CAMERA
+    error, n_probes, n_flagged = 0.0, 0, int(unseen.sum())
+    for i in np.unique(camera[~unseen]):
         rows = np.flatnonzero(camera == i)
         h = homographies(cameras[i], origin, centre[rows], frame[0][rows], frame[1][rows], radius)
         n_flagged += int((~is_whole(h, cameras[i].width_px, cameras[i].height_px)).sum())
         in_front = is_in_front(h)
+        unseen[rows[~in_front]] = True
         rows, h = rows[in_front], h[in_front]
         if not len(rows):
             continue
         bounds = window_bounds(project_corners(h), cameras[i].width_px, cameras[i].height_px)
         window = Window(read_window(int(i), *bounds), bounds[0], bounds[1])
-        texel[rows] = resample_patches(window, h)
-        error += float(resampling_error(window, h, texel[rows], first_splat + rows).sum())
+        texel[rows] = resampled = resample_patches(window, h)
+        error += float(resampling_error(window, h, resampled, first_splat + rows).sum())
         n_probes += 3 * PROBES * len(rows)
+    texel[unseen] = np.tile(color[unseen], PATCH_SIZE * PATCH_SIZE)
     average, energy = np.empty((len(texel), 3), np.uint8), np.empty(len(texel), np.float32)
     _measure(texel.reshape(len(texel), -1, 3), average, energy)
     return Patches(texel, average, energy, error, n_probes, n_flagged)
