@@ -19,9 +19,9 @@ class Settings:
     weight_bits: int = 4
     max_atoms: int = MAX_ATOMS
     target_psnr_db: float = 40.0
-    iterations: int = 6
+    iterations: int = 4
     least_gain_db: float = 0.01
-    training_splats: int = 40_000
+    training_splats: int = 20_000
     subspace_floor_db: float = 10.0
     radius: float | None = None
     seed: int = 0

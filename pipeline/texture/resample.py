@@ -65,13 +65,12 @@ def resampling_error(window: Window, homography: np.ndarray, patches: np.ndarray
 
 
 def _padded(pixels: np.ndarray) -> np.ndarray:
-    """Pixels (..., h, w, 3) uint8 as (..., h + 1, w + 1, 4) float32, edges repeated: a lookup needs no test of its
-    right and lower neighbours, and a pixel is one vector register."""
-    padded = np.zeros((*pixels.shape[:-3], pixels.shape[-3] + 1, pixels.shape[-2] + 1, 4), np.float32)
-    padded[..., :-1, :-1, :3] = pixels
-    padded[..., -1, :, :] = padded[..., -2, :, :]
-    padded[..., :, -1, :] = padded[..., :, -2, :]
-    return padded
+    """Pixels (h, w, 3) uint8 as (h + 1, w + 1) uint32, red in the lowest byte, edges repeated: a lookup needs no test of
+    its right and lower neighbours, and a pixel is one load."""
+    padded = np.zeros((pixels.shape[0] + 1, pixels.shape[1] + 1, 4), np.uint8)
+    padded[:-1, :-1, :3] = pixels
+    padded[-1], padded[:, -1] = padded[-2], padded[:, -2]
+    return padded.view("<u4")[..., 0]
 
 
 def disc_weights() -> np.ndarray:
@@ -81,35 +80,61 @@ def disc_weights() -> np.ndarray:
     return np.repeat(weight.ravel(), 3)
 
 
+# The loops over a row's texels are apart, and write to arrays of their own, so that the compiler may use vectors: a kernel
+# that does all for one texel after the other takes twice as long.
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _project_row(h, y, n, left, top, last_x, last_y, at_x, at_y):
-    """Array positions of n points at height y of the square, evenly along x, clamped to the pixels there are."""
+def _project_row(h, y, within, left, top, last_x, last_y, stride, place, right, down):
+    """Where the photo is looked up at height y of the square, `within` (0 to 1) of each texel: the pixel's place in the
+    array, clamped to the pixels there are, and the shares of its right and lower neighbours."""
     a, b, c = h[0, 1] * y + h[0, 2], h[1, 1] * y + h[1, 2], h[2, 1] * y + h[2, 2]
     da, db, dc = h[0, 0], h[1, 0], h[2, 0]
-    for i in range(n):
-        x = (i + 0.5) * (2.0 / n) - 1.0
+    for i in range(PATCH_SIZE):
+        x = (i + within) * (2.0 / PATCH_SIZE) - 1.0
         w = 1.0 / (dc * x + c)
-        at_x[i] = min(max((da * x + a) * w - 0.5 - left, 0.0), last_x)
-        at_y[i] = min(max((db * x + b) * w - 0.5 - top, 0.0), last_y)
+        at_x = min(max((da * x + a) * w - 0.5 - left, 0.0), last_x)
+        at_y = min(max((db * x + b) * w - 0.5 - top, 0.0), last_y)
+        column, row = np.int32(at_x), np.int32(at_y)
+        place[i] = row * stride + column
+        right[i], down[i] = np.float32(at_x - column), np.float32(at_y - row)
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-def _lookup(flat, stride, x, y, channel_sum):
-    """Add the bilinear lookup at array position (x, y) to channel_sum (4,).
+@numba.njit(cache=True, nogil=True)
+def _fetch_row(flat, stride, place, corner):
+    """The four pixels around each place. Unsigned indices spare numba's test for negative ones."""
+    for i in range(PATCH_SIZE):
+        above = np.uint64(place[i])
+        below = above + np.uint64(stride)
+        corner[0, i], corner[1, i] = flat[above], flat[above + np.uint64(1)]
+        corner[2, i], corner[3, i] = flat[below], flat[below + np.uint64(1)]
 
-    `flat` is `_padded` pixels, `stride` a row of it. Unsigned indices spare numba's test for negative ones: this
-    loop is most of the resampling, and 3 times slower with the tests.
-    """
-    x0, y0 = np.uint64(np.int64(x)), np.uint64(np.int64(y))
-    fx, fy = np.float32(x - np.float64(x0)), np.float32(y - np.float64(y0))
-    above = y0 * stride + x0 * np.uint64(4)
-    below = above + stride
-    for k in range(4):
-        channel = np.uint64(k)
-        p, q = flat[above + channel], flat[below + channel]
-        upper = p + fx * (flat[above + np.uint64(4) + channel] - p)
-        lower = q + fx * (flat[below + np.uint64(4) + channel] - q)
-        channel_sum[k] += upper + fy * (lower - upper)
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _add_row(corner, right, down, total):
+    """Add the bilinear lookups to total (3, PATCH_SIZE)."""
+    for k in range(3):
+        for i in range(PATCH_SIZE):
+            total[k, i] += _between(corner[0, i], corner[1, i], corner[2, i], corner[3, i], right[i], down[i], np.uint32(8 * k))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, inline="always")
+def _between(p, q, r, s, right, down, shift):
+    """One channel of the bilinear lookup between the pixels p, q above and r, s below."""
+    byte = np.uint32(255)
+    a, b = np.float32(np.int32((p >> shift) & byte)), np.float32(np.int32((q >> shift) & byte))
+    c, d = np.float32(np.int32((r >> shift) & byte)), np.float32(np.int32((s >> shift) & byte))
+    upper, lower = a + right * (b - a), c + right * (d - c)
+    return upper + down * (lower - upper)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _write_row(total, share, byte, texels):
+    for k in range(3):
+        for i in range(PATCH_SIZE):
+            byte[k, i] = np.uint8(np.int32(total[k, i] * share + np.float32(0.5)))
+    for i in range(PATCH_SIZE):
+        texels[i, 0], texels[i, 1], texels[i, 2] = byte[0, i], byte[1, i], byte[2, i]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -129,25 +154,22 @@ def _lookups_a_texel(h):
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
 def _resample(pixels, left, top, homography, patches):
-    flat, stride = pixels.reshape(-1), np.uint64(4 * pixels.shape[1])
+    flat, stride = pixels.reshape(-1), np.int32(pixels.shape[1])
     last_x, last_y = pixels.shape[1] - 2.0, pixels.shape[0] - 2.0
-    at_x, at_y = np.empty(PATCH_SIZE * MOST_LOOKUPS), np.empty(PATCH_SIZE * MOST_LOOKUPS)
-    row_sum = np.empty((PATCH_SIZE, 4), np.float32)
+    place, corner = np.empty(PATCH_SIZE, np.int32), np.empty((4, PATCH_SIZE), np.uint32)
+    right, down = np.empty(PATCH_SIZE, np.float32), np.empty(PATCH_SIZE, np.float32)
+    total, byte = np.empty((3, PATCH_SIZE), np.float32), np.empty((3, PATCH_SIZE), np.uint8)
     for i in range(homography.shape[0]):
         n_x, n_y = _lookups_a_texel(homography[i])
-        share = np.float32(1.0 / (n_x * n_y))
         for row in range(PATCH_SIZE):
-            row_sum[:] = 0
+            total[:] = 0
             for j in range(n_y):
                 y = (row + (j + 0.5) / n_y) * (2.0 / PATCH_SIZE) - 1.0
-                _project_row(homography[i], y, PATCH_SIZE * n_x, left, top, last_x, last_y, at_x, at_y)
-                for column in range(PATCH_SIZE):
-                    for k in range(column * n_x, (column + 1) * n_x):
-                        _lookup(flat, stride, at_x[k], at_y[k], row_sum[column])
-            for column in range(PATCH_SIZE):
-                for channel in range(3):
-                    value = row_sum[column, channel] * share + np.float32(0.5)
-                    patches[i, row, column, channel] = np.uint8(value)
+                for k in range(n_x):
+                    _project_row(homography[i], y, (k + 0.5) / n_x, left, top, last_x, last_y, stride, place, right, down)
+                    _fetch_row(flat, stride, place, corner)
+                    _add_row(corner, right, down, total)
+            _write_row(total, np.float32(1.0 / (n_x * n_y)), byte, patches[i, row])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -162,9 +184,7 @@ def _uniform(state):
 
 @numba.njit(cache=True, nogil=True)
 def _probe(pixels, left, top, homography, patches, seed, error):
-    flat, stride = pixels.reshape(-1), np.uint64(4 * pixels.shape[1])
     last_x, last_y = pixels.shape[1] - 2.0, pixels.shape[0] - 2.0
-    photo = np.empty(4, np.float32)
     for i in range(homography.shape[0]):
         h = homography[i]
         state = seed[i] * np.uint64(0xD1342543DE82EF95)
@@ -174,13 +194,15 @@ def _probe(pixels, left, top, homography, patches, seed, error):
             state, b = _uniform(state)
             x, y = np.sqrt(a) * np.cos(2 * np.pi * b), np.sqrt(a) * np.sin(2 * np.pi * b)
             w = 1.0 / (h[2, 0] * x + h[2, 1] * y + h[2, 2])
-            px = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) * w - 0.5 - left
-            py = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) * w - 0.5 - top
-            photo[:] = 0
-            _lookup(flat, stride, min(max(px, 0.0), last_x), min(max(py, 0.0), last_y), photo)
+            px = min(max((h[0, 0] * x + h[0, 1] * y + h[0, 2]) * w - 0.5 - left, 0.0), last_x)
+            py = min(max((h[1, 0] * x + h[1, 1] * y + h[1, 2]) * w - 0.5 - top, 0.0), last_y)
+            column, row = np.int64(px), np.int64(py)
+            right, down = np.float32(px - column), np.float32(py - row)
             for k in range(3):
+                photo = _between(pixels[row, column], pixels[row, column + 1], pixels[row + 1, column],
+                                 pixels[row + 1, column + 1], right, down, np.uint32(8 * k))
                 patch = _texel_between(patches[i], (x + 1) * PATCH_SIZE / 2 - 0.5, (y + 1) * PATCH_SIZE / 2 - 0.5, k)
-                error[i] += ((photo[k] - patch) / 255.0) ** 2
+                error[i] += ((photo - patch) / 255.0) ** 2
 
 
 @numba.njit(cache=True, nogil=True)
