@@ -1,6 +1,7 @@
 """Does the cost of a splat stay the same as scans grow, and do two workers do twice the work of one?
 
-    python -m benchmarks.scaling SCAN [--coder C] [--splats 100000 400000] [--workers 1 2] [--dictionary-bits 8] [--json] [--out FILE]
+    python -m benchmarks.scaling SCAN [--coder C] [--splats 100000 400000] [--workers 1 2] [--dictionary-bits 8]
+        [--effects ellipsoids=off] [--json] [--out FILE]
 
 SCAN is a COLMAP workspace; it is thinned or made denser along its surfaces (`benchmarks/scans.py`) and compressed with
 one radius, without pictures, on the photographs that it has. Seconds are those of all stages; microseconds a splat leave
@@ -27,10 +28,10 @@ from storage import work
 LEARNING = ("training-set", "components", "coefficients", "dictionary-seed", "ksvd-update", "quantise", "prices")
 
 
-def measure(scan: Path, n_splats: int, n_workers: int, coder: str | None, bits: int | None, radius: float) -> dict:
+def measure(scan: Path, n_splats: int, n_workers: int, coder: str | None, bits: int | None, effects: str, radius: float) -> dict:
     with tempfile.TemporaryDirectory(dir=".") as folder, DaskExecutor(n_workers) as executor:
         made = resized(scan, Path(folder) / scan.name, n_splats, radius / 2)
-        settings = settings_for("balanced", coder=coder, dictionary_bits=bits, radius=radius)
+        settings = settings_for("balanced", coder=coder, dictionary_bits=bits, effects=effects, radius=radius)
         stages = compress(made, Path(folder) / "out", settings, executor, Silent(), render=False, work=Path(folder) / "work")["stages"]
         tasks = {s["name"]: _tasks_of(Path(folder) / "work", s["name"]) for s in stages}
     growing = sum(s["seconds"] for s in stages if s["name"] not in LEARNING)
@@ -57,6 +58,7 @@ def main() -> None:
     parser.add_argument("--splats", type=int, nargs="+", default=[100_000, 400_000])
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--coder", help="default: the preset's")
+    parser.add_argument("--effects", default="", metavar="NAME=CHOICE", help="so that every size has the same; default: what each calls for")
     parser.add_argument("--dictionary-bits", type=int, choices=(8, 12, 16), help="default: the preset's")
     parser.add_argument("--radius", type=float, default=0.0224, help="in the scan's unit; default: that of fountain_p11")
     parser.add_argument("--json", action="store_true")
@@ -64,7 +66,7 @@ def main() -> None:
     options = parser.parse_args()
     rows = []
     for n, workers in ((n, w) for n in options.splats for w in options.workers):
-        rows.append(measure(options.scan, n, workers, options.coder, options.dictionary_bits, options.radius))
+        rows.append(measure(options.scan, n, workers, options.coder, options.dictionary_bits, options.effects, options.radius))
         if options.out:
             with open(options.out, "a") as kept:
                 kept.write(json.dumps(rows[-1]) + "\n")

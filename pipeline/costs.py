@@ -61,8 +61,8 @@ class Job:
     n_workers: int
     n_photographs: int = 0
     megapixels: float = 10.0  # of a photograph
-    training_splats: int = 40_000
-    iterations: int = 6
+    training_splats: int = 20_000
+    iterations: int = 4
 
 
 @dataclass(frozen=True)
