@@ -42,7 +42,7 @@ def pursuits(patches: np.ndarray, dictionary: np.ndarray) -> dict:
     """OMP with and without the test of the pivot, of what is signal, and of an error that must not rise."""
     plain = without(
         omp_kernels, ("SMALLEST_PIVOT = 2e-3", "SMALLEST_PIVOT = -1.0"), ("SMALLEST_CORRELATION = 1e-6", "SMALLEST_CORRELATION = 0.0"),
-        ("            if lowered >= error:\n                break\n", ""),
+        ("            if lowered >= error - price:\n                break\n", ""),
     )
     y, d = patches.astype(np.float32), dictionary.astype(np.float32)
     initial, gram, energy = y @ d.T, d @ d.T, omp_kernels.squared_norms(y)
@@ -51,7 +51,7 @@ def pursuits(patches: np.ndarray, dictionary: np.ndarray) -> dict:
     def run(kernels: types.ModuleType) -> None:
         n = len(y)
         atom, weight, code = np.zeros((n, N_ATOMS), np.int32), np.zeros((n, N_ATOMS)), np.zeros((n, N_ATOMS), np.int32)
-        kernels.pursue(initial, energy, gram, np.full(n, TOLERANCE), np.empty((N_ATOMS, 0)), atom, weight, code,
+        kernels.pursue(initial, energy, gram, np.full(n, TOLERANCE), 0.0, np.empty((N_ATOMS, 0)), atom, weight, code,
                        np.zeros(n, np.int32), np.zeros(n))
         found[kernels.__name__] = atom
 

@@ -34,8 +34,7 @@ class DictionarySeed:
         share = -(-2 * self.n_atoms // n_tasks)  # twice as many as needed: twins are passed over
         pool = []
         for task in range(n_tasks):
-            patches = training_part(self.training, task).coefficients
-            pool.append(patches[np.random.default_rng([self.seed, task]).permutation(len(patches))[:share]])
+            pool.append(training_part(self.training, task).coefficients[:share])  # which lie in an order by chance
         dictionary = initial_dictionary(np.concatenate(pool), self.n_atoms, self.seed)
         store_atoms(folder, dictionary, self.form)
         return {"n_atoms": len(dictionary)}

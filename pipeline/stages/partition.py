@@ -23,14 +23,15 @@ BINS = 1 << 12
 
 @dataclass(frozen=True)
 class Partition:
-    """One task: it rewrites the whole scan. Arrays as the ingest's, in chunk order, position against `origin`."""
+    """One task: it rewrites the whole scan. Arrays as the ingest's, in chunk order, position against `origin`; and
+    point (n,) uint32, each one's place in the ingest, which unlike its place here does not turn with the scan."""
 
     ingest: Path
     name = "partition"
 
     def init(self, folder: Path) -> int:
         n = work.summary(self.ingest)["n_points"]
-        for name, dtype in columns_of(self.ingest).items():
+        for name, dtype in _columns(self.ingest).items():
             arrays.create(folder, name, (n, *dtype.shape), str(dtype.base))
         return 1
 
@@ -38,7 +39,7 @@ class Partition:
         points = work.summary(self.ingest)
         n = points["n_points"]
         scratch = [work.parts(folder) / f"{uuid.uuid4().hex}.bin" for _ in range(2)]
-        record = np.dtype([(name, dtype.base, dtype.shape) for name, dtype in columns_of(self.ingest).items()])
+        record = np.dtype([(name, dtype.base, dtype.shape) for name, dtype in _columns(self.ingest).items()])
         try:
             _copy_records(self.ingest, scratch[0], record, n, np.array(_origin(points)))
             _split(scratch, record, 0, n, folder)
@@ -62,10 +63,14 @@ def _origin(points: dict) -> list[float]:
     return [(a + b) / 2 for a, b in zip(points["low"], points["high"])]
 
 
-def columns_of(ingest: Path) -> dict[str, np.dtype]:
-    names = ("position", "normal", "color", "intensity", "station", "candidate")
-    found = {name: arrays.opened(ingest, name) for name in names if arrays.exists(ingest, name)}
+def columns_of(points: Path) -> dict[str, np.dtype]:
+    names = ("position", "normal", "color", "intensity", "station", "candidate", "point")
+    found = {name: arrays.opened(points, name) for name in names if arrays.exists(points, name)}
     return {name: np.dtype((array.dtype, array.shape[1:])) for name, array in found.items()}
+
+
+def _columns(ingest: Path) -> dict[str, np.dtype]:
+    return columns_of(ingest) | {"point": np.dtype(np.uint32)}
 
 
 def _bounds(folder: Path, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
@@ -77,8 +82,9 @@ def _copy_records(ingest: Path, scratch: Path, record: np.dtype, n: int, origin:
     with open(scratch, "wb") as file:
         for start in range(0, n, arrays.BLOCK):
             rows = np.empty(min(arrays.BLOCK, n - start), record)
-            for name in record.names:
+            for name in columns_of(ingest):
                 rows[name] = arrays.read(ingest, name, start, start + len(rows))
+            rows["point"] = np.arange(start, start + len(rows))
             rows["position"] -= origin
             rows.tofile(file)
 

@@ -26,10 +26,10 @@ class PatchSample:
 
     def run(self, folder: Path, index: int) -> dict:
         n = arrays.opened(self.patches, "energy").shape[0]
-        kept: dict[str, list[np.ndarray]] = {"texel": [], "average": [], "energy": []}
+        kept: dict[str, list[np.ndarray]] = {"texel": [], "average": [], "energy": [], "point": []}
         for block in range(arrays.n_blocks(n)):
             start, stop = arrays.block_range(block, n)
-            chosen = uniform_hash(start, stop, SEED) < self.n_wanted / n
+            chosen = uniform_hash(arrays.read(self.patches, "point", start, stop), SEED) < self.n_wanted / n
             for name, rows in kept.items():
                 rows.append(arrays.read(self.patches, name, start, stop)[chosen])
         for name, rows in kept.items():

@@ -19,7 +19,8 @@ from storage.schema import Camera
 
 @dataclass(frozen=True)
 class Resample:
-    """A task a block. Arrays: texel (n, PATCH_DIM) uint8, average (n, 3) uint8, energy (n,) float32."""
+    """A task a block. Arrays: texel (n, PATCH_DIM) uint8, average (n, 3) uint8, energy (n,) float32, point (n,)
+    uint32 as the partition's."""
 
     ingest: Path
     partition: Path
@@ -34,6 +35,7 @@ class Resample:
         arrays.create(folder, "texel", (n, PATCH_DIM), "uint8")
         arrays.create(folder, "average", (n, 3), "uint8")
         arrays.create(folder, "energy", (n,), "float32")
+        arrays.create(folder, "point", (n,), "uint32")
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:
@@ -42,6 +44,7 @@ class Resample:
         arrays.write(folder, "texel", start, patches.texel)
         arrays.write(folder, "average", start, patches.average)
         arrays.write(folder, "energy", start, patches.energy)
+        arrays.write(folder, "point", start, arrays.read(self.partition, "point", start, stop))
         return {"n_splats": stop - start, "resampling_error": patches.resampling_error, "n_probes": patches.n_probes,
                 "n_flagged": patches.n_flagged, "census": census(patches.energy).tolist(),
                 "energy": float(patches.energy.sum(dtype=np.float64))}

@@ -33,7 +33,8 @@ class TrainingPart(NamedTuple):
 class TrainingSet:
     """A task a range of blocks, about TASK_SPLATS patches each. Arrays of task t: texel_<t>, average_<t>.
 
-    A splat is taken if a hash of its index and the seed says so, so the choice depends on neither tasks nor workers.
+    A splat is taken if a hash of its point's place in the scan's files and the seed says so, and patches are in the order
+    of that hash: neither depends on tasks or workers, nor on chunks, which turn with the scan.
     """
 
     patches: Path
@@ -55,9 +56,11 @@ class TrainingSet:
         start, stop = (min(n, arrays.n_blocks(n) * i // n_tasks * arrays.BLOCK) for i in (index, index + 1))
         energy = arrays.read(self.patches, "energy", start, stop)
         active = energy > self.tolerance
-        chosen = start + np.flatnonzero(active & (uniform_hash(start, stop, self.seed) < share[octave_of(energy)]))
+        draw = uniform_hash(arrays.read(self.patches, "point", start, stop), self.seed)
+        chosen = np.flatnonzero(active & (draw < share[octave_of(energy)]))
+        order = np.argsort(draw[chosen])
         for name in ("texel", "average"):
-            rows = arrays.read_rows(self.patches, name, chosen)
+            rows = arrays.read_rows(self.patches, name, start + chosen)[order]
             arrays.store(folder, f"{name}_{index}", rows, rows.shape)
         shown = _patches(folder, index, slice(ROWS))
         beyond = [float((squared_norms(shown) - squared_norms(coefficients(shown, s))).sum()) for s in ATOM_SIZES]
@@ -157,7 +160,8 @@ def membership(stage: TrainingSet, folder: Path) -> tuple[np.ndarray, np.ndarray
     energy = arrays.read(stage.patches, "energy")
     octave, share = octave_of(energy), np.array(work.read_json(folder / "share.json")["share"])
     active = energy > stage.tolerance
-    return active, active & (uniform_hash(0, len(energy), stage.seed) < share[octave]), octave
+    draw = uniform_hash(arrays.read(stage.patches, "point"), stage.seed)
+    return active, active & (draw < share[octave]), octave
 
 
 def training_part(folder: Path, index: int) -> TrainingPart:
@@ -166,10 +170,10 @@ def training_part(folder: Path, index: int) -> TrainingPart:
     return TrainingPart(coefficients, arrays.read(folder, f"rest_{index}").astype(np.float64))
 
 
-def uniform_hash(start: int, stop: int, seed: int) -> np.ndarray:
-    """A number in [0, 1) for each of the indices start..stop, by splitmix64 of index and seed (Steele et al. 2014)."""
+def uniform_hash(index: np.ndarray, seed: int) -> np.ndarray:
+    """A number in [0, 1) for each whole number, by splitmix64 of it and the seed (Steele et al. 2014)."""
     with np.errstate(over="ignore"):
-        z = np.arange(start, stop, dtype=np.uint64) + np.uint64(seed) * np.uint64(0xD1342543DE82EF95)
+        z = index.astype(np.uint64) + np.uint64(seed) * np.uint64(0xD1342543DE82EF95)
         z = (z + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
         z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

@@ -66,6 +66,20 @@ def test_blending__half_float_sums_are_within_1_of_255_up_to_a_weight_of_16():
     assert worst[16] <= 1 / 255 < worst[400]
 
 
+def test_blending__rims_of_a_thousand_layers_that_differ_stay_narrow_and_within_1_of_255():
+    """Nothing but rims adds up to a weight below 16, so sums are narrow; where layers are copies, roundings add up too."""
+    rng = np.random.default_rng(0)
+    off = []
+    for n in (30, 100, 300, 1000):
+        for mean in (0.02, 0.2, 0.5, 1.0):
+            weight = rng.uniform(0, 24 / n, n)
+            linear = np.clip(rng.normal(mean, 0.1 * mean, n), 0, 1)
+            assert weight.sum() < 16
+            off.append(reference.srgb(reference.half_float_mean(linear, weight)) - reference.srgb((linear * weight).sum() / weight.sum()))
+    copies = reference.srgb(reference.half_float_mean(np.full(100, 0.616), np.full(100, 0.0278))) - reference.srgb(0.616)
+    assert np.abs(off).max() <= 1 / 255 < abs(copies)
+
+
 def test_blending__a_scene_once_overdrawn_keeps_its_wide_sums_and_others_do_not(renderer):
     many, few = (build_scene(stack(n, "bright", True, 0.0)) for n in (200, 5))
     scenes = [GpuScene(scene, renderer.context) for scene in (many, few)]

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.coding import ksvd
 from pipeline.coding.ksvd import (
-    TWIN_COHERENCE, Best, block_sums, initial_dictionary, judge, learn_dictionary, next_trial, updated_dictionary,
+    TWIN_COHERENCE, Best, Sums, block_sums, initial_dictionary, judge, learn_dictionary, next_trial, updated_dictionary,
 )
 from pipeline.coding.omp import pursue_patches
 from pipeline.stage import run_stage
@@ -140,7 +140,7 @@ def test_learning__replacements_of_unused_atoms_are_taken_back_with_a_trial_that
 @pytest.fixture
 def staged(tmp_path, monkeypatch):
     """The stages of learning on patches of this file, without the stages before them."""
-    patches = always_together(2, noise=0.05)
+    patches = np.random.default_rng(4).permutation(always_together(2, noise=0.05))  # as a training set lies
     monkeypatch.setattr(stages, "training_part", lambda folder, index:
                         TrainingPart(patches[750 * index : 750 * index + 750], np.zeros(750)))
     monkeypatch.setattr(stages.work, "summary", lambda folder, read=stages.work.summary:
@@ -179,6 +179,21 @@ def test_learning__unused_atoms_and_twins_become_different_inputs():
     inputs = patches / np.linalg.norm(patches, axis=1, keepdims=True)
     replaced = [k for k in (3, 4, 9) if np.abs(inputs @ updated[k]).max() > 1 - 1e-5]
     assert len(replaced) >= 2
+
+
+def test_learning__twins_are_found_wherever_they_stand_in_a_large_dictionary():
+    rng = np.random.default_rng(5)
+    atoms = rng.standard_normal((2100, 24)).astype(np.float32)
+    pairs = {5: 7, 3: 1024, 1023: 1025, 1026: 2048, 2050: 2099, 0: 2047, 1500: 1501}
+    for earlier, later in pairs.items():
+        atoms[later] = -atoms[earlier]
+    atoms /= np.linalg.norm(atoms, axis=1, keepdims=True)
+    n = len(atoms)
+    sums = Sums(np.zeros((n, 24)), np.ones(n), np.full(n, 9), 0.0, 9 * n, np.zeros(len(pairs)),
+                rng.standard_normal((len(pairs), 24)).astype(np.float32))
+    updated, n_replaced = updated_dictionary(atoms, sums)
+    assert n_replaced == len(pairs)
+    assert np.flatnonzero(np.abs(updated - atoms).max(axis=1) > 1e-3).tolist() == sorted(pairs.values())
 
 
 def test_learning__without_replacement_a_dead_atom_stays_dead():

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.geometry.ellipsoids import LONGEST_RADII, SHORTEST_RADII, decode_ellipsoids, encode_ellipsoids, lengths_of
+from pipeline.geometry.ellipsoids import (
+    LONGEST_RADII, SHORTEST_RADII, decode_ellipsoids, encode_ellipsoids, lengths_of, squares_of,
+)
 from pipeline.geometry.normals import decode_normals, encode_normals
 
 UP, AHEAD, RADIUS = (-5, -35, 6), (1, 5, 30), 0.02
@@ -85,3 +87,17 @@ def test_ellipsoids__none_have_no_fields():
     none = np.zeros((0, 2), np.int8)
     assert encode_ellipsoids(none, UP, AHEAD, np.zeros((0, 3, 3)), RADIUS).shape == (0, 4)
     assert decode_ellipsoids(np.zeros((0, 4), np.uint8), none, UP, AHEAD, RADIUS).shape == (0, 3, 3)
+
+
+def test_squares__lie_as_high_as_the_surface_on_average_and_others_stay():
+    across = np.linspace(-1, 1, 2001)
+    x, y = np.meshgrid(across, across)
+    inside = x**2 + y**2 < 1
+    mean_height = np.sqrt(1 - x[inside] ** 2 - y[inside] ** 2).mean()  # of half a ball over its disc
+    centre, u, v = np.arange(9.0).reshape(3, 3), np.tile([1.0, 0, 0], (3, 1)), np.tile([0, 1.0, 0], (3, 1))
+    axes = np.array([[[0, 0.5, 0], [0, 0, 0.25], [0.125, 0, 0]]])
+    moved, along, over = squares_of(centre, u, v, np.array([1]), axes, radius=0.5)
+    np.testing.assert_allclose(moved[1] - centre[1], [0.125 * mean_height, 0, 0], atol=1e-4)
+    np.testing.assert_array_equal([along[1], over[1]], [[0, 1, 0], [0, 0, 0.5]])
+    for before, after in ((centre, moved), (u, along), (v, over)):
+        np.testing.assert_array_equal(before[[0, 2]], after[[0, 2]])

@@ -122,3 +122,12 @@ def test_directions__whole_numbers_are_within_a_degree():
     assert whole_direction(np.array([0.0, -1e-9, 0.0])) == (0, -1, 0)
     for longest in ((35, 8, 2), (-20, 22, 20), (36, 0, 0)):
         assert whole_direction(np.array(longest) / 7.0) == tuple(n // np.gcd.reduce(longest) for n in longest)
+
+
+def test_directions__ahead_is_level_where_photographs_look_down_and_up_alike():
+    """At right angles to up, not to what happens to be the cameras' mean."""
+    upright = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+    for tilt in (-50, 20, 60):
+        turn = Rotation.from_euler("y", tilt, degrees=True).as_matrix()
+        up, ahead = directions_of([{"rotation": upright @ turn.T}, {"rotation": upright}])
+        assert abs(unit(up) @ unit(ahead)) < np.sin(np.radians(2.4))  # 1.2 degrees each

@@ -48,6 +48,7 @@ def test_partition__out_of_core_is_the_same_order_as_in_memory(kind, tmp_path, m
     order = median_split(position - origin)
     color = arrays.read(folder, "color").astype(np.int64)
     assert (color[:, 0] + 256 * color[:, 1] + 65536 * color[:, 2] == order).all()
+    assert (arrays.read(folder, "point") == order).all()
     np.testing.assert_array_equal(arrays.read(folder, "position"), (position - origin)[order])
     assert not list(folder.glob("scratch*"))
     block = arrays.read(folder, "position", 0, arrays.BLOCK)

@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.executors import SerialExecutor
+from pipeline.stage import run_stage
 from pipeline.stages.strata import FEWEST, N_OCTAVES, census, octave_of, shares
-from storage import arrays
+from pipeline.stages.training import TrainingSet
+from storage import arrays, work
+from tests.pipeline.test_stage import Heard
 
 
 def test_strata__an_octave_is_a_factor_of_two():
@@ -45,3 +49,23 @@ def test_arrays__rows_alone_are_those_of_the_whole(tmp_path, rows):
     arrays.create(tmp_path, "rows", whole.shape, "float32", (4, 6))[:] = whole
     found = arrays.read_rows(tmp_path, "rows", np.array(rows, int))
     assert found.dtype == whole.dtype and (found == whole[rows]).all()
+
+
+def test_training__neither_the_choice_nor_its_order_turns_with_the_chunks(tmp_path):
+    rng = np.random.default_rng(0)
+    n = 3000
+    rows = {"texel": rng.integers(0, 256, (n, 3072)).astype(np.uint8), "average": rng.integers(0, 256, (n, 3)).astype(np.uint8),
+            "energy": rng.uniform(0, 60, n).astype(np.float32), "point": np.arange(n, dtype=np.uint32)}
+
+    def chosen(order: np.ndarray, seed: int = 0) -> np.ndarray:
+        patches = tmp_path / f"patches-{order[0]}"
+        if not patches.exists():
+            work.begin(patches)
+            for name, values in rows.items():
+                arrays.create(patches, name, values.shape, str(values.dtype))[:] = values[order]
+            work.complete(patches, {"census": census(rows["energy"]).tolist()})
+        return arrays.read(run_stage(TrainingSet(patches, 8.0, 700, seed, 1.0), tmp_path, SerialExecutor(), Heard()).folder, "texel_0")
+
+    still, turned = chosen(np.arange(n)), chosen(rng.permutation(n))
+    assert 500 < len(still) < 1100 and (still == turned).all()
+    assert len(still) != len(chosen(np.arange(n), seed=1)) or (still != chosen(np.arange(n), seed=1)).any()
