@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import psutil
+from numba.core import event
 
 from pipeline.calls import under_the_rules
 from pipeline.stage import Stage
@@ -14,13 +15,13 @@ from storage import work
 
 def run_task(stage: Stage, folder: Path, index: int) -> dict:
     """Run task `index`; returns its result with `seconds`, `processor_seconds` and `peak_rss_bytes`, which
-    is recorded in the folder."""
+    is recorded in the folder. `compile_seconds`, part of the seconds, went into kernels that a process compiles or loads once."""
     begun, begun_processor = time.perf_counter(), time.process_time()
     _forget_peak()
-    with under_the_rules(stage.name):
+    with under_the_rules(stage.name), event.install_recorder("numba:compiler_lock") as recorder:
         result = stage.run(folder, index)
         result = {**result, "seconds": time.perf_counter() - begun, "peak_rss_bytes": _peak_rss_bytes(),
-                  "processor_seconds": time.process_time() - begun_processor}
+                  "processor_seconds": time.process_time() - begun_processor, "compile_seconds": _held(recorder.buffer)}
         work.record_task(folder, index, result)
     return result
 
@@ -28,6 +29,18 @@ def run_task(stage: Stage, folder: Path, index: int) -> dict:
 def run_tasks(stage: Stage, folder: Path, indices: list[int]) -> list[dict]:
     """Several tasks as one: their results. Those that were done before a worker died are not done again."""
     return [work.finished_task(folder, index) or run_task(stage, folder, index) for index in indices]
+
+
+def _held(events: list[tuple[float, event.Event]]) -> float:
+    """Seconds from each first start to the end that belongs to it: kernels compile those that they call."""
+    depth, seconds = 0, 0.0
+    for when, what in events:
+        if depth == 0:
+            begun = when
+        depth += 1 if what.is_start else -1
+        if depth == 0:
+            seconds += when - begun
+    return seconds
 
 
 def _forget_peak() -> None:

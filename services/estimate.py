@@ -1,8 +1,8 @@
-"""What a job would take, before it runs: a pilot of the real stages on a stratified sample, scaled to the whole scan.
+"""What a job would take, before it runs: its splats in full, and a pilot of the coder on a stratified sample of them.
 
-Reading the scan and putting its points in order are done in full: a job in the same work folder uses them again. All
-else runs on SAMPLE splats. Nothing here knows how a stage works; known of it is whether it goes by splats, by training
-patches or by photographs, and of how many splats at most.
+All up to the splats and their effects is done in full: it is the smaller part, it decides which effects are on, and a
+job in the same work folder uses it again. The coder's stages run on SAMPLE splats. Nothing here knows how they work;
+known of each is whether it goes by splats or by training patches.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,20 +18,19 @@ import numpy as np
 from pipeline.coding.grid import TURNS, AtomForm
 from pipeline.settings import Settings
 from pipeline.stage import Executor, Progress, Stage, StageRecord
-from pipeline.stages.sampled import SampledPartition
+from pipeline.stages.sampled import Sampled
 from pipeline.stages.training import TrainingSet, membership
 from renderer.report import sizes_of
 from services.kept_estimates import keep_estimate
 from services.stage_lock import stage_lock
 from services.workflow import (
-    PATCHES_AN_ATOM, Coded, Prepared, Run, code_patches, index_bits, pack, points_of, resample, splats_from,
-    with_effects,
+    PATCHES_AN_ATOM, Coded, Prepared, Run, code_patches, index_bits, is_textured, pack, prepare, resample,
 )
 from storage import arrays, work
 from storage.packed import SUFFIX, PackedFile
-from storage.schema import ATOM_SIZES
+from storage.schema import ATOM_SIZES, EXTRAS
 
-SAMPLE = 2 * arrays.BLOCK + arrays.BLOCK // 4  # two tasks that warm workers up, and one that meets them warm
+SAMPLE = 3 * arrays.BLOCK // 2  # splats: a task that warms a worker up (by its memory, mostly), and one that meets it warm
 MOST_TRAINING = 16_384  # patches that the pilot learns from
 MOST_ATOMS = MOST_TRAINING // PATCHES_AN_ATOM
 # Passes of learning that the pilot affords, in products of a patch and an atom: all that a preset asks for with 256 atoms.
@@ -44,21 +43,18 @@ BANDS = {"seconds": 0.25, "gpu_bytes": 0.05, "texture_psnr_db": 0.5, "peak_memor
 class _Pilot:
     """What the sample showed."""
 
-    prepared: Prepared
+    prepared: Prepared  # with all splats
     coded: Coded | None
     settings: Settings  # the pilot's own
     sizes: dict
+    n_sample: int
     stages: list[tuple[Stage, StageRecord]]
-    points: list[StageRecord]  # ingest and partition, in full
+    full: list[StageRecord]  # stages with all splats
     n_workers: int
 
     @property
     def n_splats(self) -> int:
         return self.prepared.scan.summary["n_points"]
-
-    @property
-    def n_sample(self) -> int:
-        return self.prepared.splats.summary["n_splats"]
 
     @property
     def share(self) -> float:
@@ -94,7 +90,7 @@ def _one_at_a_time(folder: Path, do: Callable[[], StageRecord]) -> StageRecord:
 
 
 def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
-    ingest, partition = points_of(run, scan)
+    prepared = prepare(run, scan, settings.radius, settings.effects)
     stages: list[Stage] = []
 
     def noted(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
@@ -103,29 +99,38 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
 
     pilot = Run(scratch / "pilot", run.executor, run.progress, step=noted)
     pilot.work.mkdir(parents=True, exist_ok=True)
-    sample = pilot.do(SampledPartition(partition.folder, SAMPLE))
-    prepared = with_effects(pilot, splats_from(pilot, ingest, sample, str(scan), settings.radius), settings.effects)
+    sampled = _sampled(pilot, prepared)
     coded, own = None, settings
-    if prepared.splats.summary["n_without_camera"] < prepared.splats.summary["n_splats"]:
-        patches = resample(pilot, prepared)
+    if is_textured(prepared):
+        patches = resample(pilot, sampled)
         own = _affordable(settings, patches, prepared)
-        coded = code_patches(pilot, patches, own)
+        coded = code_patches(pilot, patches, own, prepared.splats.summary["n_splats"])
     path = scratch / f"pilot{SUFFIX}"
-    pack(pilot, prepared, coded, own, "pilot", path)
+    pack(pilot, sampled, coded, own, "pilot", path)
     with PackedFile(path) as packed:
         sizes = sizes_of(packed.load(), path.stat().st_size)
-    ran = [(s, r) for s, r in zip(stages, pilot.records, strict=True) if s.name != SampledPartition.name]
-    return _Pilot(prepared, coded, own, sizes, ran, [ingest, partition], run.executor.n_workers)
+    ran = [(s, r) for s, r in zip(stages, pilot.records, strict=True) if s.name != Sampled.name]
+    return _Pilot(prepared, coded, own, sizes, sampled.splats.summary["n_splats"], ran, list(run.records), run.executor.n_workers)
+
+
+def _sampled(pilot: Run, prepared: Prepared) -> Prepared:
+    """A sample of the splats, and of what effects add to each of them."""
+    def of(source: Path) -> StageRecord:
+        return pilot.do(Sampled(source, prepared.partition.folder, SAMPLE))
+
+    splats, streams = of(prepared.splats.folder), {extra.stream for extra in EXTRAS}
+    built = tuple((name, of(folder).folder if name in streams else folder) for name, folder in prepared.built)
+    return replace(prepared, partition=splats, splats=splats, built=built)
 
 
 def _affordable(settings: Settings, patches: StageRecord, prepared: Prepared) -> Settings:
     """The settings, with as little learning as seconds allow: patches for the atoms that the job will have, and passes."""
-    form = None if settings.coder == "paper" else AtomForm(ATOM_SIZES[-1], TURNS)
-    bits = index_bits(settings, form, prepared.scan.summary["n_points"])
-    n_atoms = min(2**bits, settings.training_splats // PATCHES_AN_ATOM, MOST_ATOMS)
+    form = None if settings.coder == "paper" else AtomForm(ATOM_SIZES[-1], TURNS)  # the smallest atoms are the most
+    n_indices = 2 ** index_bits(settings, form, prepared.splats.summary["n_splats"])
+    n_atoms = min(n_indices // (form or AtomForm()).n_turns, settings.training_splats // PATCHES_AN_ATOM, MOST_ATOMS)
     n_training = min(settings.training_splats, max(MOST_TRAINING // 2, n_atoms * PATCHES_AN_ATOM))
     passes = max(2, MOST_PRODUCTS // (n_training * n_atoms))
-    return replace(settings, dictionary_bits=bits, training_splats=n_training, iterations=min(settings.iterations, passes))
+    return replace(settings, training_splats=n_training, iterations=min(settings.iterations, passes))
 
 
 # --- from the sample to the scan --------------------------------------------------------------------------------------
@@ -133,14 +138,14 @@ def _affordable(settings: Settings, patches: StageRecord, prepared: Prepared) ->
 
 def _scaled(pilot: _Pilot, settings: Settings) -> dict:
     learning = _learning(pilot, settings)
-    rows = [{"name": r.name, "seconds": r.made_seconds, "pilot_seconds": r.made_seconds} for r in pilot.points]
+    rows = [{"name": r.name, "seconds": r.made_seconds, "pilot_seconds": r.made_seconds} for r in pilot.full]
     for stage, record in pilot.stages:
         rows.append({"name": record.name, "seconds": _stage_seconds(pilot, stage, record, settings, learning),
                      "pilot_seconds": record.made_seconds})
     rows = _merged(rows)
     sizes = _sizes(pilot, learning)
     quality = pilot.coded.codes.summary if pilot.coded else {}
-    memory = max(r.peak_rss_bytes for r in [*pilot.points, *(record for _, record in pilot.stages)])
+    memory = max(r.peak_rss_bytes for r in [*pilot.full, *(record for _, record in pilot.stages)])
     figures = {"seconds": sum(row["seconds"] for row in rows), "peak_memory_bytes": memory,
                "gpu_bytes": sizes["gpu_bytes"], "texture_psnr_db": quality.get("texture_psnr_db")}
     return {name: _banded(name, value) for name, value in figures.items()} | {
@@ -174,31 +179,23 @@ def _learning(pilot: _Pilot, settings: Settings) -> dict:
 
 
 def _stage_seconds(pilot: _Pilot, stage: Stage, record: StageRecord, settings: Settings, learning: dict) -> float:
-    """A stage's wall time: what its tasks take, by the splat or the patch, shared by the workers, and what it takes once."""
-    tasks = [(r["seconds"], r.get("n_splats", 0)) for _, r in sorted(work.finished_tasks(record.folder).items())]
-    busy, rounds = sum(seconds for seconds, _ in tasks), -(-len(tasks) // pilot.n_workers)
-    once = max(0.0, record.made_seconds - rounds * busy / max(1, len(tasks)))
-    if hasattr(stage, "training"):
-        if not record.n_splats:
-            return record.made_seconds
-        factor = learning["n_patches"] / max(1, learning["n_patches_pilot"])
-        atoms = learning["n_atoms"] / max(1, learning["n_atoms_pilot"])
+    """A stage's wall time: what its tasks take, by the splat or the patch, shared by the workers, and what it takes once.
+
+    Tasks count as the fastest one did, which met a warm worker, and without the kernels that it compiled: they are there
+    when the job runs.
+    """
+    tasks = work.finished_tasks(record.folder).values()
+    busy = sum(task["seconds"] for task in tasks)
+    once = max(0.0, record.made_seconds - busy / len(tasks) * -(-len(tasks) // pilot.n_workers)) if tasks else record.made_seconds
+    if record.n_splats:
+        busy = record.n_splats * min((t["seconds"] - t["compile_seconds"]) / t["n_splats"] for t in tasks if t["n_splats"])
+    atoms = learning["n_atoms"] / max(1, learning["n_atoms_pilot"]) if learning else 1.0
+    if hasattr(stage, "training") or stage.name == TrainingSet.name:
+        factor = learning["n_patches"] / max(1, learning["n_patches_pilot"]) if learning else 1.0
         passes = _passes(pilot, settings) if record.name == "ksvd-update" else 1
         return passes * atoms * (once + _shared(busy * factor, len(tasks) * factor, pilot.n_workers))
-    if _sees_photographs_alone(stage, pilot):
-        return record.made_seconds
-    n_splats = min(pilot.n_splats, getattr(stage, "most_splats", pilot.n_splats))
-    per_splat = min((seconds / n for seconds, n in tasks if n), default=None)
-    whole = busy / pilot.share if per_splat is None else per_splat * n_splats
-    if record.name == "encode" and learning:
-        whole *= learning["n_atoms"] / max(1, learning["n_atoms_pilot"])
-    return once + _shared(whole, len(tasks) * max(1.0, n_splats / pilot.n_sample), pilot.n_workers)
-
-
-def _sees_photographs_alone(stage: Stage, pilot: _Pilot) -> bool:
-    """Whether no field of a stage leads to points or splats, of which the pilot has a sample."""
-    folders = [value for f in fields(stage) if isinstance(value := getattr(stage, f.name), Path)]
-    return bool(folders) and all(folder == pilot.points[0].folder for folder in folders) and not hasattr(stage, "sources")
+    whole = busy / pilot.share * (atoms if record.name == "encode" else 1.0)
+    return once + _shared(whole, len(tasks) / pilot.share, pilot.n_workers)
 
 
 def _passes(pilot: _Pilot, settings: Settings) -> float:

@@ -41,7 +41,6 @@ from pipeline.stages.training import Coefficients, Components, TrainingSet
 from pipeline.texture.resample import PATCH_DIM
 from renderer.edges import draw_edges
 from renderer.report import build_report, sizes_of, write_report
-from renderer.report_page import write_page
 from services.kept_estimates import against, known_estimate
 from services.rendering import previews_of
 from storage.errors import InvalidScan
@@ -216,8 +215,9 @@ def resample(run: Run, prepared: Prepared) -> StageRecord:
                            *directions_of(scan.summary["cameras"])))
 
 
-def code_patches(run: Run, patches: StageRecord, settings: Settings) -> Coded:
-    """Learn a dictionary if any patch calls for one, and code all patches."""
+def code_patches(run: Run, patches: StageRecord, settings: Settings, n_splats: int | None = None) -> Coded:
+    """Learn a dictionary if any patch calls for one, and code all patches; with as many atoms as a scan of `n_splats` pays
+    for, where the patches are a sample of it."""
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
     stop = Stop(tolerance) if settings.coder == "paper" else Stop(0.0, WHILE_LEARNING * tolerance)
     training = run.do(TrainingSet(patches.folder, max(stop.tolerance, stop.price), settings.training_splats, settings.seed,
@@ -229,7 +229,8 @@ def code_patches(run: Run, patches: StageRecord, settings: Settings) -> Coded:
         space = run.do(Components(training.folder, tolerance * 10 ** (-settings.subspace_floor_db / 10)))
     else:
         space = run.do(Coefficients(training.folder, form.size))
-    learned, learning = _learn(run, training, space, settings, stop, form)
+    bits = index_bits(settings, form, n_splats or training.summary["n_splats"])
+    learned, learning = _learn(run, training, space, settings, stop, form, bits)
     quantized, n_taken_back = _quantize_best(run, space, learned, settings, stop, form)
     n_taken_back += sum(not row["accepted"] for row in learning)
     price = 0.0
@@ -269,15 +270,14 @@ def encode(run: Run, patches: Path, quantized: StageRecord | None, settings: Set
 
 
 def _learn(run: Run, training: StageRecord, space: StageRecord, settings: Settings, stop: Stop,
-           form: AtomForm | None) -> tuple[StageRecord, list[dict]]:
+           form: AtomForm | None, bits: int) -> tuple[StageRecord, list[dict]]:
     """The last iteration, and the learning curve as estimates for the whole scan: of the best dictionary so far.
 
     Ends early where an iteration gains less than `least_gain_db`.
     """
     seconds = 0.0  # of the passes as they were made, now or by an earlier run
     of_turns = form or AtomForm()
-    most = 2 ** index_bits(settings, form, training.summary["n_splats"]) // of_turns.n_turns
-    n_atoms = max(1, min(most, training.summary["n_patches"] // PATCHES_AN_ATOM))
+    n_atoms = max(1, min(2**bits // of_turns.n_turns, training.summary["n_patches"] // PATCHES_AN_ATOM))
     learned = run.do(DictionarySeed(space.folder, n_atoms, settings.seed, of_turns)).folder
     curve = []
     for iteration in range(settings.iterations):
@@ -413,6 +413,8 @@ def _estimate(run: Run, path: Path, coded: Coded | None, settings: Settings) -> 
 
 def write_outputs(run: Run, path: Path, photos: Path, record: dict, out: Path, render: bool) -> dict:
     """previews/, edges/, report.json and report.html beside each other in `out`. Returns the report."""
+    from renderer.report_page import write_page  # Bokeh takes 2 s to import, which an estimate does without
+
     with PackedFile(path) as packed:
         scene = packed.load()
     views = _views(run, path, photos, out) if render else []

@@ -1,4 +1,4 @@
-"""A stratified sample of a scan's points, as a folder that can stand for the partition's."""
+"""A stratified sample of a scan's splats, as a folder that can stand for that of a stage with all of them."""
 
 from __future__ import annotations
 
@@ -7,49 +7,45 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.stages.partition import columns_of
 from storage import arrays, work
-
-CELL = 512  # points that stay together: a compact piece of surface, whose inner points keep their neighbours
+from storage.schema import CHUNK
 
 
 @dataclass(frozen=True)
-class SampledPartition:
-    """One task. Arrays as the partition's: whole cells of CELL consecutive points, one from each of equal parts of the
-    scan's order, dealt out to the blocks in turn, so that every block is a sample of the whole scan."""
+class Sampled:
+    """One task. Arrays: of each array by splat or by chunk that `source` has, the rows of whole chunks, one from each of equal
+    parts of the scan's order. The summary is the source's, that of the `partition` added, of as many splats.
 
+    On fountain_p11 the atoms of 16,384 splats in chunks of 128 come within 3.7 % (one deviation) of those of all splats; in
+    cells of 512 it takes 36,864 splats for 4.5 %.
+    """
+
+    source: Path
     partition: Path
     n_wanted: int
-    name = "sampled-partition"
+    name = "sampled"
 
     def init(self, folder: Path) -> int:
-        n = len(self._rows())
-        for name, dtype in columns_of(self.partition).items():
-            arrays.create(folder, name, (n, *dtype.shape), str(dtype.base))
         return 1
 
     def run(self, folder: Path, index: int) -> dict:
-        rows = self._rows()
-        for name in columns_of(self.partition):
-            column = arrays.opened(self.partition, name)
-            cells = [np.asarray(column[at : at + CELL]) for at in rows[::CELL]]
-            arrays.write(folder, name, 0, np.concatenate(cells)[: len(rows)])
+        n = work.summary(self.partition)["n_splats"]
+        chunks = chosen_chunks(n, self.n_wanted)
+        rows = (chunks[:, None] * CHUNK + np.arange(CHUNK)).ravel()
+        rows = rows[rows < n]
+        for path in sorted(self.source.glob("*.zarr")):
+            array = arrays.opened(self.source, path.stem)
+            taken = {n: rows, -(-n // CHUNK): chunks}.get(array.shape[0])
+            if taken is not None:
+                arrays.store(folder, path.stem, arrays.read_rows(self.source, path.stem, taken), array.chunks)
         return {"n_splats": len(rows)}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
-        n, whole = results[0]["n_splats"], work.summary(self.partition)
-        bounds = [arrays.read(folder, "position", *arrays.block_range(i, n)) for i in range(arrays.n_blocks(n))]
-        return {"n_splats": n, "origin": whole["origin"], "block_low": [b.min(axis=0).tolist() for b in bounds],
-                "block_high": [b.max(axis=0).tolist() for b in bounds]}
+        return work.summary(self.partition) | work.summary(self.source) | {"n_splats": results[0]["n_splats"]}
 
-    def _rows(self) -> np.ndarray:
-        """Which points of the partition, cell by cell."""
-        n = work.summary(self.partition)["n_splats"]
-        n_cells = n // CELL
-        n_taken = min(n_cells, -(-self.n_wanted // CELL))
-        if n_taken < 2:
-            return np.arange(min(n, self.n_wanted))
-        cells = (np.arange(n_taken) + 0.5) * n_cells / n_taken
-        n_blocks = arrays.n_blocks(n_taken * CELL)
-        dealt = np.argsort(np.arange(n_taken) % n_blocks, kind="stable")
-        return (cells.astype(np.int64)[dealt, None] * CELL + np.arange(CELL)).ravel()
+
+def chosen_chunks(n: int, n_wanted: int) -> np.ndarray:
+    """Which chunks of `n` splats, ascending; all where no more are wanted than there are."""
+    n_chunks = -(-n // CHUNK)
+    n_taken = min(n_chunks, max(1, -(-n_wanted // CHUNK)))
+    return ((np.arange(n_taken) + 0.5) * n_chunks / n_taken).astype(np.int64)
