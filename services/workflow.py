@@ -235,7 +235,7 @@ def code_patches(run: Run, patches: StageRecord, settings: Settings, n_splats: i
     n_taken_back += sum(not row["accepted"] for row in learning)
     price = 0.0
     if form is not None:
-        ladder = run.do(Prices(space.folder, quantized.folder, settings.max_atoms, tolerance)).summary
+        ladder = run.do(Prices(space.folder, training.folder, quantized.folder, settings.max_atoms, tolerance)).summary
         price = price_for(ladder, training.summary)
     codes = encode(run, patches.folder, quantized, settings, price)
     return Coded(patches, codes, quantized, learning, quantized.summary["n_atoms"], n_taken_back)

@@ -15,7 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.coding.omp_kernels import squared_norms
 from pipeline.stages.atoms import load_atoms
+from pipeline.stages.strata import octave_of
 from pipeline.stages.training import training_part
 from storage import arrays, work
 
@@ -28,9 +30,15 @@ SAMPLE = 4096  # patches: their mean error is known to about 2 %, which is 0.1 d
 
 @dataclass(frozen=True)
 class Prices:
-    """A task a part of the training set: some of it is coded at every price of the ladder."""
+    """A task a part of the training set: some of it is coded at every price of the ladder.
+
+    A patch counts as many times as its octave of contrast has others that were not chosen: octaves with few patches are
+    learned from whole, and would else set the price. Of fountain_p11 with 10,000 patches they raised the PSNR of `draft`
+    by 0.4 dB above the one promised.
+    """
 
     training: Path  # in the coder's coefficients
+    chosen: Path  # the training set, which knows what share of each octave it is
     quantized: Path
     max_atoms: int
     tolerance: float  # the squared error of a patch at the target
@@ -44,17 +52,19 @@ class Prices:
         n_tasks = work.summary(self.training)["n_tasks"]
         rows = slice(None, None, max(1, len(patches) * n_tasks // SAMPLE))  # spread over the scan
         patches, rest = patches[rows], rest[rows]
+        share = np.array(work.read_json(self.chosen / "share.json")["share"])
+        weight = 1 / share[octave_of(squared_norms(patches) + rest)].clip(share[share > 0].min())
         atoms, levels = load_atoms(self.quantized), arrays.read(self.quantized, "weight_levels")
         error, n_atoms = [], []
         for share in LADDER:
             found = atoms.pursue(patches, self.max_atoms, 0.0, levels, share * self.tolerance)
-            error.append(float((found.residual + rest).sum()))
-            n_atoms.append(int(found.codes.n_atoms.sum()))
-        return {"n_splats": len(patches), "error": error, "n_atoms": n_atoms}
+            error.append(float(weight @ (found.residual + rest)))
+            n_atoms.append(float(weight @ found.codes.n_atoms))
+        return {"n_splats": len(patches), "weight": float(weight.sum()), "error": error, "n_atoms": n_atoms}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
-        n = max(1, sum(r["n_splats"] for r in results))
-        error, n_atoms = (np.sum([r[k] for r in results], axis=0) / n for k in ("error", "n_atoms"))
+        weight = sum(r["weight"] for r in results) or 1.0
+        error, n_atoms = (np.sum([r[k] for r in results], axis=0) / weight for k in ("error", "n_atoms"))
         return {"price": [share * self.tolerance for share in LADDER], "error": error.tolist(), "n_atoms": n_atoms.tolist()}
 
 

@@ -5,7 +5,10 @@ import pytest
 
 from pipeline.coding.omp import pursue_patches
 from pipeline.coding.quantize import uniform_weight_levels
-from pipeline.stages.price import price_for
+from pipeline.stages.atoms import store_atoms
+from pipeline.stages.price import Prices, price_for
+from pipeline.stages.strata import N_OCTAVES, octave_of
+from storage import arrays, work
 
 
 def patches_and_atoms(n_atoms: int, dim: int = 96) -> tuple[np.ndarray, np.ndarray]:
@@ -73,3 +76,32 @@ def test_weights__even_levels_are_the_same_for_every_rank_and_as_wide_as_pays():
         return np.abs(sample[:, None] - row).min(axis=1) @ np.abs(sample[:, None] - row).min(axis=1)
 
     assert error(levels[0]) <= min(error(levels[0] * factor) for factor in (0.8, 1.25))
+
+
+def ladder_of(folder, patches: np.ndarray, share: np.ndarray) -> dict:
+    """What a training set of these patches, which is such a share of each octave, finds with 16 atoms."""
+    space, chosen, quantized = (folder / name for name in ("space", "chosen", "quantized"))
+    work.begin(space)
+    arrays.store(space, "coefficient_0", patches)
+    arrays.store(space, "rest_0", np.zeros(len(patches), np.float32))
+    work.complete(space, {"n_tasks": 1})
+    work.begin(chosen)
+    work.write_json(chosen / "share.json", {"share": share.tolist()})
+    work.begin(quantized)
+    atoms = np.random.default_rng(9).standard_normal((16, patches.shape[1]))
+    store_atoms(quantized, atoms / np.linalg.norm(atoms, axis=1, keepdims=True))
+    arrays.store(quantized, "weight_levels", np.tile(np.linspace(-4, 4, 16, dtype=np.float32), (8, 1)))
+    stage = Prices(space, chosen, quantized, 8, 1.0)
+    return stage.finalise(folder, [stage.run(folder, 0)])
+
+
+def test_prices__what_is_rare_counts_as_rare_though_it_was_learned_from_whole(tmp_path):
+    rng = np.random.default_rng(3)
+    calm, busy = rng.standard_normal((3600, 12)).astype(np.float32), 8 * rng.standard_normal((60, 12)).astype(np.float32)
+    octaves = octave_of((busy.astype(np.float64) ** 2).sum(axis=1))
+    calm = calm[octave_of((calm.astype(np.float64) ** 2).sum(axis=1)) < octaves.min()]
+    share = np.where(np.arange(N_OCTAVES) < octaves.min(), 0.1, 1.0)
+    whole = ladder_of(tmp_path / "whole", np.concatenate([calm, busy]), np.ones(N_OCTAVES))
+    part = ladder_of(tmp_path / "part", np.concatenate([calm[::10], busy]), share)
+    for figure in ("error", "n_atoms"):
+        assert part[figure] == pytest.approx(whole[figure], rel=0.03)
