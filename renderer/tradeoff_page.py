@@ -23,7 +23,8 @@ COSTS = (  # key, axis, what it is in a sentence, the scale of the axis
     ("seconds", "seconds of compressing", "seconds", 1.0),
     ("frame_seconds", "milliseconds of a frame", "frame time", 1e3),
 )
-WANTED_DB = (34.0, 36.0, 38.0, 40.0, 42.0, 44.0, 46.0)
+WANTED_DB = (30.0, 32.0, 34.0, 36.0, 38.0, 40.0, 42.0, 44.0, 46.0)
+LEAD_DB = 40.0
 NOISE_DB, NOISE_SHARE = 0.05, 0.05  # a preset that another beats by less than both is as good
 
 
@@ -60,6 +61,12 @@ def advised(points: list[dict], wanted_db: float) -> dict | None:
     return {"wanted_db": wanted_db, "preset": preset, "cheapest": reach[0]["key"]}
 
 
+def leading(advice: list[dict]) -> list[dict]:
+    """What is said first: 40 dB, which is 1 % of error, and the step after it; else the last two that can be had."""
+    first = max(0, next((i for i, row in enumerate(advice) if row["wanted_db"] >= LEAD_DB), len(advice) - 2))
+    return advice[first : first + 2]
+
+
 def _beats(b: dict, a: dict) -> bool:
     """Whether b is better than a in bytes, seconds and PSNR by more than noise in one of them, and worse in none."""
     worse = (b["texture_psnr_db"] < a["texture_psnr_db"] - NOISE_DB or b["gpu_bytes"] > a["gpu_bytes"] * (1 + NOISE_SHARE)
@@ -83,8 +90,9 @@ def page_of(document: dict, folder: Path) -> str:
     if "frame_seconds" in document["fronts"]:
         plots["atoms"] = _frame_plot(list(points.values()))
     script, divs = components(plots)
+    advice = _in_words(document, points)
     return template("tradeoff.html.jinja").render(
-        t=document, points=list(points.values()), chosen=document["points"][0], advice=_in_words(document, points),
+        t=document, points=list(points.values()), chosen=document["points"][0], advice=advice, lead=leading(advice),
         knobs=_knob_rows(document["points"]), pictures=_pictures_by_point(document, folder),
         fronts={cost: set(keys) for cost, keys in document["fronts"].items()},
         bokeh=Markup(Resources(mode="inline", components=["bokeh"]).render()),

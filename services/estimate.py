@@ -33,8 +33,7 @@ from storage.schema import ATOM_SIZES, EXTRAS
 SAMPLE = 3 * arrays.BLOCK // 2  # splats: a task that warms a worker up (by its memory, mostly), and one that meets it warm
 MOST_TRAINING = 16_384  # patches that the pilot learns from
 MOST_ATOMS = MOST_TRAINING // PATCHES_AN_ATOM
-# Passes of learning that the pilot affords, in products of a patch and an atom: all that a preset asks for with 256 atoms.
-MOST_PRODUCTS = 8 * MOST_TRAINING * 256
+MOST_PRODUCTS = 3 * (MOST_TRAINING // 2) * 512  # of a patch and an atom in one of its turns: three passes of learning for most scans
 LEAST_COMPARED = 50  # splats of an octave on either side
 BANDS = {"seconds": 0.25, "gpu_bytes": 0.05, "texture_psnr_db": 0.5, "peak_memory_bytes": 0.25}
 
@@ -126,10 +125,11 @@ def _sampled(pilot: Run, prepared: Prepared) -> Prepared:
 def _affordable(settings: Settings, patches: StageRecord, prepared: Prepared) -> Settings:
     """The settings, with as little learning as seconds allow: patches for the atoms that the job will have, and passes."""
     form = None if settings.coder == "paper" else AtomForm(ATOM_SIZES[-1], TURNS)  # the smallest atoms are the most
+    n_turns = (form or AtomForm()).n_turns
     n_indices = 2 ** index_bits(settings, form, prepared.splats.summary["n_splats"])
-    n_atoms = min(n_indices // (form or AtomForm()).n_turns, settings.training_splats // PATCHES_AN_ATOM, MOST_ATOMS)
+    n_atoms = min(n_indices // n_turns, settings.training_splats // PATCHES_AN_ATOM, MOST_ATOMS)
     n_training = min(settings.training_splats, max(MOST_TRAINING // 2, n_atoms * PATCHES_AN_ATOM))
-    passes = max(2, MOST_PRODUCTS // (n_training * n_atoms))
+    passes = max(2, MOST_PRODUCTS // (n_training * n_atoms * n_turns))
     return replace(settings, training_splats=n_training, iterations=min(settings.iterations, passes))
 
 
@@ -188,10 +188,11 @@ def _stage_seconds(pilot: _Pilot, stage: Stage, record: StageRecord, settings: S
     busy = sum(task["seconds"] for task in tasks)
     once = max(0.0, record.made_seconds - busy / len(tasks) * -(-len(tasks) // pilot.n_workers)) if tasks else record.made_seconds
     if record.n_splats:
-        busy = record.n_splats * min((t["seconds"] - t["compile_seconds"]) / t["n_splats"] for t in tasks if t["n_splats"])
+        busy = record.n_splats * min(max(0.0, t["seconds"] - t["compile_seconds"]) / t["n_splats"] for t in tasks if t["n_splats"])
     atoms = learning["n_atoms"] / max(1, learning["n_atoms_pilot"]) if learning else 1.0
     if hasattr(stage, "training") or stage.name == TrainingSet.name:
-        factor = learning["n_patches"] / max(1, learning["n_patches_pilot"]) if learning else 1.0
+        n_patches = min(learning.get("n_patches", 0), getattr(stage, "most_patches", np.inf))
+        factor = n_patches / record.n_splats if learning and record.n_splats else 1.0
         passes = _passes(pilot, settings) if record.name == "ksvd-update" else 1
         return passes * atoms * (once + _shared(busy * factor, len(tasks) * factor, pilot.n_workers))
     whole = busy / pilot.share * (atoms if record.name == "encode" else 1.0)

@@ -43,6 +43,7 @@ class Prices:
     max_atoms: int
     tolerance: float  # the squared error of a patch at the target
     name = "prices"
+    most_patches = SAMPLE
 
     def init(self, folder: Path) -> int:
         return work.summary(self.training)["n_tasks"]

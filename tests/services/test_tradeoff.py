@@ -9,7 +9,7 @@ import pytest
 from pipeline.executors import SerialExecutor
 from pipeline.knobs import BY_NAME
 from pipeline.settings import PRESETS, settings_for
-from renderer.tradeoff_page import advised, pareto, summarised
+from renderer.tradeoff_page import WANTED_DB, advised, leading, pareto, summarised
 from services.cli import main
 from services.tradeoff import default_knobs, ladder, parsed_budget, parsed_knobs, tradeoff
 from services.workflow import Run, code, compress, prepare
@@ -97,6 +97,12 @@ def test_pareto__holds_what_nothing_beats_and_only_that():
 def test_advised__names_the_preset_and_the_point_of_fewest_bytes():
     assert advised(POINTS, 40.0) == {"wanted_db": 40.0, "preset": "b", "cheapest": "c"}
     assert advised(POINTS, 42.0) is None and advised(POINTS, 38.0)["preset"] == "a"
+
+
+@pytest.mark.parametrize(("reached", "said"), [
+    (WANTED_DB, [40.0, 42.0]), (WANTED_DB[:-3], [40.0]), ((30.0, 32.0, 34.0), [32.0, 34.0]), ((34.0,), [34.0]), ((), [])])
+def test_leading__is_one_per_cent_of_error_and_the_step_after_it_or_the_best_that_there_is(reached, said):
+    assert [row["wanted_db"] for row in leading([{"wanted_db": db} for db in reached])] == said
 
 
 def test_summarised__tells_which_presets_another_beats():
