@@ -18,10 +18,10 @@ def run_task(stage: Stage, folder: Path, index: int) -> dict:
     is recorded in the folder. `compile_seconds`, part of the seconds, went into kernels that a process compiles or loads once."""
     begun, begun_processor = time.perf_counter(), time.process_time()
     _forget_peak()
-    with under_the_rules(stage.name), event.install_recorder("numba:compiler_lock") as recorder:
+    with under_the_rules(stage.name), event.install_listener("numba:compiler_lock", event.TimingListener()) as compiling:
         result = stage.run(folder, index)
         result = {**result, "seconds": time.perf_counter() - begun, "peak_rss_bytes": _peak_rss_bytes(),
-                  "processor_seconds": time.process_time() - begun_processor, "compile_seconds": _held(recorder.buffer)}
+                  "processor_seconds": time.process_time() - begun_processor, "compile_seconds": compiling.duration if compiling.done else 0.0}
         work.record_task(folder, index, result)
     return result
 
@@ -29,18 +29,6 @@ def run_task(stage: Stage, folder: Path, index: int) -> dict:
 def run_tasks(stage: Stage, folder: Path, indices: list[int]) -> list[dict]:
     """Several tasks as one: their results. Those that were done before a worker died are not done again."""
     return [work.finished_task(folder, index) or run_task(stage, folder, index) for index in indices]
-
-
-def _held(events: list[tuple[float, event.Event]]) -> float:
-    """Seconds from each first start to the end that belongs to it: kernels compile those that they call."""
-    depth, seconds = 0, 0.0
-    for when, what in events:
-        if depth == 0:
-            begun = when
-        depth += 1 if what.is_start else -1
-        if depth == 0:
-            seconds += when - begun
-    return seconds
 
 
 def _forget_peak() -> None:

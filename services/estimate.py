@@ -188,7 +188,7 @@ def _stage_seconds(pilot: _Pilot, stage: Stage, record: StageRecord, settings: S
     busy = sum(task["seconds"] for task in tasks)
     once = max(0.0, record.made_seconds - busy / len(tasks) * -(-len(tasks) // pilot.n_workers)) if tasks else record.made_seconds
     if record.n_splats:
-        busy = record.n_splats * min(max(0.0, t["seconds"] - t["compile_seconds"]) / t["n_splats"] for t in tasks if t["n_splats"])
+        busy = record.n_splats * min((t["seconds"] - t["compile_seconds"]) / t["n_splats"] for t in tasks if t["n_splats"])
     atoms = learning["n_atoms"] / max(1, learning["n_atoms_pilot"]) if learning else 1.0
     if hasattr(stage, "training") or stage.name == TrainingSet.name:
         n_patches = min(learning.get("n_patches", 0), getattr(stage, "most_patches", np.inf))
