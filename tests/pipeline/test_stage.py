@@ -6,6 +6,7 @@ import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
@@ -69,6 +70,31 @@ def test_stage__runs_every_task_once_and_is_not_run_again(tmp_path):
     assert record.peak_rss_bytes > 1e6 and record.seconds > 0
     assert heard.events[0] == ("begin", "squares", 5) and heard.events[-1] == ("end", 45, False)
     assert run_stage(Squares(45), tmp_path, SerialExecutor(), heard).reused
+
+
+@dataclass(frozen=True)
+class Compiling:
+    """Each task calls the same kernel, which the first one compiles."""
+
+    name = "compiling"
+
+    def init(self, folder: Path) -> int:
+        self_made[:] = [numba.njit(lambda x: x + 1)]
+        return 2
+
+    def run(self, folder: Path, index: int) -> dict:
+        return {"found": self_made[0](index)}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        return {}
+
+
+self_made: list = []
+
+
+def test_stage__a_task_tells_what_of_its_time_went_into_compiling(tmp_path):
+    first, second = work.finished_tasks(run_stage(Compiling(), tmp_path, SerialExecutor(), Heard()).folder).values()
+    assert 0 < first["compile_seconds"] <= first["seconds"] and second["compile_seconds"] == 0
 
 
 def test_stage__another_parameter_is_another_folder(tmp_path):
