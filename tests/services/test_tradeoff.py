@@ -45,7 +45,7 @@ def test_ladder__takes_the_chosen_settings_then_presets_then_knobs_in_turns():
 
 
 def test_ladder__measures_nothing_twice():
-    steps = ladder(settings_for("balanced"), {"iterations": (6, 3, 3), "weight_bits": (4,)})
+    steps = ladder(settings_for("balanced"), {"iterations": (settings_for("balanced").iterations, 3, 3), "weight_bits": (4,)})
     assert [s.key for s in steps][3:] == ["iterations=3"]
 
 
