@@ -29,7 +29,7 @@ from scipy.stats import beta
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
-PURSUIT = ["tests/pipeline/coding/test_omp.py", "tests/hard_cases/test_coding.py"]
+PURSUIT = ["tests/pipeline/coding/test_omp.py", "tests/pipeline/coding/test_certified.py", "tests/hard_cases/test_coding.py"]
 LEARNING = ["tests/pipeline/coding/test_ksvd.py", "tests/hard_cases/test_learning.py"]
 GEOMETRY = ["tests/pipeline/geometry", "tests/hard_cases/test_geometry.py"]
 TARGETS = {  # file: tests that ought to notice
@@ -223,7 +223,7 @@ def first_that_fails(items) -> str:
 # ---- the run
 
 def run_group(files: list[str], tests: list[str], options, deadline: float) -> list[tuple[str, str, str]]:
-    """(file, mutant, who noticed or "" or "too long") of the mutants of files that the same tests are to notice."""
+    """(file, mutant, who noticed or "" or "crashed or too long") of the mutants of files that the same tests are to notice."""
     outcomes = []
 
     def work(items):
@@ -253,7 +253,7 @@ def _outcome(file, node, mutant, tests) -> str:
         return json.dumps(first_that_fails([item for _, item in tests]))
 
     status, told = in_a_fork(work, CPU_SECONDS + 2 * sum(seconds for (seconds, *_), _ in tests))
-    return json.loads(told) if status == 0 and told else "too long"
+    return json.loads(told) if status == 0 and told else "crashed or too long"
 
 
 def _that_enter(order, file, node, mutant) -> list:
@@ -295,10 +295,10 @@ def _print_result(outcomes) -> None:
         of_file = [who for f, _, who in outcomes if f == file]
         print(f"{file}: {len(of_file) - of_file.count('')} of {len(of_file)} killed")
     killed = sum(bool(who) for *_, who in outcomes)
-    late = sum(who == "too long" for *_, who in outcomes)
+    late = sum(who == "crashed or too long" for *_, who in outcomes)
     least = beta.ppf(0.05, killed, len(outcomes) - killed + 1) if killed else 0.0
     print(f"{killed} of {len(outcomes)} killed ({100 * killed / max(1, len(outcomes)):.1f} %; were it a sample, above "
-          f"{100 * least:.0f} % at 95 % confidence), {late} of them by not ending")
+          f"{100 * least:.0f} % at 95 % confidence), {late} of them by a crash or by not ending")
 
 
 if __name__ == "__main__":

@@ -173,3 +173,17 @@ def test_omp__says_what_is_wrong_with_its_input(change, words):
     patches, atoms, most = change(smooth_patches(rng, 20, 64), unit_rows(rng, 16, 64))
     with pytest.raises(ValueError, match=words):
         sparse_encode(patches, atoms, max_atoms=most)
+
+
+def test_omp__patches_that_are_settled_leave_those_beside_them_as_they_are():
+    """In every block of patches, the second and those after it too."""
+    rng = np.random.default_rng(8)
+    atoms = rng.standard_normal((40, 24))
+    atoms /= np.linalg.norm(atoms, axis=1, keepdims=True)
+    patches = rng.standard_normal((1400, 24)) * (rng.random((1400, 1)) < 0.6)
+    together = sparse_encode(patches, atoms, max_atoms=3)
+    assert (together.n_atoms == 0).sum() == (patches == 0).all(axis=1).sum() > 400
+    for start in range(0, 1400, 100):
+        part = sparse_encode(patches[start : start + 100], atoms, max_atoms=3)
+        for whole, few in zip(together, part, strict=True):
+            np.testing.assert_array_equal(whole[start : start + 100], few)
