@@ -117,9 +117,9 @@ def _sampled(pilot: Run, prepared: Prepared) -> Prepared:
     def of(source: Path) -> StageRecord:
         return pilot.do(Sampled(source, prepared.partition.folder, SAMPLE))
 
-    splats, streams = of(prepared.splats.folder), {extra.stream for extra in EXTRAS}
+    partition, splats, streams = of(prepared.partition.folder), of(prepared.splats.folder), {extra.stream for extra in EXTRAS}
     built = tuple((name, of(folder).folder if name in streams else folder) for name, folder in prepared.built)
-    return replace(prepared, partition=splats, splats=splats, built=built)
+    return replace(prepared, partition=partition, splats=splats, built=built)
 
 
 def _affordable(settings: Settings, patches: StageRecord, prepared: Prepared) -> Settings:
