@@ -54,7 +54,7 @@ class Renderer:
 
     Guarantees: no NaN and no Inf reaches a picture; splats behind the camera, at its plane and around the eye are
     drawn as far as they are in front of it; a splat smaller than a pixel still covers one; however many splats lie on
-    top of each other, a picture is within 1/255 of exact sums.
+    top of each other, a picture is within 1/255 of exact sums, but where the job asked for `accumulation=off`.
     """
 
     def __init__(self, context: moderngl.Context | None = None) -> None:
@@ -103,7 +103,7 @@ class Renderer:
             self._draw_depth(frame, gpu_scene)
         with self._pass(frame, "attribute"):
             draw_attributes(frame)
-        return self._finish(frame, gpu_scene.drawn, light)
+        return self._finish(frame, gpu_scene, light)
 
     def _begin(self, gpu_scene: GpuScene, view: Camera) -> _Frame:
         checked_view(view)
@@ -149,15 +149,16 @@ class Renderer:
         self.context.depth_func = ">="
         self.context.blend_func = moderngl.ONE, moderngl.ONE
 
-    def _finish(self, frame: _Frame, drawn: frozenset[str], light: Light) -> tuple[Picture, bool]:
-        """The picture, and whether any of its pixels is overdrawn."""
+    def _finish(self, frame: _Frame, gpu_scene: GpuScene, light: Light) -> tuple[Picture, bool]:
+        """The picture, and whether any of its pixels is overdrawn; sums that are wide, or are to stay narrow, are not watched."""
         with self._pass(frame, "resolve"):
             frame.targets.resolve.use()
             self.context.enable_only(moderngl.NOTHING)
             frame.targets.sums.use(0)
             if frame.targets.normals is not None:
                 frame.targets.normals.use(1)
-            name, drawing = self._programs.drawing("resolve", **defines_of("resolve", drawn))
+            watched = gpu_scene.watched and frame.targets.accumulation == NARROW
+            name, drawing = self._programs.drawing("resolve", **defines_of("resolve", gpu_scene.drawn), WATCHED=int(watched))
             set_uniforms(drawing, towards_light=light.towards, ambient=light.ambient, diffuse=light.diffuse)
             drawing.render(moderngl.TRIANGLES, vertices=3)
             frame.programs.append(name)

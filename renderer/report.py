@@ -24,9 +24,10 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.effects.request import OFF, asked_by
 from renderer.files import strict, write_json
 from storage.packed import PackedScene
-from storage.schema import BY_NAME, MAX_ATOMS, Camera
+from storage.schema import BY_NAME, MAX_ATOMS, Camera, Header
 
 REPORT_NAME = "report.json"
 GPU_PARTS = ("geometry", "codes", "colors", "dictionary")
@@ -55,7 +56,7 @@ def build_report(scene: PackedScene, file_bytes: int, record: dict | None = None
         "quality": quality | (record.get("quality") or {}) | {"views": list(views)},
         "atoms": atoms_of(scene),
         "learning": [{"seconds": None, "psnr_db": None} | entry for entry in record.get("learning") or ()],
-        "numerics": dict.fromkeys(NUMERICS) | (record.get("numerics") or {}) | {"accumulation": accumulation_of(views)},
+        "numerics": dict.fromkeys(NUMERICS) | (record.get("numerics") or {}) | {"accumulation": _accumulation(header, views)},
         "stages": [{"name": None, "seconds": None, "peak_rss_bytes": None} | stage for stage in record.get("stages") or ()],
         "settings": record.get("settings") or header.settings,
         "estimate": record.get("estimate"),
@@ -64,6 +65,11 @@ def build_report(scene: PackedScene, file_bytes: int, record: dict | None = None
         "programs": sorted({name for view in views for name in view.get("programs") or ()}),
         "warnings": list(scan.get("warnings") or ()),
     })
+
+
+def _accumulation(header: Header, views: Sequence[dict]) -> str | None:
+    found = accumulation_of(views)
+    return f"{found}, as asked for" if found and asked_by(header.settings)["accumulation"] == OFF else found
 
 
 def accumulation_of(views: Sequence[dict]) -> str | None:

@@ -139,6 +139,8 @@ def numerics(figures: dict) -> list[str]:
     said = [f"{number(n)} {one if n == 1 else many} {what}: {done}." for (one, many, what, done), n in met]
     if figures.get("accumulation") == "RGBA32F":
         said.append("So many splats lie on top of each other that 16-bit sums of their colours would show: added up in 32 bits.")
+    elif figures.get("accumulation") == "RGBA16F, as asked for":
+        said.append("Colours were added up in 16 bits a channel, as asked for; nobody looked whether this shows.")
     elif figures.get("accumulation"):
         said.append("Colours were added up in 16 bits a channel; no pixel has so many splats that this would show.")
     if not met and any(figures.get(key) is not None for key in NUMERICS):

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import moderngl
 import numpy as np
 
+from pipeline.effects.request import OFF, asked_by
 from pipeline.geometry.ellipsoids import lengths_of
 from renderer.atlas import atlas_layout, upload_atlas
 from renderer.targets import NARROW, WIDE
@@ -126,11 +127,13 @@ class GpuScene:
     atlas: moderngl.Texture | None = None
     bytes_by_part: dict[str, int] = field(default_factory=dict)
     accumulation: str = NARROW  # what its colours are added up in; the renderer widens it where overdraw calls for it
+    watched: bool = True  # whether the renderer looks for overdraw, and may widen: not where the job asked for 16 bits
     drawn: frozenset[str] = frozenset()  # effects whose shader parts its programs have
 
     def __post_init__(self) -> None:
         header, arrays = self.scene.header, self.scene.arrays
         self.drawn = frozenset(header.effects)
+        self.watched = asked_by(header.settings)["accumulation"] != OFF
         if "accumulation" in self.drawn:
             self.accumulation = WIDE
         self.bytes_by_part = dict.fromkeys(("geometry", "codes", "colors", "dictionary"), 0)

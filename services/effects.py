@@ -5,9 +5,10 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
-from pipeline.effects.request import parse_request
+from pipeline.effects.request import canonical_request, parse_request
 from pipeline.settings import Settings
 from pipeline.stage import Executor, Progress
 from renderer.files import write_json
@@ -34,10 +35,11 @@ def worth_of_effects(
         while len(variants) < len(requests):
             name = list(requests)[len(variants)]
             before = len(run.records)
-            prepared = prepare(run, scan, settings.radius, requests[name])
-            coded = code(run, prepared, settings) if is_textured(prepared) else None
+            asked = replace(settings, effects=canonical_request(requests[name]))
+            prepared = prepare(run, scan, asked.radius, asked.effects)
+            coded = code(run, prepared, asked) if is_textured(prepared) else None
             path = Path(folder) / f"{len(variants)}{SUFFIX}"
-            pack(run, prepared, coded, settings, scan.stem, path)
+            pack(run, prepared, coded, asked, scan.stem, path)
             variants.append(Variant(name, path, prepared.photos))
             seconds.append(sum(record.made_seconds for record in run.records[before:]))
             if plan is None:

@@ -42,6 +42,19 @@ def canonical_request(text: str | Iterable[str]) -> str:
     return ",".join(f"{name}={choice}" for name, choice in sorted(parse_request(text).items()) if choice != AUTO)
 
 
+def asked_by(settings: dict) -> dict[str, str]:
+    """What was asked of each effect by the settings that a packed file names; `auto` of what they do not say, or not rightly.
+
+    >>> asked_by({"effects": "exposure=off"})["exposure"], asked_by({"effects": 3})["exposure"]
+    ('off', 'auto')
+    """
+    text = settings.get("effects")
+    try:
+        return parse_request(text if isinstance(text, str) else "")
+    except ValueError:
+        return parse_request("")
+
+
 def _parts(text: str | Iterable[str]) -> list[str]:
     texts = [text] if isinstance(text, str) else text
     return [part.strip() for t in texts for part in t.split(",") if part.strip()]

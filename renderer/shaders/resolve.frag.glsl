@@ -1,7 +1,9 @@
 #include "srgb.glsl"
 
 const float LEAST_WEIGHT = 1.0 / 1024.0;  // below it the 16-bit sums hold no colour worth showing
+#ifdef WATCHED
 const float OVERDRAWN = 16.0;  // above it 16-bit sums may be off by 1/255, see renderer/targets.py
+#endif
 layout(binding = 0) uniform sampler2D sums;
 #ifdef LIT
 layout(binding = 1) uniform sampler2D normals;  // normal times weight, weight; in camera axes
@@ -20,6 +22,10 @@ out vec4 color;  // sRGB, and 1 where the picture is covered, 0.5 where it is ov
 
 void main() {
     vec4 sum = texelFetch(sums, ivec2(gl_FragCoord.xy), 0);
+#ifdef WATCHED
     float covered = sum.a <= OVERDRAWN ? 1.0 : 0.5;
+#else
+    const float covered = 1.0;
+#endif
     color = sum.a >= LEAST_WEIGHT ? vec4(to_srgb(clamp(lit(sum.rgb / sum.a), 0.0, 1.0)), covered) : vec4(0.0);
 }

@@ -49,7 +49,7 @@ def test_parts__stand_behind_their_define_in_the_shaders_of_their_passes():
 
 def test_parts__are_in_no_program_of_a_scene_without_effects(renderer, plain):
     picture = drawn(renderer, plain)
-    assert picture.programs == ("cull", "visibility", "attribute atoms=0", "resolve") and picture.accumulation == "RGBA16F"
+    assert picture.programs == ("cull", "visibility", "attribute atoms=0", "resolve watched") and picture.accumulation == "RGBA16F"
     assert list(picture.pass_seconds) == ["cull", "visibility", "attribute", "resolve"]
     assert not any(defines_of(stage, frozenset(), Batch(0)).get(part.define) for part in shader_parts().values()
                    for stage in part.passes)
@@ -57,7 +57,7 @@ def test_parts__are_in_no_program_of_a_scene_without_effects(renderer, plain):
 
 def test_relighting__as_photographed_changes_no_pixel(renderer, plain):
     lit = drawn(renderer, asked_for(plain, relighting={}))
-    assert "attribute atoms=0 lit" in lit.programs and "resolve lit" in lit.programs
+    assert "attribute atoms=0 lit" in lit.programs and "resolve lit watched" in lit.programs
     assert np.array_equal(lit.rgb, drawn(renderer, plain).rgb)
 
 

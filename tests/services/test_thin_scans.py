@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from pipeline.effects.ellipsoids import stage
-from pipeline.executors import SerialExecutor
+from pipeline.executors import DaskExecutor, SerialExecutor
 from pipeline.settings import settings_for
 from services.workflow import compress, report
+from storage import arrays
 from storage.packed import PackedFile
 from tests.pipeline.readers.workspace import write_ply
 from tests.pipeline.test_stage import Heard
@@ -16,9 +17,9 @@ from tests.services.scans import photo_scan
 from tests.thin_scene import THIN, room, scan
 
 
-def compressed(path, out, effects=""):
+def compressed(path, out, effects="", executor=SerialExecutor()):
     settings = settings_for("draft", target_psnr_db=32.0, training_splats=1000, iterations=1, effects=effects)
-    made = compress(path, out, settings, SerialExecutor(), Heard(), render=False)
+    made = compress(path, out, settings, executor, Heard(), render=False)
     packed = next(out.glob("*.splatpress"))
     with PackedFile(packed) as opened:
         return made, packed, opened.load()
@@ -30,11 +31,14 @@ def row_of(made, name="ellipsoids"):
 
 @pytest.fixture(scope="module")
 def thin_scan(tmp_path_factory):
+    return scanned_room(tmp_path_factory.mktemp("scan") / "room.ply")
+
+
+def scanned_room(path, step=0.0042):
     """A scanner's points with colours by what they lie on, and no photograph."""
     rng = np.random.default_rng(3)
-    seen = scan(room(rng), (2.6, -1.6, 1.6), 0.0042, 0.0015, rng)
+    seen = scan(room(rng), (2.6, -1.6, 1.6), step, 0.0015, rng)
     color = np.where(np.isin(seen.kind, THIN)[:, None], [200, 0, 0], [0, 0, 200]).astype(np.uint8)
-    path = tmp_path_factory.mktemp("scan") / "room.ply"
     write_ply(path, seen.position, np.tile([0.0, 0.0, 1.0], (len(color), 1)), color)
     return path
 
@@ -49,6 +53,16 @@ def test_thin__a_scan_without_photographs_gets_ellipsoids_on_its_thin_parts(thin
     assert found[thin].mean() > 0.7 and found[~thin].mean() < 0.02
     assert made["sizes"]["arrays"]["ellipsoids"] == 4 * (found.sum() + 1)
     assert "ellipsoids" in [s["name"] for s in made["stages"]]
+
+
+def test_thin__dask_packs_the_same_bytes_as_the_serial_executor(tmp_path):
+    """Of several blocks, so that neighbourhoods reach across tasks."""
+    path = scanned_room(tmp_path / "room.ply", step=0.0034)
+    _, serial, scene = compressed(path, tmp_path / "serial")
+    with DaskExecutor(2) as executor:
+        _, dask, _ = compressed(path, tmp_path / "dask", executor=executor)
+    assert len(scene.ellipsoids[0]) > 100 and scene.header.n_splats > arrays.BLOCK
+    assert serial.read_bytes() == dask.read_bytes()
 
 
 def test_thin__what_is_asked_to_be_off_leaves_no_stage_and_no_byte(thin_scan, tmp_path):
