@@ -79,9 +79,10 @@ def storm(n_jobs: int) -> dict:
         took = time.perf_counter() - begun
         stop.set()
         asking.join()
-        ended = [served.client.status(job)["status"] for job in jobs]
+        ended = [served.client.status(job) for job in jobs]
     answers.sort()
-    return {"jobs": n_jobs, "successful": ended.count("successful"), "submit_s": submitted, "all_s": took, "answers": len(answers),
+    return {"jobs": n_jobs, "successful": sum(job["status"] == "successful" for job in ended),
+            "problems": sorted({str(job["problem"]) for job in ended if job["problem"]}), "submit_s": submitted, "all_s": took, "answers": len(answers),
             **{f"p{p}_ms": 1000 * answers[min(len(answers) - 1, len(answers) * p // 100)] for p in (50, 95, 99)}}
 
 
