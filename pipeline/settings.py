@@ -24,6 +24,7 @@ class Settings:
     training_splats: int = 20_000
     subspace_floor_db: float = 10.0
     radius: float | None = None
+    view_distance: float | None = None
     seed: int = 0
     effects: str = ""  # what is asked of effects, as pipeline.effects.request writes it; "" leaves all to the scan
 

@@ -39,10 +39,10 @@ class AtlasLayout:
         return column * size, self.bands[level] + row * size
 
 
-def atlas_layout(n_atoms: int, atom_size: int = PATCH_SIZE) -> AtlasLayout:
-    """The layout of a dictionary; about as wide as its finest level is high."""
+def atlas_layout(n_atoms: int, atom_size: int = PATCH_SIZE, coarsest_size: int = 1) -> AtlasLayout:
+    """The layout of a dictionary with the levels between two sizes; about as wide as its finest level is high."""
     width = atom_size * ceil(sqrt(n_atoms))
-    heights = [-(-n_atoms // (width // size)) * size if size <= atom_size else 0 for size in MIP_SIZES]
+    heights = [-(-n_atoms // (width // size)) * size if coarsest_size <= size <= atom_size else 0 for size in MIP_SIZES]
     ends = np.cumsum(heights).tolist()
     return AtlasLayout(width, ends[-1], (0, *ends[:-1]))
 
@@ -50,7 +50,8 @@ def atlas_layout(n_atoms: int, atom_size: int = PATCH_SIZE) -> AtlasLayout:
 def atlas_picture(levels: list[np.ndarray], layout: AtlasLayout) -> np.ndarray:
     """All levels' atoms, (k, s, s, 3) int8 each, the finest first, as one (height, width, 3) picture."""
     picture = np.zeros((layout.height, layout.width, 3), np.int8)
-    for atoms, size, top in zip(levels, MIP_SIZES[-len(levels) :], layout.bands[-len(levels) :], strict=True):
+    first = MIP_SIZES.index(levels[0].shape[1])
+    for atoms, size, top in zip(levels, MIP_SIZES[first:], layout.bands[first:]):
         columns = layout.width // size
         rows = -(-len(atoms) // columns)
         cells = np.zeros((rows * columns, size, size, 3), np.int8)
@@ -62,7 +63,7 @@ def atlas_picture(levels: list[np.ndarray], layout: AtlasLayout) -> np.ndarray:
 
 def upload_atlas(context: moderngl.Context, levels: list[np.ndarray]) -> tuple[moderngl.Texture, int]:
     """The texture of a dictionary, and its bytes."""
-    layout = atlas_layout(*levels[0].shape[:2])
+    layout = atlas_layout(*levels[0].shape[:2], levels[-1].shape[1])
     limit = context.info["GL_MAX_TEXTURE_SIZE"]
     if max(layout.width, layout.height) > limit:
         raise ResourceExhausted(

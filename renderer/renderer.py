@@ -45,6 +45,7 @@ class Picture:
 @dataclass
 class _Frame:
     targets: Targets
+    light: Light
     pass_seconds: dict[str, float] = field(default_factory=dict)
     programs: list[str] = field(default_factory=list)
 
@@ -98,17 +99,17 @@ class Renderer:
     def _pass_by_pass(
         self, gpu_scene: GpuScene, view: Camera, draw_attributes: Callable[[_Frame], None], light: Light
     ) -> tuple[Picture, bool]:
-        frame = self._begin(gpu_scene, view)
+        frame = self._begin(gpu_scene, view, light)
         with self._pass(frame, "visibility"):
             self._draw_depth(frame, gpu_scene)
         with self._pass(frame, "attribute"):
             draw_attributes(frame)
-        return self._finish(frame, gpu_scene, light)
+        return self._finish(frame, gpu_scene)
 
-    def _begin(self, gpu_scene: GpuScene, view: Camera) -> _Frame:
+    def _begin(self, gpu_scene: GpuScene, view: Camera, light: Light) -> _Frame:
         checked_view(view)
-        lit = "relighting" in gpu_scene.drawn
-        frame = _Frame(self._targets_of((view.width_px, view.height_px), gpu_scene.accumulation, lit))
+        smooth = "normal_smoothing" in gpu_scene.drawn
+        frame = _Frame(self._targets_of((view.width_px, view.height_px), gpu_scene.accumulation, smooth), light)
         self._view.write(view_block(view, gpu_scene.scene.header))
         self._view.bind_to_uniform_block(0)
         gpu_scene.bind()
@@ -139,8 +140,9 @@ class Renderer:
         for batch, kind in enumerate(gpu_scene.scene.header.batches):
             n_atoms = min(kind.n_atoms, max_atoms)
             turned = int(gpu_scene.scene.header.n_turns > 1 and n_atoms > 0)
+            of_atoms = gpu_scene.drawn if n_atoms else gpu_scene.drawn - {"mip_levels"}
             self._draw_batch(frame, gpu_scene, batch, "attribute", N_ATOMS=n_atoms,
-                             **defines_of("attribute", gpu_scene.drawn, kind), TURNED=turned)
+                             **defines_of("attribute", of_atoms, kind), TURNED=turned)
 
     def _begin_attributes(self, frame: _Frame) -> None:
         frame.targets.attribute.use()
@@ -149,7 +151,7 @@ class Renderer:
         self.context.depth_func = ">="
         self.context.blend_func = moderngl.ONE, moderngl.ONE
 
-    def _finish(self, frame: _Frame, gpu_scene: GpuScene, light: Light) -> tuple[Picture, bool]:
+    def _finish(self, frame: _Frame, gpu_scene: GpuScene) -> tuple[Picture, bool]:
         """The picture, and whether any of its pixels is overdrawn; sums that are wide, or are to stay narrow, are not watched."""
         with self._pass(frame, "resolve"):
             frame.targets.resolve.use()
@@ -159,7 +161,7 @@ class Renderer:
                 frame.targets.normals.use(1)
             watched = gpu_scene.watched and frame.targets.accumulation == NARROW
             name, drawing = self._programs.drawing("resolve", **defines_of("resolve", gpu_scene.drawn), WATCHED=int(watched))
-            set_uniforms(drawing, towards_light=light.towards, ambient=light.ambient, diffuse=light.diffuse)
+            set_uniforms(drawing, **_lamp_of(frame))
             drawing.render(moderngl.TRIANGLES, vertices=3)
             frame.programs.append(name)
         width, height = frame.targets.size
@@ -174,7 +176,7 @@ class Renderer:
     def _draw_batch(self, frame: _Frame, gpu_scene: GpuScene, batch: int, name: str, **defines: int) -> None:
         batches = gpu_scene.scene.header.batches
         name, drawing = self._programs.drawing(name, **defines, BY_BATCH=int(len(batches) > 1))
-        set_uniforms(drawing, batch=batch, atoms_stored=batches[batch].n_atoms)
+        set_uniforms(drawing, batch=batch, atoms_stored=batches[batch].n_atoms, **_lamp_of(frame))
         self._draw_groups(gpu_scene, drawing, batch)
         frame.programs.append(name)
 
@@ -190,11 +192,16 @@ class Renderer:
         self.context.finish()
         frame.pass_seconds[name] = perf_counter() - started
 
-    def _targets_of(self, size: tuple[int, int], accumulation: str, lit: bool) -> Targets:
+    def _targets_of(self, size: tuple[int, int], accumulation: str, smooth: bool) -> Targets:
         kept = self._targets
-        if kept is None or (kept.size, kept.accumulation, kept.normals is not None) != (size, accumulation, lit):
+        if kept is None or (kept.size, kept.accumulation, kept.normals is not None) != (size, accumulation, smooth):
             if self._targets is not None:
                 self._targets.release()
                 self._targets = None
-            self._targets = make_targets(self.context, size, accumulation, lit)
+            self._targets = make_targets(self.context, size, accumulation, smooth)
         return self._targets
+
+
+def _lamp_of(frame: _Frame) -> dict:
+    """The uniforms of shaders/lamp.glsl."""
+    return {"towards_light": frame.light.towards, "ambient": frame.light.ambient, "diffuse": frame.light.diffuse}

@@ -132,7 +132,11 @@ class GpuScene:
 
     def __post_init__(self) -> None:
         header, arrays = self.scene.header, self.scene.arrays
-        self.drawn = frozenset(header.effects)
+        self.drawn = frozenset(header.effects) - {"mip_levels"}
+        if "relighting" not in self.drawn:
+            self.drawn -= {"normal_smoothing"}
+        if header.n_dictionary and header.coarsest_size < header.atom_size:
+            self.drawn |= {"mip_levels"}
         self.watched = asked_by(header.settings)["accumulation"] != OFF
         if "accumulation" in self.drawn:
             self.accumulation = WIDE
@@ -195,10 +199,11 @@ class GpuScene:
 
     def _uniform_block(self) -> bytes:
         header = self.scene.header
-        layout = atlas_layout(max(1, header.n_dictionary), header.atom_size)
+        layout = atlas_layout(max(1, header.n_dictionary), header.atom_size, header.coarsest_size)
         return struct.pack(
-            "4i4if7I6I2f", *header.up, 0, *header.ahead, 0, header.radius, header.n_splats, len(header.batches), header.dictionary_bits,
+            "4i4if7I6I2fI", *header.up, 0, *header.ahead, 0, header.radius, header.n_splats, len(header.batches), header.dictionary_bits,
             header.weight_bits, header.n_groups, layout.width, MIP_SIZES.index(header.atom_size), *layout.bands, 1 / layout.width, 1 / layout.height,
+            MIP_SIZES.index(header.coarsest_size),
         )
 
 

@@ -24,7 +24,7 @@ class Targets:
     resolve: moderngl.Framebuffer  # sRGB and coverage
     sums: moderngl.Texture  # linear light times weight, weight
     accumulation: str  # format of the sums: NARROW or WIDE
-    normals: moderngl.Texture | None = None  # normal times weight, weight: of scenes that can be lit
+    normals: moderngl.Texture | None = None  # normal times weight, weight: of scenes whose normals are smoothed
 
     def release(self) -> None:
         depth, picture = self.visibility.depth_attachment, self.resolve.color_attachments[0]
@@ -33,15 +33,15 @@ class Targets:
                 resource.release()
 
 
-def make_targets(context: moderngl.Context, size: tuple[int, int], accumulation: str = NARROW, lit: bool = False) -> Targets:
+def make_targets(context: moderngl.Context, size: tuple[int, int], accumulation: str = NARROW, smooth: bool = False) -> Targets:
     limit = context.info["GL_MAX_TEXTURE_SIZE"]
     if max(size) > limit:
         raise ResourceExhausted("picture", f"{size[0]}x{size[1]} px", f"{limit} px to a side")
     depth = float_depth_buffer(context, size)
     sums = context.texture(size, 4, dtype=_TYPES[accumulation])
     sums.filter = moderngl.NEAREST, moderngl.NEAREST
-    normals = context.texture(size, 4, dtype=_TYPES[NARROW]) if lit else None
-    attribute = context.framebuffer([sums, normals] if lit else sums, depth)
+    normals = context.texture(size, 4, dtype=_TYPES[NARROW]) if smooth else None
+    attribute = context.framebuffer([sums, normals] if smooth else sums, depth)
     attribute.depth_mask = False
     return Targets(
         size=size,

@@ -25,6 +25,7 @@ from services.kept_estimates import keep_estimate
 from services.stage_lock import stage_lock
 from services.workflow import (
     PATCHES_AN_ATOM, Coded, Prepared, Run, code_patches, index_bits, is_textured, pack, prepare, resample,
+    texels_of_levels,
 )
 from storage import arrays, work
 from storage.packed import SUFFIX, PackedFile
@@ -103,7 +104,7 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
     if is_textured(prepared):
         patches = resample(pilot, sampled)
         own = _affordable(settings, patches, prepared)
-        coded = code_patches(pilot, patches, own, prepared.splats.summary["n_splats"])
+        coded = code_patches(pilot, patches, own, prepared.splats.summary["n_splats"], texels_of_levels(prepared, own)[0])
     path = scratch / f"pilot{SUFFIX}"
     pack(pilot, sampled, coded, own, "pilot", path)
     with PackedFile(path) as packed:

@@ -20,7 +20,7 @@ from renderer.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluation_page import write_evaluation
 from renderer.held_out import HeldOut, compare_held_out
 from renderer.report import sizes_of
-from services.workflow import Coded, Prepared, Run, code_patches, encode, pack, prepare, put_in_place, resample
+from services.workflow import Coded, Prepared, Run, code, code_patches, encode, pack, prepare, put_in_place, resample, texels_of_levels
 from storage import arrays
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile, PackedScene
@@ -120,7 +120,7 @@ def _coded_row(e: _Evaluation, key: str, coder: str, **changes) -> None:
         changes |= dict(zip(("dictionary_bits", "weight_bits"), CODED_ROWS[key]))
     settings = replace(e.settings, **changes, **({"coder": coder} if coder else {}))
     n_before = len(e.run.records)
-    coded = code_patches(e.run, e.patches, settings)
+    coded = code_patches(e.run, e.patches, settings, most_texels=texels_of_levels(e.prepared, settings)[0])
     seconds = sum(record.made_seconds for record in e.run.records[n_before:])
     name = f"{key}-{coder}" if coder else key
     path = e.out / (name + SUFFIX)
@@ -229,7 +229,7 @@ def _held_out(e: _Evaluation, out: Path, every: int) -> dict | None:
     if len(chosen) == len(names):
         raise InvalidScan(str(e.scan), f"{len(names)} photographs, each of them held out", "--hold-out so large that some are left")
     prepared = prepare(e.run, e.scan, e.settings.radius, e.settings.effects, chosen)
-    coded = code_patches(e.run, resample(e.run, prepared), e.settings)
+    coded = code(e.run, prepared, e.settings)
     path = e.out / f"held-out{SUFFIX}"
     pack(e.run, prepared, coded, e.settings, e.scan.stem, path)
     views = compare_held_out(HeldOut(path, prepared.photos, chosen), out)

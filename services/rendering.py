@@ -24,7 +24,7 @@ DEFAULT_SIZE = (1280, 720)
 def render_views(packed: Path, out: Path, *, camera: str | None = None, n_orbit: int | None = None,
                  size: tuple[int, int] | None = None, max_atoms: int = 8, light: Light | None = None) -> list[Path]:
     """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`; returns their paths. With a `light`
-    normals are drawn too, whether or not the file asks for it."""
+    it is lit, whether or not the file asks for it; with smoothed normals, unless it was planned without."""
     with PackedFile(packed) as opened:
         scene = opened.load()
     if camera is not None:
@@ -33,8 +33,8 @@ def render_views(packed: Path, out: Path, *, camera: str | None = None, n_orbit:
         views = orbit_views(scene, n_orbit, size or DEFAULT_SIZE)
     renderer = Renderer()
     gpu_scene = GpuScene(scene, renderer.context)
-    if light is not None:
-        gpu_scene.drawn |= {"relighting"}
+    if light is not None and "relighting" not in gpu_scene.drawn:
+        gpu_scene.drawn |= {"relighting", "normal_smoothing"}
     paths = []
     for view, name in zip(views, safe_names([v.name for v in views])):
         paths.append(out / f"{name}.png")

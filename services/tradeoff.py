@@ -18,7 +18,7 @@ from renderer.compare import BEST_DB
 from renderer.report import sizes_of
 from renderer.tradeoff_page import summarised, write_tradeoff
 from services.processes import BUDGET_S
-from services.workflow import Run, code_patches, pack, prepare, put_in_place, resample
+from services.workflow import Run, code, pack, prepare, put_in_place, resample
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile
 
@@ -130,7 +130,7 @@ def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
     prepared = prepare(run, scan, step.settings.radius, step.settings.effects)
     if prepared.splats.summary["n_without_camera"] == prepared.splats.summary["n_splats"]:
         raise InvalidScan(str(scan), "no photograph that sees any of its points", "a scan with photographs: without, no knob trades accuracy")
-    coded = code_patches(run, resample(run, prepared), step.settings)
+    coded = code(run, prepared, step.settings)
     path = folder / f"{step.key.replace('/', '-')}{SUFFIX}"
     pack(run, prepared, coded, step.settings, scan.stem, path)
     with PackedFile(path) as packed:

@@ -18,9 +18,10 @@ from pipeline.coding.grid import TURNS, AtomForm
 from pipeline.effects.block import Sources
 from pipeline.effects.depth_margin import LEAST_RADII
 from pipeline.effects.exposure import exposed
+from pipeline.effects.mip_levels import stored_sizes
 from pipeline.effects.plan import EffectPlan, measured_effects, plan_effects
 from pipeline.effects.registry import effects
-from pipeline.effects.request import parse_request
+from pipeline.effects.request import ON, parse_request
 from pipeline.geometry.frame import directions_of
 from pipeline.settings import Settings
 from pipeline.stage import Executor, Progress, Stage, StageRecord, run_stage
@@ -45,7 +46,7 @@ from services.kept_estimates import against, known_estimate
 from services.rendering import previews_of
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile
-from storage.schema import ATOM_SIZES, EXTRAS, Camera, Header
+from storage.schema import ATOM_SIZES, EXTRAS, PATCH_SIZE, Camera, Header
 
 PATCHES_AN_ATOM = 4  # a dictionary that a scan can fill: fewer training patches an atom would only be stored
 
@@ -183,7 +184,7 @@ def splats_from(run: Run, ingest: StageRecord, partition: StageRecord, scan: str
         depth = run.do(DepthMaps(ingest.folder, partition.folder, radius)).folder
     splats = run.do(Splats(ingest.folder, partition.folder, neighbours.folder, depth, radius, held_out))
     sources = Sources(ingest.folder, partition.folder, neighbours.folder, depth, splats.folder, radius,
-                      *directions_of(ingest.summary["cameras"]))
+                      *directions_of(ingest.summary["cameras"]), held_out)
     return Prepared(ingest, partition, neighbours, splats, radius, sources, held_out)
 
 
@@ -205,26 +206,34 @@ def is_textured(prepared: Prepared) -> bool:
 
 def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
     """Resample patches, and code them."""
-    return code_patches(run, resample(run, prepared), settings)
+    return code_patches(run, resample(run, prepared), settings, most_texels=texels_of_levels(prepared, settings)[0])
+
+
+def texels_of_levels(prepared: Prepared, settings: Settings) -> tuple[int, int]:
+    """Texels to a side of the finest and of the coarsest mip level that atoms need."""
+    plan = prepared.effects
+    asked_for = parse_request(settings.effects)["mip_levels"] == ON
+    return stored_sizes(plan.measured.get("mip_levels"), asked_for, settings.view_distance)
 
 
 def resample(run: Run, prepared: Prepared) -> StageRecord:
     """Sample the photographs into patches."""
     scan = prepared.scan
     return run.do(Resample(prepared.photos, prepared.partition.folder, prepared.splats.folder, prepared.radius,
-                           *directions_of(scan.summary["cameras"])))
+                           *directions_of(scan.summary["cameras"]), "antialiasing" in prepared.effects.enabled))
 
 
-def code_patches(run: Run, patches: StageRecord, settings: Settings, n_splats: int | None = None) -> Coded:
+def code_patches(run: Run, patches: StageRecord, settings: Settings, n_splats: int | None = None,
+                 most_texels: int = PATCH_SIZE) -> Coded:
     """Learn a dictionary if any patch calls for one, and code all patches; with as many atoms as a scan of `n_splats` pays
-    for, where the patches are a sample of it."""
+    for, where the patches are a sample of it, of `most_texels` to a side at most, where that is left to the scan."""
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
     stop = Stop(tolerance) if settings.coder == "paper" else Stop(0.0, WHILE_LEARNING * tolerance)
     training = run.do(TrainingSet(patches.folder, max(stop.tolerance, stop.price), settings.training_splats, settings.seed,
                                   tolerance))
     if not (settings.max_atoms and training.summary["n_patches"]):
         return Coded(patches, encode(run, patches.folder, None, settings), None, [], 0, 0)
-    form = _form(training.summary, settings, tolerance)
+    form = _form(training.summary, settings, tolerance, most_texels)
     if form is None:
         space = run.do(Components(training.folder, tolerance * 10 ** (-settings.subspace_floor_db / 10)))
     else:
@@ -241,13 +250,14 @@ def code_patches(run: Run, patches: StageRecord, settings: Settings, n_splats: i
     return Coded(patches, codes, quantized, learning, quantized.summary["n_atoms"], n_taken_back)
 
 
-def _form(training: dict, settings: Settings, tolerance: float) -> AtomForm | None:
-    """The atoms of the default coder: of the fewest texels that show what the target asks for; None for the paper's."""
+def _form(training: dict, settings: Settings, tolerance: float, most_texels: int) -> AtomForm | None:
+    """The atoms of the default coder: of the fewest texels that show what the target asks for, and of no more than views show;
+    None for the paper's."""
     if settings.coder == "paper":
         return None
     share = training["n_active"] / training["n_splats"]
     fine = [s for s in ATOM_SIZES if training["beyond"][str(s)] * share <= BEYOND_ATOMS * tolerance]
-    return AtomForm(min(fine, default=ATOM_SIZES[0]) if settings.atom_size == "auto" else settings.atom_size, TURNS)
+    return AtomForm(min(*fine, most_texels, ATOM_SIZES[0]) if settings.atom_size == "auto" else settings.atom_size, TURNS)
 
 
 def index_bits(settings: Settings, form: AtomForm | None, n_splats: int) -> int:
@@ -328,9 +338,10 @@ def _stored_index_bits(coded: Coded | None, settings: Settings) -> int:
     return max(1, (n_indices - 1).bit_length())
 
 
-def _stored_form(coded: Coded | None) -> dict:
+def _stored_form(coded: Coded | None, coarsest: int) -> dict:
     found = coded.quantized.summary if coded and coded.quantized else {}
-    return {name: found[name] for name in ("atom_size", "n_turns") if name in found}
+    form = {name: found[name] for name in ("atom_size", "n_turns") if name in found}
+    return form | {"coarsest_size": min(coarsest, form["atom_size"])} if form else {}
 
 
 def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, name: str, path: Path) -> StageRecord:
@@ -346,7 +357,7 @@ def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, 
         n_splats=n_splats, radius=prepared.radius, unit=scan["unit"],
         origin=tuple(prepared.partition.summary["origin"]), up=up, ahead=ahead,
         depth_margin=margin * prepared.radius, n_dictionary=coded.n_dictionary if coded else 0,
-        dictionary_bits=_stored_index_bits(coded, settings), weight_bits=settings.weight_bits, **_stored_form(coded),
+        dictionary_bits=_stored_index_bits(coded, settings), weight_bits=settings.weight_bits, **_stored_form(coded, texels_of_levels(prepared, settings)[1]),
         batches=batches, effects=prepared.effects.outcomes,
         cameras=tuple(Camera.from_json(c) for c in scan["cameras"]),
         scan={"name": name, "format": scan["format"], "n_points": scan["n_read"]}, settings=asdict(settings),

@@ -13,7 +13,8 @@ from zipfile import ZIP_STORED, ZipFile
 
 from storage.layout import ROOT_MEMBER, chunk_count, members_of, metadata_member, metadata_of, shape_of
 from storage.schema import (
-    ATOM_SIZES, FORMAT_NAME, LONGEST_DIRECTION, MAX_ATOMS, NO_CAMERA, READABLE_VERSIONS, TURN_COUNTS, Array, Header, arrays_of,
+    ATOM_SIZES, FORMAT_NAME, LONGEST_DIRECTION, MAX_ATOMS, MIP_SIZES, NO_CAMERA, READABLE_VERSIONS, TURN_COUNTS, Array, Header,
+    arrays_of,
 )
 from storage.seal import SEAL, SEAL_BYTES
 
@@ -67,6 +68,8 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
         ("n_dictionary", h.n_dictionary, h.n_dictionary >= 0 and needed_bits <= h.dictionary_bits,
          f"0 or more, counted with their {h.n_turns} turns in {h.dictionary_bits} bits"),
         ("atom_size", h.atom_size, h.atom_size in ATOM_SIZES, f"one of {ATOM_SIZES}"),
+        ("coarsest_size", h.coarsest_size, h.coarsest_size in MIP_SIZES and h.coarsest_size <= h.atom_size,
+         f"one of {MIP_SIZES} and no more than atom_size"),
         ("n_turns", h.n_turns, h.n_turns in TURN_COUNTS, f"one of {TURN_COUNTS}"),
         ("batches", atoms, 0 < len(set(batches)) == len(batches), "different from each other, and at least one"),
         ("batches", batches, not any(batch.clipline and batch.ellipsoid for batch in batches), "without a clipline where they are ellipsoids"),

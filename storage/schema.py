@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, fields
 
 FORMAT_NAME = "splatpress"
-FORMAT_VERSION = 3
-READABLE_VERSIONS = (1, 2, 3)
+FORMAT_VERSION = 4
+READABLE_VERSIONS = (1, 2, 3, 4)
 CHUNK = 128
 GROUP = 8192
 MAX_ATOMS = 8
@@ -141,11 +141,12 @@ class Header:
     effects: dict = field(default_factory=dict)  # of those that are on: what shaders and comparisons need of them
     atom_size: int = PATCH_SIZE  # texels to a side of an atom's finest level
     n_turns: int = 1  # ways in which an atom is used, one of TURN_COUNTS
+    coarsest_size: int = 1  # texels to a side of an atom's coarsest level, one of MIP_SIZES up to atom_size
 
     @property
     def mip_sizes(self) -> tuple[int, ...]:
         """Of the dictionary's levels, the finest first."""
-        return tuple(size for size in MIP_SIZES if size <= self.atom_size)
+        return tuple(size for size in MIP_SIZES if self.coarsest_size <= size <= self.atom_size)
 
     @property
     def n_indices(self) -> int:
@@ -178,6 +179,8 @@ class Header:
             data = data | _directions_of_version_1(data["up_axis"])
         if data["version"] < 3:
             data = data | {"atom_size": PATCH_SIZE, "n_turns": 1}
+        if data["version"] < 4:
+            data = data | {"coarsest_size": MIP_SIZES[-1]}
         return _typed(
             Header, {"effects": {}} | data,
             origin=_numbers(data["origin"], 3), up=_whole_numbers(data["up"], 3), ahead=_whole_numbers(data["ahead"], 3),
@@ -225,7 +228,7 @@ def arrays_of(header: Header) -> tuple[Array, ...]:
     absent = set()
     if not header.n_dictionary:
         absent |= {a.name for a in ARRAYS if a.part == "dictionary"} | {"codes", "group_word"}
-    absent |= {f"atoms_{size}" for size in MIP_SIZES if size > header.atom_size}
+    absent |= {f"atoms_{size}" for size in MIP_SIZES if size not in header.mip_sizes}
     for extra in EXTRAS:
         if not any(getattr(batch, extra.flag) for batch in header.batches):
             absent |= {extra.stream, extra.table}

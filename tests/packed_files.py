@@ -36,6 +36,7 @@ class Case:
     ahead: tuple[int, int, int] = (1, 0, 0)
     atom_size: int = 32
     n_turns: int = 1
+    coarsest_size: int = 1
 
 
 def noise(n: int, seed: int, below: int, period: int = 1 << 40) -> np.ndarray:
@@ -58,6 +59,7 @@ def header_of(case: Case) -> Header:
         + (tuple(Batch(n, ellipsoid=True) for n in case.atom_counts) if case.ellipsoids else ()),
         cameras=(camera,) * case.n_cameras, scan={"name": "tiny", "format": "ply", "n_points": case.n_splats},
         settings={"preset": "draft"}, atom_size=case.atom_size, n_turns=case.n_turns,
+        coarsest_size=case.coarsest_size,
     )
 
 

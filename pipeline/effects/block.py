@@ -26,6 +26,7 @@ class Sources:
     radius: float
     up: Direction
     ahead: Direction
+    held_out: tuple[int, ...] = ()  # cameras whose photographs nothing is made from
 
     @cached_property
     def scan(self) -> dict:

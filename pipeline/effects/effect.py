@@ -49,4 +49,5 @@ class Effect:
     survey: Callable[[Sources], Stage | None] = lambda sources: None  # what must be there before blocks are measured
     build: Callable[[Sources, dict, Path | None], Stage | None] = lambda sources, outcome, survey: None  # its encoder
     by_request: bool = False
+    needs: str | None = None  # an effect of a lower order, without which this one has nothing to work on
     order: int = 50  # of its row in the plan

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 from pipeline.effects.effect import Effect, Measured
 from pipeline.effects.registry import effects
@@ -34,6 +34,7 @@ class EffectPlan:
 
     rows: tuple[Row, ...]
     outcomes: dict[str, dict]  # of the effects that are on: what their encoders and shaders take
+    measured: dict[str, dict] = field(default_factory=dict)  # the same of all that were measured, on or off
 
     @property
     def enabled(self) -> tuple[str, ...]:
@@ -54,37 +55,47 @@ def plan_effects(
     """The plan of a scan with these measures, for this request (effect -> auto, on or off; auto where it says nothing).
 
     Guarantees: a pure function of its arguments; `auto` is on from the threshold on, and never for what is made by
-    request alone; `off` is off whatever was measured; `on` is on wherever the scan can be measured for it at all.
+    request alone; `off` is off whatever was measured; what needs another effect is off without it; `on` is on wherever the scan can be measured for it at all.
     """
     known = effects() if known is None else known
-    rows = tuple(_row(e, measures.get(e.name), request.get(e.name, AUTO), n_splats) for e in known.values())
+    rows: tuple[Row, ...] = ()
+    for effect in known.values():
+        possible = effect.needs is None or any(row.effect == effect.needs and row.enabled for row in rows)
+        rows += (_row(effect, measures.get(effect.name), request.get(effect.name, AUTO), n_splats, possible),)
     on = {row.effect: measures[row.effect].outcome for row in rows if row.enabled}
-    return EffectPlan(rows, on)
+    return EffectPlan(rows, on, {name: found.outcome for name, found in measures.items()})
 
 
 def measured_effects(request: Mapping[str, str]) -> tuple[str, ...]:
-    """The effects that a request leaves to measure: what is off is not even looked at."""
-    return tuple(name for name, e in effects().items()
-                 if request.get(name, AUTO) == ON or (request.get(name, AUTO) == AUTO and not e.by_request))
+    """The effects that a request leaves to measure: what is off, or needs what is, is not even looked at."""
+    def wanted(name: str) -> bool:
+        effect, choice = effects()[name], request.get(name, AUTO)
+        if effect.needs and not wanted(effect.needs):
+            return False
+        return choice == ON or (choice == AUTO and not effect.by_request)
+
+    return tuple(name for name in effects() if wanted(name))
 
 
-def _row(effect: Effect, found: Measured | None, request: str, n_splats: int) -> Row:
+def _row(effect: Effect, found: Measured | None, request: str, n_splats: int, possible: bool) -> Row:
     wanted = request == ON or (request == AUTO and not effect.by_request and found is not None and found.value >= effect.threshold)
-    enabled = wanted and found is not None
+    enabled = wanted and found is not None and possible
     share = None if found is None else found.share
     worth = effect.worth
     return Row(
         effect.name, effect.title, request, enabled, share, None if found is None else found.value, effect.measures,
-        None if effect.by_request else effect.threshold, _reason(effect, found, request),
+        None if effect.by_request else effect.threshold, _reason(effect, found, request, possible),
         {"seconds": worth.seconds_a_million * n_splats / 1e6, "bytes": round(worth.bytes_a_splat * n_splats * (share or 0.0)),
          "frame_share": worth.frame_share},
         worth.gain_db, worth.measured_on,
     )
 
 
-def _reason(effect: Effect, found: Measured | None, request: str) -> str:
+def _reason(effect: Effect, found: Measured | None, request: str, possible: bool) -> str:
     if request == OFF:
         return "asked to be off"
+    if not possible:
+        return f"only with {effect.needs}"
     if request == ON and found is not None:
         return "asked to be on"
     if effect.by_request:

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.accuracy import psnr_db
 from pipeline.coding.grid import shown, turned_texels
 from pipeline.coding.quantize import dequantize_atoms
+from pipeline.effects.request import OFF, asked_by
 from pipeline.geometry.ellipsoids import decode_ellipsoids, squares_of
 from pipeline.geometry.frame import tangent_frames
 from pipeline.geometry.positions import Boxes, decode_positions
@@ -60,7 +61,7 @@ class Measure:
         header, a = scene.header, scene.arrays
         centre, tangents = scene_squares(scene)
         return make_patches(header.cameras, self._read_window, header.origin, centre, tangents, header.radius,
-                            a["camera"], a["color"], first_splat)
+                            a["camera"], a["color"], first_splat, asked_by(header.settings)["antialiasing"] != OFF)
 
     def _read_window(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
         return np.asarray(arrays.opened(self.ingest, f"photo_{camera}")[top:bottom, left:right])

@@ -28,6 +28,7 @@ class Resample:
     radius: float
     up: Direction
     ahead: Direction
+    antialiased: bool = True
     name = "resample"
 
     def init(self, folder: Path) -> int:
@@ -40,7 +41,8 @@ class Resample:
 
     def run(self, folder: Path, index: int) -> dict:
         start, stop = arrays.block_range(index, work.summary(self.partition)["n_splats"])
-        patches = resampled_block(self.ingest, self.partition, self.splats, self.radius, self.up, self.ahead, index)
+        patches = resampled_block(self.ingest, self.partition, self.splats, self.radius, self.up, self.ahead, index,
+                                  self.antialiased)
         arrays.write(folder, "texel", start, patches.texel)
         arrays.write(folder, "average", start, patches.average)
         arrays.write(folder, "energy", start, patches.energy)
@@ -57,7 +59,7 @@ class Resample:
 
 
 def resampled_block(photos: Path, partition: Path, splats: Path, radius: float, up: Direction, ahead: Direction,
-                    index: int) -> Patches:
+                    index: int, antialiased: bool = True) -> Patches:
     """The patches of block `index`; `photos` is a stage's folder with photo_<i> and their cameras in its summary."""
     points = work.summary(partition)
     start, stop = arrays.block_range(index, points["n_splats"])
@@ -69,5 +71,5 @@ def resampled_block(photos: Path, partition: Path, splats: Path, radius: float, 
     return make_patches(
         tuple(Camera.from_json(c) for c in work.summary(photos)["cameras"]), read_window, tuple(points["origin"]),
         centre, tangents, radius, arrays.read(splats, "camera", start, stop),
-        arrays.read(splats, "color", start, stop), start,
+        arrays.read(splats, "color", start, stop), start, antialiased,
     )

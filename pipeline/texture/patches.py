@@ -39,6 +39,7 @@ def make_patches(
     camera: np.ndarray,  # (n,) uint16
     color: np.ndarray,  # (n, 3) uint8: of splats without a camera
     first_splat: int,
+    antialiased: bool = True,
 ) -> Patches:
     """Resample a block. A splat without a camera has a patch of its one colour, and so no energy; so has one whose
     square, once its geometry is quantised, reaches behind its camera. Both are flagged, as are those that reach beyond
@@ -57,7 +58,7 @@ def make_patches(
             continue
         bounds = window_bounds(project_corners(h), cameras[i].width_px, cameras[i].height_px)
         window = Window(read_window(int(i), *bounds), bounds[0], bounds[1])
-        texel[rows] = resampled = resample_patches(window, h)
+        texel[rows] = resampled = resample_patches(window, h, antialiased)
         error += float(resampling_error(window, h, resampled, first_splat + rows).sum())
         n_probes += 3 * PROBES * len(rows)
     texel[unseen] = np.tile(color[unseen], PATCH_SIZE * PATCH_SIZE)

@@ -43,13 +43,19 @@ def window_bounds(corners: np.ndarray, width_px: int, height_px: int) -> tuple[i
     return left, top, max(right, left + 1), max(bottom, top + 1)
 
 
-def resample_patches(window: Window, homography: np.ndarray) -> np.ndarray:
+def lookups_a_texel(homography: np.ndarray) -> np.ndarray:
+    """How many photo pixels a texel covers along x and along y, rounded up, of splats with `homography` (n, 3, 3): (n, 2)."""
+    return np.array([_lookups_a_texel(h) for h in homography], np.int64).reshape(-1, 2)
+
+
+def resample_patches(window: Window, homography: np.ndarray, antialiased: bool = True) -> np.ndarray:
     """Patches (n, PATCH_DIM) uint8, flattened (row, column, rgb), of the splats with `homography` (n, 3, 3).
 
-    The whole square must lie in front of the camera (`is_in_front`). Lookups outside the photo take its edge.
+    Not `antialiased`, a texel is one lookup however many pixels it covers. The whole square must lie in front of the camera
+    (`is_in_front`). Lookups outside the photo take its edge.
     """
     patches = np.empty((len(homography), PATCH_SIZE, PATCH_SIZE, 3), np.uint8)
-    _resample(window.padded, window.left, window.top, homography, patches)
+    _resample(window.padded, window.left, window.top, homography, patches, antialiased)
     return patches.reshape(len(homography), PATCH_DIM)
 
 
@@ -153,14 +159,16 @@ def _lookups_a_texel(h):
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
-def _resample(pixels, left, top, homography, patches):
+def _resample(pixels, left, top, homography, patches, antialiased):
     flat, stride = pixels.reshape(-1), np.int32(pixels.shape[1])
     last_x, last_y = pixels.shape[1] - 2.0, pixels.shape[0] - 2.0
     place, corner = np.empty(PATCH_SIZE, np.int32), np.empty((4, PATCH_SIZE), np.uint32)
     right, down = np.empty(PATCH_SIZE, np.float32), np.empty(PATCH_SIZE, np.float32)
     total, byte = np.empty((3, PATCH_SIZE), np.float32), np.empty((3, PATCH_SIZE), np.uint8)
     for i in range(homography.shape[0]):
-        n_x, n_y = _lookups_a_texel(homography[i])
+        n_x, n_y = 1, 1
+        if antialiased:
+            n_x, n_y = _lookups_a_texel(homography[i])
         for row in range(PATCH_SIZE):
             total[:] = 0
             for j in range(n_y):

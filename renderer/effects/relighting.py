@@ -1,7 +1,7 @@
-"""Relighting: normals are added up beside colours, and the resolve pass lights what photographs recorded once more.
+"""Relighting: what photographs recorded is lit once more, splat by splat or, with smoothed normals, pixel by pixel.
 
 HPG 2021, section 3.6: "If relighting should be supported, another RGBA16F target can be used to accumulate normals". The
-weighted mean of splats that blend smooths their normals as it does their colours.
+weighted mean of splats that blend smooths their normals as it does their colours: that is `normal_smoothing`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from renderer.effects import ShaderPart
 
-PART = ShaderPart("LIT", ("attribute", "baseline", "resolve"))
+PART = ShaderPart("LIT", ("attribute",))
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,10 @@
 
 layout(binding = 0) uniform sampler2D atlas;
 flat in vec3 atoms[N_ATOMS];
+#ifdef LEVELS
 flat in vec2 coarser[N_ATOMS];
 flat in float level;
+#endif
 #ifdef TURNED
 flat in uint turns;  // 3 bits a rank
 
@@ -27,16 +29,22 @@ vec2 inside_atom(vec2 on_disc, float size) {
 }
 
 vec3 sum_of_atoms(vec2 on_disc) {
+#ifdef LEVELS
     float finer = floor(level), blend = level - finer;
+#else
+    float finer = float(scene.finest_level);
+#endif
     float size = exp2(5.0 - finer);
     vec3 sum = vec3(0.0);
     for (int rank = 0; rank < N_ATOMS; ++rank)
         sum += atoms[rank].z * atlas_color(atoms[rank].xy + inside_atom(turned(on_disc, rank), size));
+#ifdef LEVELS
     if (blend > 0.0) {
         vec3 coarser_sum = vec3(0.0);
         for (int rank = 0; rank < N_ATOMS; ++rank)
             coarser_sum += atoms[rank].z * atlas_color(coarser[rank] + inside_atom(turned(on_disc, rank), 0.5 * size));
         sum = mix(sum, coarser_sum, blend);
     }
+#endif
     return sum;
 }

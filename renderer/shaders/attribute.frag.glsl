@@ -20,6 +20,6 @@ void main() {
 #else
     vec3 color = average;
 #endif
-    weighted = vec4(color, 1.0) * (1.0 - d2);
+    weighted = vec4(BY_LAMP(color), 1.0) * (1.0 - d2);
     ADD_NORMAL(1.0 - d2)
 }

@@ -42,7 +42,9 @@ void main() {
     place = quad.place;
 #ifdef N_ATOMS
     average = decode_color(splat);
-    level = max(mip_level(ATOM_AREA, quad.area_px), float(scene.finest_level));
+#ifdef LEVELS
+    level = clamp(mip_level(ATOM_AREA, quad.area_px), float(scene.finest_level), float(scene.coarsest_level));
+#endif
     read_atoms(group, row);
 #else
     average = to_linear(decode_color(splat));

@@ -1,6 +1,6 @@
 // The normal of a splat for relighting, in camera axes and turned to the eye. Needs splat_geometry.glsl.
 
-#ifdef LIT
+#if defined(LIT) || defined(SMOOTH)
 flat out vec3 normal;
 
 vec3 normal_of(Disc disc) {

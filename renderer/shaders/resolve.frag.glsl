@@ -5,16 +5,11 @@ const float LEAST_WEIGHT = 1.0 / 1024.0;  // below it the 16-bit sums hold no co
 const float OVERDRAWN = 16.0;  // above it 16-bit sums may be off by 1/255, see renderer/targets.py
 #endif
 layout(binding = 0) uniform sampler2D sums;
-#ifdef LIT
+#ifdef SMOOTH
+#include "lamp.glsl"
 layout(binding = 1) uniform sampler2D normals;  // normal times weight, weight; in camera axes
-uniform vec3 towards_light;
-uniform float ambient, diffuse;
 
-vec3 lit(vec3 linear) {
-    vec3 normal = texelFetch(normals, ivec2(gl_FragCoord.xy), 0).xyz;
-    float facing = dot(normal, towards_light) / max(length(normal), 1e-6);
-    return linear * (ambient + diffuse * max(0.0, facing));
-}
+vec3 lit(vec3 linear) { return under_lamp(linear, texelFetch(normals, ivec2(gl_FragCoord.xy), 0).xyz); }
 #else
 vec3 lit(vec3 linear) { return linear; }
 #endif

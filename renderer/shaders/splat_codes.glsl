@@ -5,8 +5,10 @@ layout(std430, binding = 6) readonly buffer Weights { float weights[]; };  // we
 
 uniform uint atoms_stored;  // of each code of this batch; N_ATOMS of them are drawn
 flat out vec3 atoms[N_ATOMS];    // corner of each atom's finer level in the atlas, and weight of a texel of 1.0
+#ifdef LEVELS
 flat out vec2 coarser[N_ATOMS];  // corner of the level after that
 flat out float level;
+#endif
 #ifdef TURNED
 flat out uint turns;  // 3 bits a rank
 #endif
@@ -20,7 +22,11 @@ vec2 atom_corner(uint atom, uint at_level) {
 }
 
 void read_atoms(uint group, uint row) {
+#ifdef LEVELS
     uint finer = uint(level);
+#else
+    uint finer = scene.finest_level;
+#endif
     uint n_levels = 1u << scene.weight_bits;
     uint entry_bits = scene.dictionary_bits + scene.weight_bits;
     uint first_bit = (first_entry(group) + row * atoms_stored) * entry_bits;
@@ -37,6 +43,8 @@ void read_atoms(uint group, uint row) {
 #endif
         float weight = weights[rank * n_levels + (entry >> scene.dictionary_bits)] * weights[8u * n_levels + atom];
         atoms[rank] = vec3(atom_corner(atom, finer), 127.0 * weight);
-        coarser[rank] = atom_corner(atom, min(finer + 1u, 5u));
+#ifdef LEVELS
+        coarser[rank] = atom_corner(atom, min(finer + 1u, scene.coarsest_level));
+#endif
     }
 }

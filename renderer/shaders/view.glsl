@@ -21,6 +21,7 @@ layout(std140, binding = 1) uniform Scene {
     uvec4 atlas_bands;  // first row of the mip levels 0 to 3
     uvec2 atlas_bands_beyond;  // of the levels 4 and 5
     vec2 atlas_texel;  // one texel in texture coordinates
+    uint coarsest_level;  // of the atoms: 5 where they have a level of one texel
 } scene;
 
 const uint CHUNK = 128u;

@@ -32,6 +32,7 @@ CASES = {
     "v2-ellipsoids": Case(ellipsoids=True, cliplines=True, atom_counts=(0, 2, 5), up=(-5, -35, 6), ahead=(1, 5, 30)),
     "v3-turned-8": Case(dictionary_bits=6, atom_size=8, n_turns=8),
     "v3-small-16": Case(atom_size=16),
+    "v4-two-levels": Case(atom_size=16, n_turns=8, coarsest_size=8),
 }
 
 

@@ -11,7 +11,7 @@ from renderer.effects.relighting import lamp
 from renderer.glsl import shader_source
 from renderer.scene import GpuScene
 from storage.schema import EXTRAS, Batch
-from tests.scenes import build_scene, camera_looking, sheet
+from tests.scenes import Settings, build_scene, camera_looking, coded, random_dictionary, sheet
 
 VIEW = camera_looking((0.1, -1.2, 0.2), (0, 0, 0))
 
@@ -25,6 +25,22 @@ def drawn(renderer, scene, **more):
     picture = renderer.render(gpu_scene, VIEW, **more)
     gpu_scene.release()
     return picture
+
+
+def test_smoothing__one_colour_under_a_lamp_has_no_rims_of_splats(renderer):
+    """Splats of a plane with scattered normals: lit one by one each shows its own shade, blended normals are those of the plane."""
+    rng = np.random.default_rng(7)
+    scattered = sheet(rng, 4000, tilt=0.25)
+    scene = build_scene(replace(scattered, color=np.full((4000, 3), 180, np.uint8)))
+    spread = {}
+    for name, more in (("own", {}), ("smooth", {"normal_smoothing": {}})):
+        picture = drawn(renderer, asked_for(scene, relighting={}, **more), light=lamp(1, 1, 0.2))
+        spread[name] = np.abs(np.diff(picture.rgb[..., 0].astype(float), axis=1))[picture.coverage[:, 1:] & picture.coverage[:, :-1]].mean()
+    assert 0 < spread["smooth"] < spread["own"]
+
+
+def test_smoothing__without_a_light_to_be_is_nothing(renderer, plain):
+    assert not any("smooth" in name for name in drawn(renderer, asked_for(plain, normal_smoothing={})).programs)
 
 
 @pytest.fixture(scope="module")
@@ -57,16 +73,43 @@ def test_parts__are_in_no_program_of_a_scene_without_effects(renderer, plain):
 
 def test_relighting__as_photographed_changes_no_pixel(renderer, plain):
     lit = drawn(renderer, asked_for(plain, relighting={}))
-    assert "attribute atoms=0 lit" in lit.programs and "resolve lit watched" in lit.programs
-    assert np.array_equal(lit.rgb, drawn(renderer, plain).rgb)
+    assert "attribute atoms=0 lit" in lit.programs and "resolve watched" in lit.programs
+    smooth = drawn(renderer, asked_for(plain, relighting={}, normal_smoothing={}))
+    assert "attribute atoms=0 smooth lit" in smooth.programs and "resolve smooth watched" in smooth.programs
+    assert np.array_equal(smooth.rgb, drawn(renderer, plain).rgb) and np.array_equal(lit.rgb, smooth.rgb)
 
 
-def test_relighting__a_lamp_lights_what_faces_it(renderer, plain):
-    scene = asked_for(plain, relighting={})
+@pytest.mark.parametrize("more", [{}, {"normal_smoothing": {}}])
+def test_relighting__a_lamp_lights_what_faces_it(renderer, plain, more):
+    scene = asked_for(plain, relighting={}, **more)
     front, side, behind = (drawn(renderer, scene, light=lamp(*to)).rgb.astype(float).mean()
                            for to in ((0, 0, 1), (1, 0, 0.3), (0, 0, -1)))
     assert front > 1.1 * side > 1.1 * behind > 0
     assert front == pytest.approx(drawn(renderer, plain).rgb.mean(), rel=0.03)
+
+
+def with_levels(scene, coarsest: int):
+    """The scene without the mip levels below a size."""
+    header = replace(scene.header, coarsest_size=coarsest)
+    kept = {name: values for name, values in scene.arrays.items() if not name.startswith("atoms_") or int(name[6:]) >= coarsest}
+    return type(scene)(header, kept)
+
+
+@pytest.mark.parametrize("distance, coarsest", [(0.6, 32), (2.4, 8), (6.0, 4)])
+def test_mip_levels__that_no_splat_reaches_change_no_pixel(renderer, distance, coarsest):
+    rng = np.random.default_rng(3)
+    scene = build_scene(sheet(rng, 150, tilt=0.05, half_width=0.1, **coded(rng, 150)), Settings(), random_dictionary(rng))
+    view = camera_looking((0, -distance, 0), (0, 0, 0), (96, 72), (100, 100))
+    pictures = {}
+    for name, shown in (("all", scene), ("reached", with_levels(scene, coarsest)), ("one less", with_levels(scene, min(32, 2 * coarsest)))):
+        gpu_scene = GpuScene(shown, renderer.context)
+        pictures[name] = renderer.render(gpu_scene, view)
+        gpu_scene.release()
+    assert np.array_equal(pictures["all"].rgb, pictures["reached"].rgb) and pictures["all"].coverage.any()
+    if coarsest == 32:
+        assert not any("levels" in name for name in pictures["reached"].programs)
+    else:
+        assert not np.array_equal(pictures["all"].rgb, pictures["one less"].rgb), "the level before does not do"
 
 
 def test_accumulation__asked_for_is_wide_from_the_start(renderer, plain):

@@ -341,7 +341,7 @@ HUGE, NOT_A_NUMBER = 2**60, float("nan")
 
 
 @pytest.mark.parametrize("field, value", [
-    ("format", "otherpress"), ("format", None), ("version", 0), ("version", 4), ("version", "1"), ("version", True), ("version", 1),
+    ("format", "otherpress"), ("format", None), ("version", 0), ("version", 5), ("version", "1"), ("version", True), ("version", 1),
     ("n_splats", 0), ("n_splats", -1), ("n_splats", 201), ("n_splats", 199), ("n_splats", HUGE), ("n_splats", 200.0),
     ("n_splats", "200"), ("n_splats", True), ("n_splats", 10**400),
     ("radius", NOT_A_NUMBER), ("radius", float("inf")), ("radius", 0), ("radius", -1.0), ("radius", "0.25"),
@@ -354,6 +354,7 @@ HUGE, NOT_A_NUMBER = 2**60, float("nan")
     ("dictionary_bits", -1), ("dictionary_bits", 1), ("dictionary_bits", 17), ("dictionary_bits", HUGE),
     ("atom_size", 16), ("atom_size", 64), ("atom_size", 0), ("atom_size", HUGE), ("n_turns", 0), ("n_turns", 2), ("n_turns", -8),
     ("n_turns", 8.0), ("n_turns", HUGE),
+    ("coarsest_size", 0), ("coarsest_size", 2), ("coarsest_size", 3), ("coarsest_size", 64), ("coarsest_size", True), ("coarsest_size", None),
     ("weight_bits", 0), ("weight_bits", 9), ("weight_bits", 5), ("weight_bits", HUGE), ("weight_bits", "4"),
     ("batches", []), ("batches", {}), ("batches", [{"n_atoms": 9, "clipline": False}]),
     ("batches", [{"n_atoms": -1, "clipline": False}]), ("batches", [{"n_atoms": 1}]), ("batches", [1, 2]),

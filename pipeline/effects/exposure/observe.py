@@ -16,9 +16,10 @@ RINGS = ((0.0, 1), (0.5, 6), (0.9, 10))  # radius and number of lookups on the d
 
 def observed(block: Block) -> dict:
     """What photographs show of every n-th splat, as flat lists: splat (its place among those), photo, x, y in [-1, 1]
-    across the photo, and light, three linear values each."""
+    across the photo, and light, three linear values each. Photographs that are held out show nothing."""
     rows = np.arange(0, len(block.centre), EVERY)
-    found = [_in_photo(block, i, camera, rows) for i, camera in enumerate(block.sources.cameras)]
+    kept = ((i, camera) for i, camera in enumerate(block.sources.cameras) if i not in block.sources.held_out)
+    found = [_in_photo(block, i, camera, rows) for i, camera in kept]
     splat, photo, x, y, light = (np.concatenate(columns) for columns in zip(*found)) if found else [np.empty(0)] * 5
     twice = np.bincount(splat.astype(np.int64), minlength=len(rows))[splat.astype(np.int64)] > 1 if len(splat) else splat > 0
     return {"splat": splat[twice].tolist(), "photo": photo[twice].tolist(), "x": x[twice].round(4).tolist(),

@@ -31,7 +31,8 @@ class Observations:
 
 
 def solve_fields(seen: Observations, n_photos: int) -> np.ndarray:
-    """Log-gain fields (n_photos, 3, N_TERMS) that make the photographs agree; their mean constant is zero.
+    """Log-gain fields (n_photos, 3, N_TERMS) that make the photographs agree; the mean constant of those that show any splat is
+    zero, as is all of the others.
 
     Iterated: the median of each splat's corrected light is its truth, and each photograph's field is fitted to the truths
     of its splats, large residuals down-weighted (Huber).
@@ -43,6 +44,7 @@ def solve_fields(seen: Observations, n_photos: int) -> np.ndarray:
     basis = terms(seen.x, seen.y)
     groups = [np.flatnonzero(seen.photo == i) for i in range(n_photos)]
     bases = [basis[rows] for rows in groups]
+    some = [i for i, rows in enumerate(groups) if len(rows)]
     order, start = _by_splat(seen.splat)
     for channel in range(3):
         log_light = np.log(seen.light[:, channel])
@@ -51,7 +53,7 @@ def solve_fields(seen: Observations, n_photos: int) -> np.ndarray:
             wanted = _medians(order, start, corrected) - log_light
             for i, rows in enumerate(groups):
                 fields[i, channel] = _fitted(bases[i], wanted[rows], fields[i, channel])
-            fields[:, channel, 0] -= fields[:, channel, 0].mean()
+            fields[some, channel, 0] -= fields[some, channel, 0].mean()
     return fields
 
 

@@ -10,6 +10,7 @@ from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS, linear_of, relit
 from pipeline.effects.exposure.solve import Observations, _by_splat, _medians, solve_fields, spread
 from pipeline.executors import SerialExecutor
 from pipeline.settings import settings_for
+from renderer.held_out import matched
 from services.workflow import Run, compress, prepare, report
 from storage import arrays, work
 from storage.errors import InvalidScan
@@ -104,6 +105,26 @@ def test_exposure__is_found_from_the_splats_of_a_scan(unlike):
     splats = arrays.read(prepared.splats.folder, "camera")
     assert len(np.unique(splats)) > 1 and work.summary(prepared.photos)["cameras"] == prepared.scan.summary["cameras"]
     assert all(photo.mean() == pytest.approx(photos[1].mean(), rel=0.15) for photo in photos)
+
+
+def test_exposure__a_photograph_that_is_held_out_has_no_say_and_stays_as_it_is(unlike):
+    scan, folder = unlike
+    prepared = prepare(Run(folder, SerialExecutor(), Heard()), scan, None, "exposure=on", held_out=(2,))
+    gain = np.exp(np.array(outcome(prepared)["log_gain"])[:, :, 0])
+    np.testing.assert_allclose(gain[2], 1.0)
+    assert np.array_equal(arrays.read(prepared.photos, "photo_2"), arrays.read(prepared.scan.folder, "photo_2"))
+    # The two that are left agree half-way between them: a gain of 0.7 and of 1 meet at their geometric mean.
+    np.testing.assert_allclose(gain[0], 0.7**-0.5, rtol=0.03)
+    np.testing.assert_allclose(gain[1], 0.7**0.5, rtol=0.03)
+
+
+def test_held_out__gains_of_the_photograph_are_taken_out_and_nothing_else():
+    rng = np.random.default_rng(4)
+    rgb = rng.integers(60, 160, (20, 30, 3)).astype(np.uint8)
+    mask = rng.random((20, 30)) < 0.8
+    photo = np.round(255 * srgb_of(np.clip(linear_of(rgb / 255.0) * [1.3, 0.8, 1.1], 0, 1))).astype(np.uint8)
+    assert np.abs(matched(rgb, photo, mask).astype(int) - photo)[mask].max() <= 1
+    assert np.array_equal(matched(rgb, photo, np.zeros_like(mask)), rgb)
 
 
 def test_exposure__photographs_that_agree_are_left_alone(tmp_path):

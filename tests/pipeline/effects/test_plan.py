@@ -8,13 +8,17 @@ import pytest
 from pipeline.effects import plan_effects
 from pipeline.effects.accumulation import EFFECT as ACCUMULATION
 from pipeline.effects.accumulation import overdraw
+from pipeline.effects.antialiasing import EFFECT as ANTIALIASING
 from pipeline.effects.block import Sources
 from pipeline.effects.depth_margin import EFFECT as DEPTH_MARGIN
 from pipeline.effects.depth_margin import LEAST_RADII, OVERLAP_RADII, histogram_of, residuals
 from pipeline.effects.effect import Effect, Measured, Worth
+from pipeline.effects.normal_smoothing import EFFECT as SMOOTHING
+from pipeline.effects.normal_smoothing import LEAST_DEGREES, angles
 from pipeline.effects.plan import measured_effects
 from pipeline.effects.registry import effects
 from pipeline.effects.request import CHOICES, canonical_request, parse_request
+from pipeline.texture.resample import Window, lookups_a_texel, resample_patches
 
 WORTH = Worth("a scan of tests", seconds_a_million=2.0, bytes_a_splat=1.5, frame_share=0.1, gain_db=0.4)
 KNOWN = {
@@ -129,3 +133,51 @@ def test_accumulation__is_wide_where_a_scan_lies_many_times_on_itself(layers, en
     sums = [{"n": len(found), "n_overdrawn": int((found > 16).sum()), "most": float(np.quantile(found, 0.99))}]
     plan = plan_effects({"accumulation": ACCUMULATION.conclude(sums, None)}, {})
     assert ("accumulation" in plan.enabled) == enabled
+
+
+# --- what needs another effect ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("request_", "enabled"), [
+    ({}, ()), ({"light": "on"}, ("light", "smooth")), ({"smooth": "on"}, ()), ({"light": "on", "smooth": "off"}, ("light",)),
+])
+def test_plan__what_needs_another_effect_is_on_with_it_only(request_, enabled):
+    known = KNOWN | {"smooth": Effect("smooth", "smooth", "degrees", 0.3, "tuned", WORTH, needs="light")}
+    measures = {"light": Measured(1.0), "smooth": Measured(2.0)}
+    plan = plan_effects(measures, request_, 100, known)
+    assert plan.enabled == enabled
+    if not request_:
+        assert plan.rows[-1].reason == "only with light"
+
+
+def test_request__what_needs_another_effect_is_measured_with_it_only():
+    assert "normal_smoothing" not in measured_effects(parse_request("normal_smoothing=on"))
+    assert "normal_smoothing" in measured_effects(parse_request("relighting=on"))
+
+
+def test_smoothing__angles_are_those_of_overlapping_splats_whichever_way_their_normals_point():
+    position = np.array([[0.0, 0, 0], [0.5, 0, 0], [0.9, 0, 0], [5.0, 0, 0]])
+    turned = np.radians([0, 10, 190, 45])
+    normal = np.stack([np.sin(turned), 0 * turned, np.cos(turned)], axis=1)
+    found = np.sort(angles(position, normal, 1.0, every=1))
+    np.testing.assert_allclose(found, np.sort([10, 10, 10, 10, 0, 0]), atol=1e-9)
+    assert SMOOTHING.threshold == LEAST_DEGREES == pytest.approx(np.degrees(1 / 178.5), abs=0.005)
+
+
+# --- anti-aliasing --------------------------------------------------------------------------------------------------------
+
+
+def test_antialiasing__asks_for_as_many_lookups_as_texels_cover_pixels():
+    """Squares of 20, 40 and 90 px to a side, 32 texels each: 0.63, 1.25 and 2.8 pixels a texel."""
+    h = np.array([[[s / 2, 0, 100], [0, s / 2, 100], [0, 0, 1]] for s in (20.0, 40.0, 90.0)])
+    assert lookups_a_texel(h).tolist() == [[1, 1], [2, 2], [3, 3]]
+    assert lookups_a_texel(h[:0]).shape == (0, 2)
+    stripes = np.tile(np.where(np.arange(200) % 2, 255, 0).astype(np.uint8)[None, :, None], (200, 1, 3))
+    plain, means = (resample_patches(Window(stripes, 0, 0), h, antialiased) for antialiased in (False, True))
+    assert (plain[0] == means[0]).all() and means[2].std() < 0.5 * plain[2].std()
+
+
+@pytest.mark.parametrize(("n_coarse", "enabled"), [(0, False), (1, False), (200, True)])
+def test_antialiasing__is_on_where_some_splats_have_texels_of_several_pixels(n_coarse, enabled):
+    measures = {"antialiasing": ANTIALIASING.conclude([{"n": 20_000, "n_coarse": n_coarse}], None)}
+    assert ("antialiasing" in plan_effects(measures, {}).enabled) == enabled
