@@ -222,6 +222,10 @@ def test_coding__values_that_are_not_finite_are_refused():
             sparse_encode(broken, atoms, max_atoms=3)
         with pytest.raises(ValueError, match="atom 0 has norm"):
             sparse_encode(patches, np.full_like(atoms, value), max_atoms=3)
+        bad = np.float32(1.5) * atoms
+        bad[7, 2] = value
+        with pytest.raises(ValueError, match="atom 7 has norm"):  # not one that is merely too long
+            sparse_encode(patches, bad, max_atoms=3)
 
 
 def test_coding__levels_far_from_every_weight_end_the_pursuit_and_never_raise_the_error():
