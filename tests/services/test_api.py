@@ -21,6 +21,7 @@ from fastapi.testclient import TestClient
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from pipeline.settings import Settings
 from services.api.app import create_app
 from services.client import zip_folder
 from services.first_bytes import Look, look
@@ -470,7 +471,7 @@ def test_api__on_loopback_no_other_page_may_ask(api):
 
 def test_api__options_and_presets_are_those_of_the_command_line(api):
     options = {o["name"]: o for o in api.get("/v1/options").json()}
-    assert options["dictionary_bits"]["domain"] == {"enum": ["auto", 8, 9, 10, 11, 12, 13, 14, 16]} and options["iterations"]["value"] == 6
+    assert options["dictionary_bits"]["domain"] == {"enum": ["auto", 8, 9, 10, 11, 12, 13, 14, 16]} and options["iterations"]["value"] == Settings().iterations
     assert [p["name"] for p in api.get("/v1/presets").json()] == ["draft", "balanced", "high"]
 
 
