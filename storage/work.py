@@ -22,14 +22,14 @@ from typing import Any
 
 import numpy as np
 
-LAYOUT_VERSION = 6  # raised when a stage's output changes for equal inputs
+LAYOUT_VERSION = 7  # raised when a stage's output changes for equal inputs
 
 
 def write_json(path: Path, data: Any) -> None:
     """Strict JSON under its name only when it is whole."""
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     try:
-        partial.write_text(json.dumps(data, allow_nan=False, indent=1))
+        partial.write_text(json.dumps(data, allow_nan=False))
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)

@@ -26,7 +26,7 @@ import numpy as np
 
 from pipeline.coding.omp import Pursuit, pursue_patches
 
-BLOCK = 4096  # patches whose sums are made in one go; part of the result, as float sums depend on their order
+BLOCK = 2048  # patches whose sums are made in one go; part of the result, as float sums depend on their order
 WORST = 512  # how many badly represented patches a block offers as replacements
 TWIN_COHERENCE = 0.99  # above it two atoms are one (as KSVD-Box)
 TOLERATED_RISE = 0.05  # of the error over the best so far, before a trial is taken back

@@ -62,8 +62,8 @@ def sparse_encode(
     atom, while weights stay those of the full patches. `n_threads` None takes all cores.
 
     Guarantees: no atom twice in a support; the residual never rises with an atom; exact weights are the least squares
-    of their support; scaling a patch (and its tolerance, by the square) scales its weights; the result of a patch
-    does not depend on the other patches or on threads. Inputs may be read-only, strided or float64. Beyond 16,384
+    of their support; scaling a patch (and its tolerance, by the square) scales its weights; the result does not depend on
+    threads, that of a patch on the other patches only as far as BLAS rounds by the rows of a product. Inputs may be read-only, strided or float64. Beyond 16,384
     atoms no k x k matrix is made.
 
     Raises ValueError: shapes that do not fit, more atoms asked than exist, rows that are not unit vectors, values that

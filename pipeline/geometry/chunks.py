@@ -31,17 +31,24 @@ def median_split(position: np.ndarray) -> np.ndarray:
     points of a chunk keep the order of the input, so equal inputs give equal orders; any number of points from 0 on, duplicates included.
     """
     order = np.arange(len(position))
+    axes = np.ascontiguousarray(np.asarray(position).T)  # whole axes, so that extents are found by rows in vectors
     pending = [(0, len(position))]
     while pending:
         start, stop = pending.pop()
         if stop - start <= CHUNK:
             continue
         members = order[start:stop]
-        points = position[members]
-        axis = longest_axis(points.min(axis=0), points.max(axis=0))
+        points = axes[:, members]
         n_left = split_rank(stop - start)
-        goes_left = np.zeros(stop - start, bool)
-        goes_left[np.argsort(points[:, axis], kind="stable")[:n_left]] = True
+        goes_left = _lowest(points[longest_axis(points.min(axis=1), points.max(axis=1))], n_left)
         order[start : start + n_left], order[start + n_left : stop] = members[goes_left], members[~goes_left]
         pending += [(start, start + n_left), (start + n_left, stop)]
     return order
+
+
+def _lowest(x: np.ndarray, n: int) -> np.ndarray:
+    """Which of the values (m,) are the n lowest, as a stable sort has them: (m,) bool."""
+    highest = np.partition(x, n - 1)[n - 1]
+    lowest, ties = x < highest, np.flatnonzero(x == highest)
+    lowest[ties[: n - np.count_nonzero(lowest)]] = True
+    return lowest

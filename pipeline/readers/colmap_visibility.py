@@ -10,6 +10,7 @@ from __future__ import annotations
 import struct
 from typing import BinaryIO
 
+import numba
 import numpy as np
 
 from storage.errors import InvalidScan
@@ -41,7 +42,6 @@ class VisibilityStream:
     def __init__(self, stream: BinaryIO, n_cameras: int, where: str) -> None:
         self.stream, self.n_cameras, self.where = stream, n_cameras, where
         self.words = np.empty(0, "<u4")  # the block, with what was left of the one before
-        self.numbers: list[int] = []  # the same: indexing a list is several times faster than indexing an array
         self.next = 0  # word at which the next point's list begins
         self.block_offset = _HEADER_BYTES  # of words[0] in the file
         self.n_taken = 0
@@ -59,8 +59,8 @@ class VisibilityStream:
         counts, cameras = [np.empty(0, np.int64)], [np.empty(0, np.int32)]
         while n_points:
             starts, end = self._whole_lists(n_points)
-            if starts:
-                count, camera = self._split(np.array(starts, np.int64) - self.next, self.words[self.next : end])
+            if len(starts):
+                count, camera = self._split(starts - self.next, self.words[self.next : end])
                 counts.append(count)
                 cameras.append(camera)
                 self.next = end
@@ -83,21 +83,15 @@ class VisibilityStream:
             raise InvalidScan(self.where, found, "a whole file", "the file may be truncated")
         self.block_offset, left = self.offset, self.words[self.next :]
         self.words = np.concatenate([left, np.frombuffer(block[: len(block) // 4 * 4], "<u4")])
-        self.numbers, self.next = self.words.tolist(), 0
+        self.next = 0
 
-    def _whole_lists(self, max_points: int) -> tuple[list[int], int]:
+    def _whole_lists(self, max_points: int) -> tuple[np.ndarray, int]:
         """Where lists that lie wholly in the block begin, and where the last of them ends."""
-        numbers, word, starts = self.numbers, self.next, []
-        while word < len(numbers) and len(starts) < max_points:
-            count = numbers[word]
-            if count > self.n_cameras:
-                where = f"{self.where}:point {self.n_taken + len(starts)}"
-                raise InvalidScan(where, f"{count} cameras", f"at most {self.n_cameras}")
-            if word + count >= len(numbers):
-                break
-            starts.append(word)
-            word += count + 1
-        return starts, word
+        starts, end = _starts(self.words, self.next, max_points, self.n_cameras)
+        if end < len(self.words) and len(starts) < max_points and self.words[end] > self.n_cameras:
+            where = f"{self.where}:point {self.n_taken + len(starts)}"
+            raise InvalidScan(where, f"{self.words[end]} cameras", f"at most {self.n_cameras}")
+        return starts, end
 
     def _split(self, starts: np.ndarray, words: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         counts = words[starts].astype(np.int64)
@@ -110,3 +104,18 @@ class VisibilityStream:
             allowed = f"0 to {self.n_cameras - 1}, positions in the list of registered images"
             raise InvalidScan(f"{self.where}:point {point}", f"camera {cameras[wrong[0]]}", allowed)
         return counts, cameras.astype(np.int32)
+
+
+@numba.njit(cache=True, nogil=True)
+def _starts(words, word, most, n_cameras):
+    """Where the next lists begin, at most so many, and where the last of them ends: before one that is cut off or too long."""
+    starts = np.empty(min(most, words.shape[0] - word), np.int64)
+    n = 0
+    while n < len(starts) and word < words.shape[0]:
+        count = np.int64(words[word])
+        if count > n_cameras or word + count >= words.shape[0]:
+            break
+        starts[n] = word
+        n += 1
+        word += count + 1
+    return starts[:n], word

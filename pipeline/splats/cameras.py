@@ -6,11 +6,13 @@ are weighed against each other as sharpness, not by taste.
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
 from storage.schema import NO_CAMERA, Camera
 
 N_CANDIDATES = 8  # of a point's cameras the best are kept: a fixed width that can be streamed and sorted
+TINY = np.finfo(float).tiny
 STEEPEST_COSINE = 0.1  # 84 degrees: beyond it a texture is a smear (mvs-texturing cuts at 75, issue 84 there)
 
 
@@ -20,7 +22,7 @@ def sharpness(camera: Camera, position: np.ndarray, normal: np.ndarray | None) -
     `position` (n, 3) absolute; without normals the camera is taken to look straight on.
     """
     ray = position - np.asarray(camera.centre)
-    squared = np.maximum((ray * ray).sum(axis=1), np.finfo(float).tiny)
+    squared = np.maximum((ray * ray).sum(axis=1), TINY)
     cosine = 1.0 if normal is None else -(ray * normal).sum(axis=1) / np.sqrt(squared)
     return cosine * camera.fx_px * camera.fy_px / squared
 
@@ -33,18 +35,40 @@ def rank_candidates(
     cameras: tuple[Camera, ...],
 ) -> np.ndarray:
     """The cameras that a point's visibility list names, sharpest first, (n, N_CANDIDATES) uint16, then NO_CAMERA."""
-    point = np.repeat(np.arange(len(position)), visible_count)
-    score = np.empty(len(point))
-    for i, camera in enumerate(cameras):
-        pairs = np.flatnonzero(visible_camera == i)
-        at = point[pairs]
-        score[pairs] = sharpness(camera, position[at], None if normal is None else normal[at])
-    order = np.lexsort((-np.nan_to_num(score), point))
-    rank = np.arange(len(point)) - np.repeat(np.cumsum(visible_count) - visible_count, visible_count)
-    kept = rank < N_CANDIDATES
     ranked = np.full((len(position), N_CANDIDATES), NO_CAMERA, np.uint16)
-    ranked[point[order][kept], rank[kept]] = visible_camera[order][kept]
+    centre = np.array([c.centre for c in cameras], np.float64).reshape(-1, 3)
+    scale = np.array([c.fx_px * c.fy_px for c in cameras], np.float64)
+    facing = np.zeros((0, 3)) if normal is None else np.asarray(normal, np.float64)
+    _rank(np.asarray(position, np.float64), facing, np.asarray(visible_count, np.int64), visible_camera, centre, scale, ranked)
     return ranked
+
+
+@numba.njit(cache=True, nogil=True)
+def _rank(position, normal, visible_count, visible_camera, centre, scale, ranked):
+    """Fill `ranked`, a point at a time, by insertion; of equals the one listed first comes first. Sharpness as above."""
+    held = np.empty(ranked.shape[1])
+    first = 0
+    for i in range(position.shape[0]):
+        n_held = 0
+        for camera in visible_camera[first : first + visible_count[i]]:
+            x, y, z = position[i, 0] - centre[camera, 0], position[i, 1] - centre[camera, 1], position[i, 2] - centre[camera, 2]
+            squared = max(x * x + y * y + z * z, TINY)
+            cosine = 1.0
+            if normal.shape[0]:
+                cosine = -(x * normal[i, 0] + y * normal[i, 1] + z * normal[i, 2]) / np.sqrt(squared)
+            score = cosine * scale[camera] / squared
+            if np.isnan(score):
+                score = 0.0
+            place = n_held
+            while place > 0 and held[place - 1] < score:
+                place -= 1
+            if place == ranked.shape[1]:
+                continue
+            n_held = min(n_held + 1, ranked.shape[1])
+            for k in range(n_held - 1, place, -1):
+                held[k], ranked[i, k] = held[k - 1], ranked[i, k - 1]
+            held[place], ranked[i, place] = score, camera
+        first += visible_count[i]
 
 
 def best_cameras(

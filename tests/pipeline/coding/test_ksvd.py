@@ -62,7 +62,8 @@ def test_ksvd__blocks_merge_to_the_whole():
     np.testing.assert_allclose(merged.moment, whole.moment, atol=1e-4)
     np.testing.assert_allclose(merged.gain, whole.gain, rtol=1e-6)
     assert (merged.n_users == whole.n_users).all() and merged.n_patches == 700
-    assert (merged.worst_error[:50] == whole.worst_error[:50]).all()
+    # Correlations are float32, and BLAS may add up the last rows of a block in another order.
+    np.testing.assert_allclose(merged.worst_error[:50], whole.worst_error[:50], rtol=1e-5)
 
 
 def test_ksvd__the_merge_keeps_the_worst_of_both():

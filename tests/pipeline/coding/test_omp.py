@@ -185,5 +185,5 @@ def test_omp__patches_that_are_settled_leave_those_beside_them_as_they_are():
     assert (together.n_atoms == 0).sum() == (patches == 0).all(axis=1).sum() > 400
     for start in range(0, 1400, 100):
         part = sparse_encode(patches[start : start + 100], atoms, max_atoms=3)
-        for whole, few in zip(together, part, strict=True):
-            np.testing.assert_array_equal(whole[start : start + 100], few)
+        for whole, few in zip(together, part, strict=True):  # BLAS may add up the last rows of a block in another order
+            np.testing.assert_allclose(whole[start : start + 100], few, rtol=1e-5, atol=1e-6)

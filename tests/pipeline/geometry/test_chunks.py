@@ -58,6 +58,20 @@ def test_chunks__split_is_the_multiple_nearest_to_the_median(n):
     assert abs(rank - n / 2) == abs(nearest - n / 2)
 
 
+@settings(deadline=None, derandomize=True, max_examples=60)
+@given(POINTS)
+def test_chunks__halves_are_those_of_a_stable_sort(position):
+    def halves(members):
+        if len(members) <= CHUNK:
+            return list(members)
+        points = position[members]
+        axis = longest_axis(points.min(axis=0), points.max(axis=0))
+        left = np.sort(np.argsort(points[:, axis], kind="stable")[: split_rank(len(members))])
+        return halves(members[left]) + halves(np.delete(members, left))
+
+    assert median_split(position).tolist() == halves(np.arange(len(position)))
+
+
 def test_chunks__longest_axis_is_the_first_of_equals():
     assert longest_axis(np.zeros(3), np.array([1.0, 2.0, 2.0])) == 1
     assert longest_axis(np.array([-5.0, 0, 0]), np.array([1.0, 2.0, 2.0])) == 0

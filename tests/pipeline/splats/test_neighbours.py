@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from pipeline.geometry.chunks import median_split
-from pipeline.splats.cameras import N_CANDIDATES, best_cameras, rank_candidates
+from pipeline.splats.cameras import N_CANDIDATES, best_cameras, rank_candidates, sharpness
 from pipeline.splats.neighbours import find_neighbours
 from pipeline.splats.normals import estimate_normals, turned_to, usable_normals
 from pipeline.splats.visibility import draw_points, empty_map, map_scale, seen_points
@@ -117,6 +117,21 @@ def test_cameras__candidates_are_ranked_by_sharpness():
     assert ranked.shape == (3, N_CANDIDATES)
     assert ranked[0].tolist() == list(range(8))
     assert (ranked[1] == NO_CAMERA).all() and ranked[2, :3].tolist() == [4, 7, NO_CAMERA]
+
+
+@pytest.mark.parametrize("with_normals", [False, True])
+def test_cameras__candidates_are_those_of_a_stable_sort_by_sharpness(with_normals):
+    """Ties stay in the order of the list, cameras seen from behind come last, more than N_CANDIDATES are cut off."""
+    rng = np.random.default_rng(4)
+    cameras = tuple(camera_at(x, z) for x in (-1.0, 0.0, 1.0) for z in (-5.0, -3.0, -3.0, 4.0))
+    position, normal = rng.uniform(-1, 1, (200, 3)), rng.standard_normal((200, 3)) if with_normals else None
+    count = rng.integers(0, len(cameras) + 1, 200)
+    lists = [rng.permutation(len(cameras))[:n] for n in count]
+    ranked = rank_candidates(position, normal, count, np.concatenate(lists), cameras)
+    for i, seen_by in enumerate(lists):
+        score = [sharpness(cameras[c], position[i : i + 1], None if normal is None else normal[i : i + 1])[0] for c in seen_by]
+        expected = [seen_by[j] for j in sorted(range(len(seen_by)), key=lambda j: -score[j])][:N_CANDIDATES]
+        assert ranked[i].tolist() == expected + [NO_CAMERA] * (N_CANDIDATES - len(expected))
 
 
 def test_visibility__a_wall_hides_what_is_behind_it_and_not_what_is_on_it():
