@@ -1,10 +1,11 @@
 """Fit the cost model of `pipeline/costs.py` to runs of `benchmarks/scaling.py`, or check it on runs it has not seen.
 
     python -m benchmarks.scaling SCAN --splats 100000 400000 1000000 --workers 1 --out rows.jsonl
+    python -m benchmarks.scaling SCAN --splats 200000 --workers 1 --dictionary-bits 8 --out rows.jsonl
     python -m benchmarks.fit_costs rows.jsonl --write           # pipeline/costs.json
     python -m benchmarks.fit_costs others.jsonl --check [--json]
 
-Tasks cost the processor seconds they took: a busy machine leaves those almost as they are. What a stage does besides is
+Rows with different numbers of indices tell what each costs. Tasks cost the processor seconds they took: a busy machine leaves those almost as they are. What a stage does besides is
 what its seconds exceed those of its tasks by, and means something only where the machine was quiet.
 """
 
@@ -17,7 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.costs import COSTS, SAMPLE, SAMPLED, SEED, TASKS, TRAINING, Job, StageCost, known_costs, plan_job
+from pipeline.costs import (
+    BY_ATOMS, COSTS, KILO, PHOTOS, SAMPLE, SAMPLED, SEED, TASKS, TRAINING, Job, StageCost, known_costs, known_probe_s, plan_job,
+)
 from storage.arrays import BLOCK
 
 PHOTOGRAPHS = {"fountain_p11": (11, 1.573), "monstree": (12, 1.573)}  # number, millions of pixels; of other scans: --photographs
@@ -31,25 +34,37 @@ def fitted(rows: list[dict]) -> dict[str, StageCost]:
 
 
 def _fit(name: str, rows: list[dict]) -> StageCost:
-    found = [_measured(name, row) for row in rows if _stage_of(name) in row["tasks"]]
-    units, passes = np.array([f["units"] for f in found]), np.array([f["passes"] for f in found])
-    once = np.maximum([f["once_s"] for f in found], 0) / passes
-    a, b = _line(units, once)
-    low, slope = _memory(np.array([row["splats"] for row in rows if _stage_of(name) in row["tasks"]]),
-                         units, np.array([f["peak"] for f in found]))
-    share = np.median([f["tasks_s"] for f in found] / (units * passes))
-    return StageCost(1e6 * float(share), a, 1e6 * b, float(np.median([f["written"] for f in found] / units)), low, slope)
+    rows = [row for row in rows if _stage_of(name) in row["tasks"]]
+    found = [_measured(name, row) for row in rows]
+    units, passes, kilos = (np.array([f[k] for f in found]) for k in ("units", "passes", "kilos"))
+    by_atoms = name in BY_ATOMS
+    once, once_a_unit, once_a_kilo = _sum(
+        np.maximum([f["once_s"] for f in found], 0) / passes, units, kilos if by_atoms else None)
+    task, task_a_kilo = _line(kilos, [f["tasks_s"] for f in found] / (units * passes)) if by_atoms else (
+        np.median([f["tasks_s"] for f in found] / (units * passes)), 0.0)
+    written = np.array([f["written"] for f in found]) / passes
+    _, written_a_unit, written_a_kilo = _sum(written, units, kilos) if by_atoms else (0.0, np.median(written / units), 0.0)
+    memory, memory_a_unit = _memory(np.array([row["splats"] for row in rows]), units, np.array([f["peak"] for f in found]))
+    return StageCost(*map(float, (1e6 * task, once, 1e6 * once_a_unit, written_a_unit, memory, memory_a_unit,
+                                  1e6 * task_a_kilo, once_a_kilo, written_a_kilo)))
 
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Least squares of y = a + b x with neither negative."""
+    """Least squares of y = a + b x with neither negative; a alone where all x are equal."""
+    return _sum(np.asarray(y), None, x)[::2]
+
+
+def _sum(y: np.ndarray, units: np.ndarray | None, kilos: np.ndarray | None) -> tuple[float, float, float]:
+    """Least squares, each row in proportion, of y = a + b units + c kilos, none negative; what does not vary has no part."""
     from scipy.optimize import nnls
 
-    if len(np.unique(x)) < 2:
-        return float(np.mean(y)), 0.0
-    scale = x.max()
-    (a, b), _ = nnls(np.column_stack([np.ones(len(x)), x / scale]), y)
-    return float(a), float(b / scale)
+    varies = [x is not None and len(np.unique(x)) > 1 for x in (units, kilos)]
+    columns = [np.ones(len(y))] + [x for x, v in zip((units, kilos), varies) if v]
+    scale = np.array([x.max() for x in columns])
+    weight = 1 / np.maximum(y, 0.05 * y.max() + 1e-12)
+    share, _ = nnls(np.stack(columns, axis=1) / scale * weight[:, None], y * weight)
+    found = iter(share / scale)
+    return next(found), *(next(found) if v else 0.0 for v in varies)
 
 
 def _memory(splats: np.ndarray, units: np.ndarray, peak: np.ndarray) -> tuple[float, float]:
@@ -71,9 +86,9 @@ def _measured(name: str, row: dict) -> dict:
     here = np.ones(len(splats), bool)
     if _stage_of(name) == "ingest":
         here = splats == 0 if name == "photographs" else splats > 0
-    units = np.prod(_photographs(row)) if name == "photographs" else _rows_of(name, row, splats)
+    units = np.prod(_photographs(row)) if TASKS[name] == PHOTOS else _rows_of(name, row, splats)
     once = 0.0 if name == "photographs" else row["seconds"][name] - wall.sum() / row["workers"]
-    return {"units": units, "passes": tasks["passes"], "tasks_s": processor[here].sum(), "once_s": once,
+    return {"units": units, "passes": tasks["passes"], "kilos": row["indices"] / KILO, "tasks_s": processor[here].sum(), "once_s": once,
             "peak": max(np.array(tasks["peak_rss_bytes"])[here], default=0),
             "written": 3e6 * units if name == "photographs" else max(0.0, tasks["written_bytes"] - _photograph_bytes(name, row))}
 
@@ -95,13 +110,14 @@ def _photographs(row: dict) -> tuple[int, float]:
 
 
 def checked(rows: list[dict]) -> list[dict]:
-    """Seconds predicted and measured, all stages of the model together and one by one."""
-    costs = known_costs()
+    """Seconds predicted and measured, of all stages of the model that the scan called for together and one by one, on the
+    machine of each row; and the stages that the model does not know."""
     result = []
     for row in rows:
         n, megapixels = _photographs(row)
+        costs = known_costs(speed=row["probe_s"] / known_probe_s())
         job = Job(row["splats"], row["workers"], n, megapixels, sum(row["tasks"]["training-set"]["splats"]),
-                  row["tasks"]["ksvd-update"]["passes"])
+                  row["tasks"]["ksvd-update"]["passes"], row["indices"])
         plans = {p.name: p.seconds for p in plan_job(job, costs)}
         plans["ingest"] += plans.pop("photographs")
         measured = {name: row["seconds"].get(name, 0.0) for name in plans if name in row["seconds"]}
@@ -109,6 +125,7 @@ def checked(rows: list[dict]) -> list[dict]:
         result.append({"scan": row["scan"], "splats": row["splats"], "workers": row["workers"],
                        "predicted_s": sum(plans.values()), "measured_s": sum(measured.values()),
                        "ratio": sum(plans.values()) / sum(measured.values()),
+                       "not_modelled": sorted(set(row["seconds"]) - set(TASKS)),
                        "stages": {name: [plans[name], measured[name]] for name in plans}})
     return result
 
@@ -127,8 +144,10 @@ def main() -> None:
         PHOTOGRAPHS.update({row["scan"]: (int(options.photographs[0]), options.photographs[1]) for row in rows})
     if options.write:
         costs = {name: asdict(cost) for name, cost in fitted(rows).items()}
-        about = sorted({f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers, coder {row.get('coder', 'paper')}" for row in rows})
-        COSTS.write_text(json.dumps({"fitted_to": about, "stages": costs}, indent=1) + "\n")
+        about = sorted({f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers, {row['indices']:,} indices, coder "
+                        f"{row['coder']}" for row in rows})
+        probe_s = float(np.median([row["probe_s"] for row in rows]))
+        COSTS.write_text(json.dumps({"fitted_to": about, "probe_s": probe_s, "stages": costs}, indent=1) + "\n")
         return
     found = checked(rows)
     if options.json:

@@ -21,9 +21,11 @@ import numpy as np
 from benchmarks.patches import Silent
 from benchmarks.scans import resized
 from pipeline.executors import DaskExecutor
+from pipeline.probe import probe_seconds
 from pipeline.settings import settings_for
 from services.workflow import compress
 from storage import work
+from storage.packed import SUFFIX, PackedFile
 
 LEARNING = ("training-set", "components", "coefficients", "dictionary-seed", "ksvd-update", "quantise", "prices")
 
@@ -32,10 +34,13 @@ def measure(scan: Path, n_splats: int, n_workers: int, coder: str | None, bits: 
     with tempfile.TemporaryDirectory(dir=".") as folder, DaskExecutor(n_workers) as executor:
         made = resized(scan, Path(folder) / scan.name, n_splats, radius / 2)
         settings = settings_for("balanced", coder=coder, dictionary_bits=bits, effects=effects, radius=radius)
-        stages = compress(made, Path(folder) / "out", settings, executor, Silent(), render=False, work=Path(folder) / "work")["stages"]
+        probe_s = probe_seconds()
+        report = compress(made, Path(folder) / "out", settings, executor, Silent(), render=False, work=Path(folder) / "work")
+        stages = report["stages"]
         tasks = {s["name"]: _tasks_of(Path(folder) / "work", s["name"]) for s in stages}
+        n_indices = PackedFile.open(next((Path(folder) / "out").glob(f"*{SUFFIX}"))).header.n_indices
     growing = sum(s["seconds"] for s in stages if s["name"] not in LEARNING)
-    return {"scan": scan.name, "splats": n_splats, "workers": n_workers, "coder": settings.coder, "dictionary_bits": settings.dictionary_bits, "tasks": tasks,
+    return {"scan": scan.name, "splats": n_splats, "workers": n_workers, "coder": settings.coder, "indices": n_indices, "probe_s": probe_s, "quality": report["quality"], "bytes_per_splat": report["sizes"]["bytes_per_splat"], "tasks": tasks,
             "seconds": {s["name"]: s["seconds"] for s in stages}, "total_seconds": sum(s["seconds"] for s in stages),
             "processor_seconds": sum(sum(t["processor_seconds"]) for t in tasks.values()),
             "microseconds_a_splat": 1e6 * growing / n_splats,
@@ -59,7 +64,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--coder", help="default: the preset's")
     parser.add_argument("--effects", default="", metavar="NAME=CHOICE", help="so that every size has the same; default: what each calls for")
-    parser.add_argument("--dictionary-bits", type=int, choices=(8, 12, 16), help="default: the preset's")
+    parser.add_argument("--dictionary-bits", type=int, choices=(8, 10, 12, 14, 16), help="default: the preset's")
     parser.add_argument("--radius", type=float, default=0.0224, help="in the scan's unit; default: that of fountain_p11")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--out", type=Path, help="add the rows to this file, a line each")

@@ -1,15 +1,17 @@
 """What a job of any size costs, stage by stage, from what small ones cost: arithmetic, and a simulated scheduler.
 
 `costs.json` is measured and fitted by `benchmarks/fit_costs.py`. A stage's time is what its tasks take on the workers, dealt
-out by a scheduler that spends DISPATCH_S on each, and what it does before and after them in one process. What is not
-measured on more than one machine is not modelled: a store shared by many machines counts as fast as a local disk.
+out by a scheduler that spends DISPATCH_S on each, and what it does before and after them in one process; where atoms are
+searched, both grow with the number of their indices. Seconds are those of the machine that they were measured on, times what
+`pipeline/probe.py` says of another. What is not measured on more than one machine is not modelled: a store shared by many
+machines counts as fast as a local disk.
 """
 
 from __future__ import annotations
 
 import heapq
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from pipeline.coding.ksvd import BLOCK as TRAINING_BLOCK
@@ -20,6 +22,7 @@ from storage.arrays import BLOCK
 DISPATCH_S = 1e-3  # of Dask's scheduler, a task: its documentation says "about 1 ms", and one process does it all
 MOST_SIMULATED = 20_000  # tasks of a stage; more go on as the last of these did
 SAMPLED = 16  # blocks that effects are measured on
+KILO = 1024  # indices of atoms
 COSTS = Path(__file__).with_name("costs.json")
 
 # What a task of a stage is; the cost of a task is that of its units.
@@ -27,13 +30,14 @@ BLOCKS, SCAN, TRAINING, SEED, GROUPS = "a block", "the scan", "a training block"
 PHOTOS, BY_PHOTO, SAMPLE = "a photograph", "the splats of a photograph", "a block of a sample"
 TASKS = {
     "ingest": SCAN, "photographs": PHOTOS, "partition": SCAN, "neighbours": BLOCKS, "splats": BLOCKS,
-    "nearest-points": BY_PHOTO, "measure-effects": SAMPLE, "cliplines": BLOCKS, "resample": BLOCKS,
+    "nearest-points": BY_PHOTO, "measure-effects": SAMPLE, "cliplines": BLOCKS, "exposure": PHOTOS, "resample": BLOCKS,
     "training-set": TRAINING, "components": TRAINING, "coefficients": TRAINING, "dictionary-seed": SEED,
     "ksvd-update": TRAINING, "quantise": TRAINING, "prices": TRAINING, "encode": BLOCKS, "pack": GROUPS,
 }
+BY_ATOMS = {"dictionary-seed", "ksvd-update", "quantise", "prices", "encode"}  # whose costs go with the number of indices
 READS = {  # whose output a stage reads whole; the training set reads its own share of patches
     "partition": ("ingest",), "neighbours": ("partition",), "splats": ("partition", "neighbours"),
-    "nearest-points": ("partition",), "cliplines": ("splats", "nearest-points"), "resample": ("splats", "photographs"),
+    "nearest-points": ("partition",), "cliplines": ("splats", "nearest-points"), "exposure": ("photographs",), "resample": ("splats", "photographs"),
     "components": ("training-set",), "coefficients": ("training-set",), "dictionary-seed": ("components", "coefficients"),
     "ksvd-update": ("components", "coefficients"), "quantise": ("components", "coefficients"),
     "prices": ("components", "coefficients"),
@@ -43,7 +47,7 @@ READS = {  # whose output a stage reads whole; the training set reads its own sh
 
 @dataclass(frozen=True)
 class StageCost:
-    """Of one stage. A unit is a splat, a training patch or a million pixels of photographs."""
+    """Of one stage. A unit is a splat, a training patch or a million pixels of photographs; a kilo 1,024 indices of atoms."""
 
     task_us_a_unit: float  # of a worker's time
     once_s: float  # of one process, whatever the size: what `init` and `finalise` take
@@ -51,6 +55,10 @@ class StageCost:
     written_bytes_a_unit: float
     memory_bytes: float  # of the worker that needs most, at any size
     memory_bytes_a_unit: float  # what comes to that with the size of the scan
+    task_us_a_unit_a_kilo: float = 0.0
+    once_s_a_kilo: float = 0.0
+    written_bytes_a_kilo: float = 0.0
+    memory_bytes_a_kilo: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -63,6 +71,7 @@ class Job:
     megapixels: float = 10.0  # of a photograph
     training_splats: int = 20_000
     iterations: int = 4
+    n_indices: int = KILO  # of atoms in all their turns
 
 
 @dataclass(frozen=True)
@@ -81,22 +90,30 @@ class StagePlan:
     worker_bytes: float
 
 
-def known_costs(path: Path = COSTS) -> dict[str, StageCost]:
-    """The fitted costs by stage."""
-    return {name: StageCost(**row) for name, row in json.loads(path.read_text())["stages"].items()}
+def known_costs(path: Path = COSTS, speed: float = 1.0) -> dict[str, StageCost]:
+    """The fitted costs by stage, on a machine that takes `speed` times as long."""
+    costs = {name: StageCost(**row) for name, row in json.loads(path.read_text())["stages"].items()}
+    return {name: replace(cost, **{f.name: speed * getattr(cost, f.name) for f in fields(cost) if "_s" in f.name or "_us" in f.name})
+            for name, cost in costs.items()}
+
+
+def known_probe_s(path: Path = COSTS) -> float:
+    """What the probe took on the machine that the costs were measured on."""
+    return json.loads(path.read_text())["probe_s"]
 
 
 def plan_job(job: Job, costs: dict[str, StageCost]) -> list[StagePlan]:
     """Every stage of a job, in order."""
-    written = {name: cost.written_bytes_a_unit * _units(name, job) for name, cost in costs.items()}
-    return [_plan_stage(name, costs[name], job, written) for name in TASKS if name in costs]
+    kilos = job.n_indices / KILO
+    written = {name: cost.written_bytes_a_unit * _units(name, job) + cost.written_bytes_a_kilo * kilos for name, cost in costs.items()}
+    return [_plan_stage(name, costs[name], job, kilos, written) for name in TASKS if name in costs]
 
 
-def _plan_stage(name: str, cost: StageCost, job: Job, written: dict[str, float]) -> StagePlan:
+def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dict[str, float]) -> StagePlan:
     passes = job.iterations if name == "ksvd-update" else 1
     units, n_tasks = _units(name, job), _n_tasks(name, job)
-    task_s = 1e-6 * cost.task_us_a_unit * units / max(1, n_tasks)
-    once_s = cost.once_s + 1e-6 * cost.once_us_a_unit * units
+    task_s = 1e-6 * (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos) * units / max(1, n_tasks)
+    once_s = cost.once_s + 1e-6 * cost.once_us_a_unit * units + cost.once_s_a_kilo * kilos
     together = tasks_a_call(n_tasks, job.n_workers)
     n_calls = -(-n_tasks // together)
     busy_s = makespan(n_calls, together * task_s, job.n_workers)
@@ -106,7 +123,7 @@ def _plan_stage(name: str, cost: StageCost, job: Job, written: dict[str, float])
     return StagePlan(
         name, passes * n_tasks, together, task_s, passes * (once_s + busy_s), passes * once_s, passes * n_calls * DISPATCH_S,
         passes * read, passes * written[name],
-        cost.memory_bytes + cost.memory_bytes_a_unit * units)
+        cost.memory_bytes + cost.memory_bytes_a_unit * units + cost.memory_bytes_a_kilo * kilos)
 
 
 def _units(name: str, job: Job) -> float:

@@ -125,9 +125,10 @@ def _percent(share: float | None) -> str:
 
 
 def _plan(options: argparse.Namespace) -> int:
-    from services.plan import as_text, plan
+    from services.plan import as_text, plan, speed_of_this_machine
 
-    found = plan(options.splats, options.workers, settings_of(options), options.photographs, options.megapixels)
+    speed = 1.0 if options.as_measured else speed_of_this_machine()
+    found = plan(options.splats, options.workers, settings_of(options), options.photographs, options.megapixels, speed)
     print(json.dumps(found) if options.json else as_text(found))
     return OK
 
@@ -416,8 +417,10 @@ def _add_plan(commands) -> None:
     plan.add_argument("--workers", type=_count, default=24, metavar="N", help="default: 24")
     plan.add_argument("--photographs", type=int, default=400, metavar="N", help="default: 400")
     plan.add_argument("--megapixels", type=float, default=10.0, metavar="M", help="of a photograph; default: 10")
+    plan.add_argument("--as-measured", action="store_true",
+                      help="on the machine that the costs were measured on; default: on machines as fast as this one")
     plan.add_argument("--json", action="store_true")
-    add_settings(plan, ("training_splats", "iterations"))
+    add_settings(plan, ("coder", "dictionary_bits", "training_splats", "iterations"))
     plan.set_defaults(command=_plan)
 
 

@@ -4,25 +4,44 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 
-from pipeline.costs import BLOCKS, TASKS, Job, StagePlan, first_limit, known_costs, plan_job
+from pipeline.coding.grid import TURNS, AtomForm
+from pipeline.costs import BLOCKS, TASKS, Job, StageCost, StagePlan, first_limit, known_costs, known_probe_s, plan_job
 from pipeline.settings import Settings
+from services.workflow import index_bits
+from storage.schema import ATOM_SIZES
 
 LADDER = (1, 2, 5, 10, 24, 50, 100, 200, 500, 1000)  # workers beside those asked for
 MEMORY_BYTES = 4 << 30  # what a worker gets
 
 
-def plan(n_splats: int, n_workers: int, settings: Settings, n_photographs: int, megapixels: float) -> dict:
-    """The plan as the command prints it with --json."""
-    job = Job(n_splats, n_workers, n_photographs, megapixels, settings.training_splats, settings.iterations)
-    stages = plan_job(job, known_costs())
+def plan(n_splats: int, n_workers: int, settings: Settings, n_photographs: int, megapixels: float, speed: float = 1.0) -> dict:
+    """The plan as the command prints it with --json, for a machine that takes `speed` times as long as the one measured on."""
+    job = Job(n_splats, n_workers, n_photographs, megapixels, settings.training_splats, settings.iterations,
+              2 ** index_bits(settings, _likely_form(settings), n_splats))
+    costs = known_costs(speed=speed)
+    stages = plan_job(job, costs)
     limit, remedy = first_limit(job, stages, MEMORY_BYTES)
-    ladder = [_rung(replace(job, n_workers=n)) for n in sorted({*LADDER, n_workers})]
-    return {"job": asdict(job), **_totals(stages), "breaks_first": limit, "remedy": remedy,
+    ladder = [_rung(replace(job, n_workers=n), costs) for n in sorted({*LADDER, n_workers})]
+    return {"job": asdict(job), "speed": speed, **_totals(stages), "breaks_first": limit, "remedy": remedy,
             "stages": [asdict(s) for s in stages], "workers": ladder}
 
 
-def _rung(job: Job) -> dict:
-    stages = plan_job(job, known_costs())
+def speed_of_this_machine() -> float:
+    """How many times as long as the machine that the costs were measured on it takes."""
+    from pipeline.probe import probe_seconds  # compiles kernels
+
+    return probe_seconds() / known_probe_s()
+
+
+def _likely_form(settings: Settings) -> AtomForm | None:
+    """The atoms of a scan that is like those the costs were measured on."""
+    if settings.coder == "paper":
+        return None
+    return AtomForm(min(ATOM_SIZES) if settings.atom_size == "auto" else settings.atom_size, TURNS)
+
+
+def _rung(job: Job, costs: dict[str, StageCost]) -> dict:
+    stages = plan_job(job, costs)
     return {"workers": job.n_workers, "tasks_a_call": max(s.tasks_a_call for s in stages), **_totals(stages),
             "breaks_first": first_limit(job, stages, MEMORY_BYTES)[0]}
 
@@ -44,6 +63,8 @@ def as_text(found: dict) -> str:
              f"{_bytes(found['worker_bytes'])} a worker",
              f"breaks first: {found['breaks_first']}", f"what helps: {found['remedy']}", "",
              f"{'stage':<16}{'tasks':>10}{'a task':>9}{'in all':>12}{'alone':>10}{'read':>10}{'written':>10}{'worker':>10}"]
+    if found["speed"] != 1:
+        lines.insert(1, f"on machines as fast as this one, which takes {found['speed']:.2f} of the time of the one the costs are of")
     lines += [f"{s['name']:<16}{s['n_tasks']:>10,}{s['task_s']:>8.2f}s{_time(s['seconds']):>12}{_time(s['once_s']):>10}"
               f"{_bytes(s['read_bytes']):>10}{_bytes(s['written_bytes']):>10}{_bytes(s['worker_bytes']):>10}" for s in found["stages"]]
     lines += ["", f"{'workers':>8}{'tasks a call':>15}{'time':>12}{'times 1':>9}{'scheduler busy':>16}   breaks first"]

@@ -19,16 +19,19 @@ a plan for any size; `--json` has every figure of it.
 ## The model
 
 A stage costs what its tasks take on the workers, dealt out by one scheduler that spends a millisecond on each call
-(simulated, `pipeline/costs.py`), and what one process does before and after them. Seconds a splat, bytes and memory are
+(simulated, `pipeline/costs.py`), and what one process does before and after them. Seconds a splat and an index, bytes and memory are
 fitted by `benchmarks/fit_costs.py` to: {fitted}. Tasks count by their processor seconds.
 
     python -m benchmarks.scaling SCAN --splats 100000 400000 1000000 --workers 1 --out rows.jsonl
+    python -m benchmarks.scaling SCAN --splats 200000 --workers 1 --dictionary-bits 8 --out rows.jsonl
     python -m benchmarks.fit_costs rows.jsonl --write && python -m services.scale_document
     python -m benchmarks.scaling ANOTHER --workers 2 --out others.jsonl
     python -m benchmarks.fit_costs others.jsonl --check     # a run outside the fit: predicted beside measured
 
 What it does not know: a network store slower than a local disk (the bytes read and written are there to compare with
-one's own), scans whose patches take more or fewer atoms than those it was fitted to, machines of another speed, pictures.
+one's own), scans whose patches take more or fewer atoms than those it was fitted to, ellipsoids, pictures. A short piece of
+work like that of the stages (`pipeline/probe.py`) tells how fast a machine is beside the one that the costs were measured on;
+`plan` scales seconds by that, this page and `--as-measured` do not.
 
 ## What is done about size
 
@@ -37,7 +40,7 @@ one's own), scans whose patches take more or fewer atoms than those it was fitte
   1,024 values an atom, not 3,072), and are merged 4,096 atoms at a time, so that 65,536 atoms learn within 4 GiB.
 - **Learning does not grow with the scan**: its training set is a number, not a share, and only its rows are read.
 - **The scheduler is kept ahead** by calls of up to 8 tasks where a stage has many (`pipeline/executors.py`). Nothing is
-  scattered: a task opens what it reads, dictionaries once a task.
+  scattered: a task opens what it reads; a process keeps the dictionary that it read last.
 - **What one process does alone** is what ends scaling first: reading the points of a scan and putting them in order are a
   task each. Beyond that size a scan goes in as several jobs, a region each.
 """

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.costs import BLOCKS, TASKS, Job, StageCost, first_limit, known_costs, makespan, plan_job
+from pipeline.costs import BLOCKS, BY_ATOMS, KILO, TASKS, Job, StageCost, first_limit, known_costs, makespan, plan_job
 from pipeline.executors import CALLS_A_WORKER, MOST_A_CALL, tasks_a_call
-from services.plan import plan
+from services.plan import as_text, plan
+from pipeline.probe import probe_seconds
 from pipeline.settings import Settings
 from services.scale_document import PATH, document
 from storage.arrays import BLOCK
@@ -48,6 +49,27 @@ def test_plan__splats_twice_as_many_cost_twice_where_nothing_is_fixed():
 def test_plan__learning_does_not_grow_with_the_scan():
     seconds = [{p.name: p.seconds for p in plan_job(Job(n, 4, 10), FLAT)}["ksvd-update"] for n in (10**6, 10**9)]
     assert seconds[0] == seconds[1] > 0
+
+
+def test_plan__indices_cost_where_atoms_are_searched_and_nowhere_else():
+    costs = {name: replace(cost, task_us_a_unit_a_kilo=3.0 if name in BY_ATOMS else 0.0) for name, cost in FLAT.items()}
+    few, many = (plan_job(Job(10**6, 1, 10, n_indices=n), costs) for n in (KILO, 11 * KILO))
+    for a, b in zip(few, many):
+        per_task = a.task_s if a.name not in BY_ATOMS else a.task_s * (10 + 33) / (10 + 3)
+        assert b.task_s == pytest.approx(per_task), a.name
+
+
+def test_plan__a_machine_half_as_fast_takes_twice_as_long_and_the_same_bytes():
+    ours, slower = (known_costs(speed=speed) for speed in (1.0, 2.0))
+    for name, cost in ours.items():
+        assert slower[name].written_bytes_a_unit == cost.written_bytes_a_unit and slower[name].memory_bytes == cost.memory_bytes
+        assert slower[name].task_us_a_unit == 2 * cost.task_us_a_unit and slower[name].once_s == 2 * cost.once_s
+    assert "0.50 of the time" in as_text(plan(10**6, 4, Settings(), 10, 9.0, speed=0.5))
+
+
+def test_probe__tells_a_machine_by_a_fraction_of_a_second():
+    taken = sorted(probe_seconds() for _ in range(2))
+    assert 1e-4 < taken[0] <= taken[1] < 10
 
 
 @pytest.mark.parametrize(("change", "workers", "words"), [
