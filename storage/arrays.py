@@ -6,6 +6,7 @@ Uncompressed: they are read back within minutes, mostly from the disk cache.
 from __future__ import annotations
 
 import errno
+import functools
 import os
 import shutil
 import uuid
@@ -75,7 +76,7 @@ def mapped(folder: Path, name: str) -> np.ndarray:
 def read_window(folder: Path, name: str, top: int, bottom: int, left: int, right: int) -> np.ndarray:
     """Rows top..bottom and columns left..right of a picture (h, w, channels) in tiles, which must lie in it; only what is
     in the window is read from disk."""
-    array = opened(folder, name)
+    array = _opened_once(folder, name)
     height, width, _ = array.chunks
     assert not array.compressors and 0 <= top < bottom <= array.shape[0] and 0 <= left < right <= array.shape[1]
     result = np.empty((bottom - top, right - left, array.shape[2]), array.dtype)
@@ -85,6 +86,12 @@ def read_window(folder: Path, name: str, top: int, bottom: int, left: int, right
             tile = _chunk(folder, name, array, i, j)[y.start - i * height : y.stop - i * height, x.start - j * width : x.stop - j * width]
             result[y.start - top : y.stop - top, x.start - left : x.stop - left] = tile
     return result
+
+
+@functools.lru_cache(maxsize=1024)
+def _opened_once(folder: Path, name: str) -> zarr.Array:
+    """A picture that is looked at window by window; opening it takes longer than a window of it."""
+    return opened(folder, name)
 
 
 def _chunk(folder: Path, name: str, array: zarr.Array, *index: int) -> np.memmap:

@@ -64,7 +64,7 @@ class Measure:
                             a["camera"], a["color"], first_splat, asked_by(header.settings)["antialiasing"] != OFF)
 
     def _read_window(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
-        return np.asarray(arrays.opened(self.ingest, f"photo_{camera}")[top:bottom, left:right])
+        return arrays.read_window(self.ingest, f"photo_{camera}", top, bottom, left, right)
 
 
 @dataclass(frozen=True)

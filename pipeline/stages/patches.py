@@ -66,7 +66,7 @@ def resampled_block(photos: Path, partition: Path, splats: Path, radius: float, 
     centre, tangents = decoded_squares(splats, up, ahead, radius, start, stop)
 
     def read_window(camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
-        return np.asarray(arrays.opened(photos, f"photo_{camera}")[top:bottom, left:right])
+        return arrays.read_window(photos, f"photo_{camera}", top, bottom, left, right)
 
     return make_patches(
         tuple(Camera.from_json(c) for c in work.summary(photos)["cameras"]), read_window, tuple(points["origin"]),

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.texture.projection import homographies, is_in_front, is_whole, project_corners
 from pipeline.texture.resample import (
-    PATCH_DIM, PROBES, Window, disc_weights, resample_patches, resampling_error, window_bounds,
+    PATCH_DIM, PROBES, Window, disc_weights, resample_into, resampling_error, window_bounds,
 )
 from storage.schema import NO_CAMERA, PATCH_SIZE, Camera
 
@@ -58,8 +58,8 @@ def make_patches(
             continue
         bounds = window_bounds(project_corners(h), cameras[i].width_px, cameras[i].height_px)
         window = Window(read_window(int(i), *bounds), bounds[0], bounds[1])
-        texel[rows] = resampled = resample_patches(window, h, antialiased)
-        error += float(resampling_error(window, h, resampled, first_splat + rows).sum())
+        resample_into(texel, rows, window, h, antialiased)
+        error += float(resampling_error(texel, rows, window, h, first_splat).sum())
         n_probes += 3 * PROBES * len(rows)
     texel[unseen] = np.tile(color[unseen], PATCH_SIZE * PATCH_SIZE)
     average, energy = np.empty((len(texel), 3), np.uint8), np.empty(len(texel), np.float32)

@@ -17,7 +17,7 @@ from storage.schema import PATCH_SIZE
 
 PATCH_DIM = 3 * PATCH_SIZE * PATCH_SIZE
 MOST_LOOKUPS = 64  # a texel and axis; more would mean a splat of 2,000 photo pixels
-PROBES = 16  # random points of the disc that the resampling error is measured at
+PROBES = 4  # random points of the disc that the resampling error is measured at
 
 
 @dataclass(frozen=True)
@@ -54,19 +54,25 @@ def resample_patches(window: Window, homography: np.ndarray, antialiased: bool =
     Not `antialiased`, a texel is one lookup however many pixels it covers. The whole square must lie in front of the camera
     (`is_in_front`). Lookups outside the photo take its edge.
     """
-    patches = np.empty((len(homography), PATCH_SIZE, PATCH_SIZE, 3), np.uint8)
-    _resample(window.padded, window.left, window.top, homography, patches, antialiased)
-    return patches.reshape(len(homography), PATCH_DIM)
+    patches = np.empty((len(homography), PATCH_DIM), np.uint8)
+    resample_into(patches, np.arange(len(homography)), window, homography, antialiased)
+    return patches
 
 
-def resampling_error(window: Window, homography: np.ndarray, patches: np.ndarray, seed: np.ndarray) -> np.ndarray:
-    """Sum of squared differences (n,) of photo lookups and patch lookups at PROBES random points of each disc.
+def resample_into(patches: np.ndarray, rows: np.ndarray, window: Window, homography: np.ndarray, antialiased: bool) -> None:
+    """As `resample_patches`, into these rows (m,) of patches (n, PATCH_DIM) uint8."""
+    shaped = patches.reshape(-1, PATCH_SIZE, PATCH_SIZE, 3)
+    _resample(window.padded, window.left, window.top, homography, shaped, rows, antialiased)
 
-    Values in [0, 1], three channels a point. `seed` (n,) uint64 is the splats' global index.
+
+def resampling_error(patches: np.ndarray, rows: np.ndarray, window: Window, homography: np.ndarray, first_splat: int) -> np.ndarray:
+    """Sum of squared differences (m,) of photo lookups and patch lookups at PROBES random points of the discs of these rows.
+
+    Values in [0, 1], three channels a point. `first_splat` is the global index of row 0, which the points go by.
     """
     error = np.empty(len(homography))
     shaped = patches.reshape(-1, PATCH_SIZE, PATCH_SIZE, 3)
-    _probe(window.padded, window.left, window.top, homography, shaped, seed.astype(np.uint64), error)
+    _probe(window.padded, window.left, window.top, homography, shaped, rows, first_splat, error)
     return error
 
 
@@ -159,7 +165,7 @@ def _lookups_a_texel(h):
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
-def _resample(pixels, left, top, homography, patches, antialiased):
+def _resample(pixels, left, top, homography, patches, rows, antialiased):
     flat, stride = pixels.reshape(-1), np.int32(pixels.shape[1])
     last_x, last_y = pixels.shape[1] - 2.0, pixels.shape[0] - 2.0
     place, corner = np.empty(PATCH_SIZE, np.int32), np.empty((4, PATCH_SIZE), np.uint32)
@@ -177,7 +183,7 @@ def _resample(pixels, left, top, homography, patches, antialiased):
                     _project_row(homography[i], y, (k + 0.5) / n_x, left, top, last_x, last_y, stride, place, right, down)
                     _fetch_row(flat, stride, place, corner)
                     _add_row(corner, right, down, total)
-            _write_row(total, np.float32(1.0 / (n_x * n_y)), byte, patches[i, row])
+            _write_row(total, np.float32(1.0 / (n_x * n_y)), byte, patches[rows[i], row])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -191,11 +197,11 @@ def _uniform(state):
 
 
 @numba.njit(cache=True, nogil=True)
-def _probe(pixels, left, top, homography, patches, seed, error):
+def _probe(pixels, left, top, homography, patches, rows, first_splat, error):
     last_x, last_y = pixels.shape[1] - 2.0, pixels.shape[0] - 2.0
     for i in range(homography.shape[0]):
         h = homography[i]
-        state = seed[i] * np.uint64(0xD1342543DE82EF95)
+        state = np.uint64(first_splat + rows[i]) * np.uint64(0xD1342543DE82EF95)
         error[i] = 0.0
         for _ in range(PROBES):
             state, a = _uniform(state)
@@ -209,7 +215,7 @@ def _probe(pixels, left, top, homography, patches, seed, error):
             for k in range(3):
                 photo = _between(pixels[row, column], pixels[row, column + 1], pixels[row + 1, column],
                                  pixels[row + 1, column + 1], right, down, np.uint32(8 * k))
-                patch = _texel_between(patches[i], (x + 1) * PATCH_SIZE / 2 - 0.5, (y + 1) * PATCH_SIZE / 2 - 0.5, k)
+                patch = _texel_between(patches[rows[i]], (x + 1) * PATCH_SIZE / 2 - 0.5, (y + 1) * PATCH_SIZE / 2 - 0.5, k)
                 error[i] += ((photo - patch) / 255.0) ** 2
 
 

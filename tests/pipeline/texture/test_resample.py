@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.texture.patches import centred, make_patches, patch_errors
 from pipeline.texture.projection import homographies, is_in_front, project_corners
-from pipeline.texture.resample import PATCH_DIM, Window, disc_weights, resample_patches, resampling_error, window_bounds
+from pipeline.texture.resample import PATCH_DIM, PROBES, Window, disc_weights, resample_patches, resampling_error, window_bounds
 from storage.schema import NO_CAMERA, Camera
 from tests import reference
 
@@ -96,7 +96,7 @@ def test_resample__the_probe_error_is_small_for_smooth_and_large_for_rough_photo
     errors = []
     for picture in (smooth, photo()):
         window = Window(picture, 0, 0)
-        errors.append(resampling_error(window, h, resample_patches(window, h), np.arange(50)).mean() / 48)
+        errors.append(resampling_error(resample_patches(window, h), np.arange(50), window, h, 0).mean() / (3 * PROBES))
     assert -10 * np.log10(errors[0]) > 55 > -10 * np.log10(errors[1]) > 30
 
 
@@ -115,7 +115,7 @@ def test_patches__each_splat_is_sampled_from_its_own_camera():
         h = homographies(cameras[i % 2], ORIGIN, centre[i : i + 1], u[i : i + 1], v[i : i + 1], 0.2)
         assert (made.texel[i] == resample_patches(Window(photos[i % 2], 0, 0), h)[0]).all()
     assert (made.texel[7].reshape(-1, 3) == (10, 20, 30)).all() and made.energy[7] == 0
-    assert made.n_probes == 29 * 48
+    assert made.n_probes == 29 * 3 * PROBES
 
 
 def test_patches__average_and_energy_are_those_of_the_texels():
