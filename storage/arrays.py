@@ -10,6 +10,8 @@ import functools
 import os
 import shutil
 import uuid
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -90,7 +92,7 @@ def read_window(folder: Path, name: str, top: int, bottom: int, left: int, right
 
 @functools.lru_cache(maxsize=1024)
 def _opened_once(folder: Path, name: str) -> zarr.Array:
-    """A picture that is looked at window by window; opening it takes longer than a window of it."""
+    """An array that is read part by part and changes no more; opening it takes longer than reading a part."""
     return opened(folder, name)
 
 
@@ -110,6 +112,30 @@ def read_rows(folder: Path, name: str, rows: np.ndarray) -> np.ndarray:
     for chunk, (first, end) in enumerate(zip(ends, ends[1:])):
         if first < end:
             result[first:end] = _chunk(folder, name, array, chunk)[rows[first:end] - chunk * n_rows]
+    return result
+
+
+def pieces(folder: Path, name: str, start: int, stop: int, rows: int) -> Iterator[tuple[int, np.ndarray]]:
+    """Rows start..stop of an array of whole rows, `rows` at a time, each with its first row; while one is worked on the next
+    is read."""
+    with ThreadPoolExecutor(1) as reader:
+        begins = range(start, stop, rows)
+        ahead = [reader.submit(_piece, folder, name, at, min(at + rows, stop)) for at in begins[:1]]
+        for at, following in zip(begins, [*begins[1:], stop]):
+            piece = ahead.pop().result()
+            if following < stop:
+                ahead.append(reader.submit(_piece, folder, name, following, min(following + rows, stop)))
+            yield at, piece
+
+
+def _piece(folder: Path, name: str, start: int, stop: int) -> np.ndarray:
+    array = _opened_once(folder, name)
+    n_rows, *rest = array.chunks
+    assert array.shape[1:] == tuple(rest) and not array.compressors, (array.shape, array.chunks)
+    result = np.empty((stop - start, *rest), array.dtype)
+    for chunk in range(start // n_rows, -(-stop // n_rows)):
+        first, end = max(start, chunk * n_rows), min(stop, (chunk + 1) * n_rows)
+        result[first - start : end - start] = _chunk(folder, name, array, chunk)[first - chunk * n_rows : end - chunk * n_rows]
     return result
 
 
