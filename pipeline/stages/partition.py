@@ -16,7 +16,7 @@ from pipeline.geometry.chunks import longest_axis, median_split, split_rank
 from storage import arrays, work
 from storage.errors import ResourceExhausted
 
-IN_MEMORY = 1 << 17  # points
+IN_MEMORY = 1 << 20  # points: 60 MB of records, and as much again twice while they are put in order
 PIECE = 1 << 16
 BINS = 1 << 12
 
