@@ -31,6 +31,7 @@ PHOTOS, BY_PHOTO, SAMPLE = "a photograph", "the splats of a photograph", "a bloc
 TASKS = {
     "ingest": SCAN, "photographs": PHOTOS, "partition": SCAN, "neighbours": BLOCKS, "splats": BLOCKS,
     "nearest-points": BY_PHOTO, "measure-effects": SAMPLE, "cliplines": BLOCKS, "exposure": PHOTOS, "resample": BLOCKS,
+    "colors": BLOCKS,
     "training-set": TRAINING, "components": TRAINING, "coefficients": TRAINING, "dictionary-seed": SEED,
     "ksvd-update": TRAINING, "quantise": TRAINING, "prices": TRAINING, "encode": BLOCKS, "pack": GROUPS,
 }

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from pipeline.knobs import BY_NAME, KNOBS
-from storage.schema import MAX_ATOMS
 
 
 @dataclass(frozen=True)
@@ -17,7 +16,7 @@ class Settings:
     atom_size: int | str = "auto"
     dictionary_bits: int | str = "auto"
     weight_bits: int = 4
-    max_atoms: int = MAX_ATOMS
+    max_atoms: int = 8
     target_psnr_db: float = 40.0
     iterations: int = 4
     least_gain_db: float = 0.01

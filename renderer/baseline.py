@@ -106,7 +106,7 @@ class PhotoSplats:
         has_photo = camera != NO_CAMERA
         name, drawing = programs.drawing("baseline", CLIPLINE=int(self._lines is not None and not ellipsoid),
                                          ELLIPSOID=int(ellipsoid), **defines_of("baseline", self.gpu_scene.drawn),
-                                         PHOTO=int(has_photo))
+                                         PHOTO=int(has_photo), **self.gpu_scene.defines)
         set_uniforms(drawing, first_listed=first)
         photo = None
         if has_photo:

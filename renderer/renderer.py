@@ -129,9 +129,9 @@ class Renderer:
         self.context.depth_func = ">"
         if gpu_scene.has_cliplines or gpu_scene.has_ellipsoids:
             for batch, kind in enumerate(gpu_scene.scene.header.batches):
-                self._draw_batch(frame, gpu_scene, batch, "visibility", **defines_of("visibility", gpu_scene.drawn, kind))
+                self._draw_batch(frame, gpu_scene, batch, "visibility", **defines_of("visibility", gpu_scene.drawn, kind), **gpu_scene.defines)
         else:
-            name, drawing = self._programs.drawing("visibility")
+            name, drawing = self._programs.drawing("visibility", **gpu_scene.defines)
             self._draw_groups(gpu_scene, drawing, len(gpu_scene.scene.header.batches))
             frame.programs.append(name)
 
@@ -142,7 +142,7 @@ class Renderer:
             turned = int(gpu_scene.scene.header.n_turns > 1 and n_atoms > 0)
             of_atoms = gpu_scene.drawn if n_atoms else gpu_scene.drawn - {"mip_levels"}
             self._draw_batch(frame, gpu_scene, batch, "attribute", N_ATOMS=n_atoms,
-                             **defines_of("attribute", of_atoms, kind), TURNED=turned)
+                             **defines_of("attribute", of_atoms, kind), TURNED=turned, **gpu_scene.defines)
 
     def _begin_attributes(self, frame: _Frame) -> None:
         frame.targets.attribute.use()

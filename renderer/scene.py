@@ -19,10 +19,10 @@ from renderer.targets import NARROW, WIDE
 from storage.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.errors import ResourceExhausted
 from storage.packed import PackedScene
-from storage.schema import GROUP, MAX_ATOMS, MIP_SIZES
+from storage.schema import GROUP, MIP_SIZES, color_bits
 
 # Bindings of the shader storage blocks; the shaders say the same numbers.
-SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS, ELLIPSOIDS = range(10)
+SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS, ELLIPSOIDS, COLORS = range(11)
 DRAW_BYTES = 20
 CORNERS = np.array([0, 1, 2, 2, 1, 3], np.uint16)  # two triangles of a quad
 
@@ -31,8 +31,10 @@ CORNERS = np.array([0, 1, 2, 2, 1, 3], np.uint16)  # two triangles of a quad
 
 
 def splat_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """Position, normal and colour of each splat side by side, (n, 8) uint8: one aligned load instead of five."""
-    return np.concatenate([arrays["position"], arrays["normal"].view(np.uint8), arrays["color"]], axis=1)
+    """Position, normal and, where it is in whole bytes, colour of each splat side by side, (n, 8) or (n, 5) uint8: one load
+    instead of five."""
+    color = [arrays["color"]] if "color" in arrays else []
+    return np.concatenate([arrays["position"], arrays["normal"].view(np.uint8), *color], axis=1)
 
 
 def box_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
@@ -42,6 +44,14 @@ def box_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
     words[:, 3:6] = arrays["box_size"].view(np.uint32)
     words[:, 6] = arrays["box_bits"].astype(np.uint32) @ np.array([1, 1 << 8, 1 << 16], np.uint32)
     return words
+
+
+def color_box_words(arrays: dict[str, np.ndarray], step: int) -> np.ndarray:
+    """First word, low corner, size and bits of each chunk's box of colours, (n_chunks, 4) uint32."""
+    low, size = arrays["color_low"].view(np.uint16).astype(np.uint32), arrays["color_size"].astype(np.uint32)
+    bits = color_bits(arrays["color_size"], step).astype(np.uint32)
+    return np.stack([arrays["color_word"], low[:, 0] | low[:, 1] << 16, low[:, 2] | size[:, 0] << 16 | size[:, 1] << 24,
+                     size[:, 2] | bits[:, 0] << 8 | bits[:, 1] << 16 | bits[:, 2] << 24], axis=1)
 
 
 def running_counts(batch_count: np.ndarray) -> np.ndarray:
@@ -96,7 +106,6 @@ def longest_in_groups(scene: PackedScene) -> np.ndarray:
 
 def weight_table(arrays: dict[str, np.ndarray]) -> np.ndarray:
     """Weight levels, rank by rank, then the scale of each atom, float32."""
-    assert len(arrays["weight_levels"]) == MAX_ATOMS
     return np.concatenate([arrays["weight_levels"].ravel(), arrays["atom_scale"]])
 
 
@@ -142,8 +151,7 @@ class GpuScene:
             self.accumulation = WIDE
         self.bytes_by_part = dict.fromkeys(("geometry", "codes", "colors", "dictionary"), 0)
         with self.context:
-            self._upload(SPLATS, "geometry", splat_words(arrays), "position, normal and color")
-            self._upload(BOXES, "geometry", box_words(arrays), "chunk boxes")
+            self._upload_splats(header.color_step, arrays)
             self._upload(GROUP_BOXES, "geometry", group_boxes(self.scene), "group boxes")
             self._upload(RUNNING_COUNTS, "codes", running_counts(arrays["batch_count"]), "running counts of batches")
             self._upload(GROUPS, "codes", group_table(self.scene), "group table")
@@ -158,8 +166,9 @@ class GpuScene:
                 self.bytes_by_part["dictionary"] += n_bytes
             self.buffers[DRAWS] = self.context.buffer(reserve=header.n_groups * (len(header.batches) + 1) * DRAW_BYTES)
             self.uniforms = self.context.buffer(self._uniform_block())
-        self.bytes_by_part["geometry"] -= 3 * header.n_splats
-        self.bytes_by_part["colors"] += 3 * header.n_splats
+        with_geometry = 16 * header.n_chunks if header.color_step else 3 * header.n_splats
+        self.bytes_by_part["geometry"] -= with_geometry
+        self.bytes_by_part["colors"] += with_geometry
 
     @property
     def total_bytes(self) -> int:
@@ -174,9 +183,15 @@ class GpuScene:
         return ELLIPSOIDS in self.buffers
 
     @property
-    def ellipsoid_batches(self) -> int:
-        """A bit for each batch of ellipsoids; 9 atom counts of 3 kinds fit a word."""
-        return sum(batch.ellipsoid << i for i, batch in enumerate(self.scene.header.batches))
+    def ellipsoid_batches(self) -> tuple[int, int]:
+        """A bit for each batch of ellipsoids, in two words; 17 atom counts of 3 kinds fit them."""
+        bits = sum(batch.ellipsoid << i for i, batch in enumerate(self.scene.header.batches))
+        return bits & 0xFFFFFFFF, bits >> 32
+
+    @property
+    def defines(self) -> dict[str, int]:
+        """What the programs that decode its splats are compiled with."""
+        return {"COLOR_BOXES": int(COLORS in self.buffers)}
 
     def bind(self) -> None:
         """Make this the scene that the next passes draw."""
@@ -193,6 +208,16 @@ class GpuScene:
                 resource.release()
         self.buffers, self.uniforms, self.atlas = {}, None, None
 
+    def _upload_splats(self, color_step: int, arrays: dict[str, np.ndarray]) -> None:
+        boxes, spare = box_words(arrays), np.zeros(1, np.uint32)
+        splats = splat_words(arrays)
+        if color_step:
+            boxes = np.concatenate([boxes, color_box_words(arrays, color_step)], axis=1)
+            splats = np.concatenate([splats.ravel(), np.zeros(-splats.size % 4, np.uint8), spare.view(np.uint8)])
+            self._upload(COLORS, "colors", arrays["colors"], "colours")
+        self._upload(SPLATS, "geometry", splats, "position, normal and color")
+        self._upload(BOXES, "geometry", boxes, "chunk boxes")
+
     def _upload(self, binding: int, part: str, array: np.ndarray, what: str) -> None:
         self.buffers[binding] = storage_buffer(self.context, array, what)
         self.bytes_by_part[part] += self.buffers[binding].size
@@ -201,9 +226,9 @@ class GpuScene:
         header = self.scene.header
         layout = atlas_layout(max(1, header.n_dictionary), header.atom_size, header.coarsest_size)
         return struct.pack(
-            "4i4if7I6I2fI", *header.up, 0, *header.ahead, 0, header.radius, header.n_splats, len(header.batches), header.dictionary_bits,
+            "4i4if7I6I2f2I", *header.up, 0, *header.ahead, 0, header.radius, header.n_splats, len(header.batches), header.dictionary_bits,
             header.weight_bits, header.n_groups, layout.width, MIP_SIZES.index(header.atom_size), *layout.bands, 1 / layout.width, 1 / layout.height,
-            MIP_SIZES.index(header.coarsest_size),
+            MIP_SIZES.index(header.coarsest_size), header.n_ranks,
         )
 
 

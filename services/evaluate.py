@@ -195,9 +195,9 @@ def _figure_9(e: _Evaluation) -> dict | None:
     if not with_dictionary:
         return None
     name, coded = max(with_dictionary, key=lambda pair: pair[1].n_dictionary)
-    sample = e.run.do(PatchSample(e.patches.folder, FIGURE_9_SPLATS))
+    sample = e.run.do(PatchSample(e.patches.folder, coded.colors.folder, FIGURE_9_SPLATS))
     settings = replace(e.settings, **({"coder": "paper"} if "coder" in BY_NAME else {}))
-    shares = [encode(e.run, sample.folder, coded.quantized, replace(settings, target_psnr_db=float(target))).summary["histogram"]
+    shares = [encode(e.run, sample.folder, sample.folder, coded.quantized, replace(settings, target_psnr_db=float(target))).summary["histogram"]
               for target in FIGURE_9_TARGETS_DB]
     return {"row": name, "n_splats": sample.summary["n_splats"], "targets_db": list(FIGURE_9_TARGETS_DB), "histograms": shares}
 

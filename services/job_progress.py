@@ -12,7 +12,7 @@ from services.workflow import estimated_psnr_db
 # Shares of a whole job's time: fountain_p11, 329,992 points, preset balanced, two workers.
 SHARES = {
     "ingest": 2, "partition": 1, "neighbours": 4, "splats": 2, "nearest-points": 1, "measure-effects": 3,
-    "cliplines": 1, "exposure": 1, "resample": 9, "training-set": 1, "coefficients": 1,
+    "cliplines": 1, "exposure": 1, "resample": 9, "colors": 1, "training-set": 1, "coefficients": 1,
     "dictionary-seed": 1, "ksvd-update": 12, "quantise": 2, "prices": 1, "encode": 14, "pack": 1, "render": 30,
 }
 TELL_EVERY_S = 0.5

@@ -16,13 +16,13 @@ from renderer.views import orbit_views, view_of
 from storage import arrays
 from storage.errors import InvalidScan
 from storage.packed import PackedFile
-from storage.schema import Camera, Header
+from storage.schema import MAX_ATOMS, Camera, Header
 
 DEFAULT_SIZE = (1280, 720)
 
 
 def render_views(packed: Path, out: Path, *, camera: str | None = None, n_orbit: int | None = None,
-                 size: tuple[int, int] | None = None, max_atoms: int = 8, light: Light | None = None) -> list[Path]:
+                 size: tuple[int, int] | None = None, max_atoms: int = MAX_ATOMS, light: Light | None = None) -> list[Path]:
     """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`; returns their paths. With a `light`
     it is lit, whether or not the file asks for it; with smoothed normals, unless it was planned without."""
     with PackedFile(packed) as opened:

@@ -26,6 +26,7 @@ from pipeline.geometry.frame import directions_of
 from pipeline.settings import Settings
 from pipeline.stage import Executor, Progress, Stage, StageRecord, run_stage
 from pipeline.stages.codes import Encode
+from pipeline.stages.colors import Colors
 from pipeline.stages.depth import DepthMaps
 from pipeline.stages.dictionary import DictionarySeed, KsvdUpdate
 from pipeline.stages.effects import MeasureEffects, measures_of
@@ -39,6 +40,7 @@ from pipeline.stages.price import WHILE_LEARNING, Prices, price_for
 from pipeline.stages.quantization import Quantization
 from pipeline.stages.splats import Splats
 from pipeline.stages.training import Coefficients, Components, TrainingSet
+from pipeline.texture.colors import step_for
 from pipeline.texture.resample import PATCH_DIM
 from renderer.edges import draw_edges
 from renderer.report import build_report, sizes_of, write_report
@@ -56,6 +58,9 @@ PATCHES_AN_ATOM = 4  # a dictionary that a scan can fill: fewer training patches
 BEYOND_ATOMS = 0.25
 # `auto`: on fountain_p11 and monstree four times the atoms gained 0.3 dB where they cost 0.3 bytes a splat more.
 DICTIONARY_BYTES_A_SPLAT = 0.5
+# 255ths that cells of average colours may span at 40 dB, and in proportion to the error elsewhere: at 1.4, 2, 3 and 4 `balanced`
+# of fountain_p11 has 40.47, 40.48, 40.46 and 40.40 dB at 6.00, 5.91, 5.91 and 5.94 bytes of textures. Beyond the last, flat walls show them.
+COLOR_STEP_AT_40_DB, MOST_COLOR_STEP = 2.0, 3.2
 FEWEST_INDEX_BITS, MOST_INDEX_BITS = 8, 12
 
 
@@ -122,6 +127,7 @@ class Coded:
     """Splats with texture: what the settings of the coder decide."""
 
     patches: StageRecord
+    colors: StageRecord
     codes: StageRecord
     quantized: StageRecord | None
     learning: list[dict]
@@ -229,10 +235,11 @@ def code_patches(run: Run, patches: StageRecord, settings: Settings, n_splats: i
     for, where the patches are a sample of it, of `most_texels` to a side at most, where that is left to the scan."""
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
     stop = Stop(tolerance) if settings.coder == "paper" else Stop(0.0, WHILE_LEARNING * tolerance)
-    training = run.do(TrainingSet(patches.folder, max(stop.tolerance, stop.price), settings.training_splats, settings.seed,
+    colors = run.do(Colors(patches.folder, color_step(settings)))
+    training = run.do(TrainingSet(patches.folder, colors.folder, max(stop.tolerance, stop.price), settings.training_splats, settings.seed,
                                   tolerance))
     if not (settings.max_atoms and training.summary["n_patches"]):
-        return Coded(patches, encode(run, patches.folder, None, settings), None, [], 0, 0)
+        return Coded(patches, colors, encode(run, patches.folder, colors.folder, None, settings), None, [], 0, 0)
     form = _form(training.summary, settings, tolerance, most_texels)
     if form is None:
         space = run.do(Components(training.folder, tolerance * 10 ** (-settings.subspace_floor_db / 10)))
@@ -246,8 +253,13 @@ def code_patches(run: Run, patches: StageRecord, settings: Settings, n_splats: i
     if form is not None:
         ladder = run.do(Prices(space.folder, training.folder, quantized.folder, settings.max_atoms, tolerance)).summary
         price = price_for(ladder, training.summary)
-    codes = encode(run, patches.folder, quantized, settings, price)
-    return Coded(patches, codes, quantized, learning, quantized.summary["n_atoms"], n_taken_back)
+    codes = encode(run, patches.folder, colors.folder, quantized, settings, price)
+    return Coded(patches, colors, codes, quantized, learning, quantized.summary["n_atoms"], n_taken_back)
+
+
+def color_step(settings: Settings) -> int:
+    """The code of the largest cell of average colours; 0, whole bytes, for the paper's coder."""
+    return 0 if settings.coder == "paper" else step_for(min(MOST_COLOR_STEP, COLOR_STEP_AT_40_DB * 10 ** ((40 - settings.target_psnr_db) / 20)))
 
 
 def _form(training: dict, settings: Settings, tolerance: float, most_texels: int) -> AtomForm | None:
@@ -270,13 +282,13 @@ def index_bits(settings: Settings, form: AtomForm | None, n_splats: int) -> int:
     return int(np.clip(np.log2(max(1.0, affordable)), FEWEST_INDEX_BITS, MOST_INDEX_BITS))
 
 
-def encode(run: Run, patches: Path, quantized: StageRecord | None, settings: Settings, price: float = 0.0) -> StageRecord:
+def encode(run: Run, patches: Path, colors: Path, quantized: StageRecord | None, settings: Settings, price: float = 0.0) -> StageRecord:
     """Code patches by a dictionary that is there; None gives every splat its average colour alone."""
     if settings.coder == "paper":
         tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
-        return run.do(Encode(patches, quantized.folder if quantized else None, settings.max_atoms, tolerance))
+        return run.do(Encode(patches, colors, quantized.folder if quantized else None, settings.max_atoms, tolerance))
     form = AtomForm(quantized.summary["atom_size"], quantized.summary["n_turns"]) if quantized else None
-    return run.do(Encode(patches, quantized.folder if quantized else None, settings.max_atoms, 0.0, price, form))
+    return run.do(Encode(patches, colors, quantized.folder if quantized else None, settings.max_atoms, 0.0, price, form))
 
 
 def _learn(run: Run, training: StageRecord, space: StageRecord, settings: Settings, stop: Stop,
@@ -358,11 +370,12 @@ def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, 
         origin=tuple(prepared.partition.summary["origin"]), up=up, ahead=ahead,
         depth_margin=margin * prepared.radius, n_dictionary=coded.n_dictionary if coded else 0,
         dictionary_bits=_stored_index_bits(coded, settings), weight_bits=settings.weight_bits, **_stored_form(coded, texels_of_levels(prepared, settings)[1]),
-        batches=batches, effects=prepared.effects.outcomes,
+        batches=batches, effects=prepared.effects.outcomes, n_ranks=max([1, *(batch.n_atoms for batch in batches)]),
+        color_step=color_step(settings) if coded else 0,
         cameras=tuple(Camera.from_json(c) for c in scan["cameras"]),
         scan={"name": name, "format": scan["format"], "n_points": scan["n_read"]}, settings=asdict(settings),
     )
-    record = run.do(Pack(header, prepared.splats.folder, coded.patches.folder if coded else None,
+    record = run.do(Pack(header, prepared.splats.folder, coded.colors.folder if coded else None,
                          coded.codes.folder if coded else None, coded.quantized.folder if coded and coded.quantized else None,
                          extras))
     write_packed(record.folder, path)

@@ -13,7 +13,7 @@ from zipfile import ZIP_STORED, ZipFile
 
 from storage.layout import ROOT_MEMBER, chunk_count, members_of, metadata_member, metadata_of, shape_of
 from storage.schema import (
-    ATOM_SIZES, FORMAT_NAME, LONGEST_DIRECTION, MAX_ATOMS, MIP_SIZES, NO_CAMERA, READABLE_VERSIONS, TURN_COUNTS, Array, Header,
+    ATOM_SIZES, COARSEST_COLOR_STEP, FINEST_COLOR_STEP, FORMAT_NAME, LONGEST_DIRECTION, MAX_ATOMS, MIP_SIZES, NO_CAMERA, READABLE_VERSIONS, TURN_COUNTS, Array, Header,
     arrays_of,
 )
 from storage.seal import SEAL, SEAL_BYTES
@@ -70,10 +70,13 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
         ("atom_size", h.atom_size, h.atom_size in ATOM_SIZES, f"one of {ATOM_SIZES}"),
         ("coarsest_size", h.coarsest_size, h.coarsest_size in MIP_SIZES and h.coarsest_size <= h.atom_size,
          f"one of {MIP_SIZES} and no more than atom_size"),
+        ("n_ranks", h.n_ranks, 1 <= h.n_ranks <= MAX_ATOMS, f"1..{MAX_ATOMS}"),
+        ("color_step", h.color_step, h.color_step == 0 or FINEST_COLOR_STEP <= h.color_step <= COARSEST_COLOR_STEP,
+         f"0 or {FINEST_COLOR_STEP}..{COARSEST_COLOR_STEP}"),
         ("n_turns", h.n_turns, h.n_turns in TURN_COUNTS, f"one of {TURN_COUNTS}"),
         ("batches", atoms, 0 < len(set(batches)) == len(batches), "different from each other, and at least one"),
         ("batches", batches, not any(batch.clipline and batch.ellipsoid for batch in batches), "without a clipline where they are ellipsoids"),
-        ("n_atoms", atoms, all(0 <= n <= MAX_ATOMS for n in atoms), f"0..{MAX_ATOMS}"),
+        ("n_atoms", atoms, all(0 <= n <= h.n_ranks for n in atoms), f"0..{h.n_ranks}"),
         ("n_atoms", atoms, h.n_dictionary > 0 or not any(atoms), "0 where there is no dictionary"),
         ("cameras", len(cameras), len(cameras) <= NO_CAMERA, f"at most {NO_CAMERA}"),
         ("cameras", "of odd numbers", all(map(_camera_is_sound, cameras)), "of finite numbers and at least one pixel"),

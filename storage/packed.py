@@ -22,13 +22,14 @@ from zarr.storage import ZipStore
 
 from storage.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.checks import ZSTD_HEADER_BYTES, check_frame, check_layout, check_members, read_header
+from storage.colors import color_words
 from storage.errors import InternalError, InvalidPackedFile
 from storage.layout import (
     GROUPS_PER_ZARR_CHUNK, ROOT_MEMBER, WORDS_PER_ZARR_CHUNK, ZSTD_LEVEL, chunk_bytes, chunk_member, chunk_shape,
     members_of, metadata_member, shape_of,
 )
 from storage.scene import PackedScene, check_tables, streams_of
-from storage.schema import BY_NAME, GROUP, Array, Header, arrays_of
+from storage.schema import BY_NAME, GROUP, Array, Header, arrays_of, color_bits
 from storage.seal import UNSEALED, check_seal, is_packed_file, write_seal
 from storage import zarr_config  # noqa: F401 (for its effect)
 
@@ -191,9 +192,23 @@ class PackedFile:
                     raise ValueError(f"{stream.table} and {stream.name} do not fit batch_count in group {index}")
                 arrays[stream.name] = self.read(stream.name, first, stop + 1)
                 arrays[stream.table] = np.zeros(1, np.uint32)
+            if self.header.color_step:
+                self._read_colors(arrays, index)
             part = PackedScene(replace(self.header, n_splats=len(arrays["position"])), arrays)
             check_tables(part)
         return part
+
+
+    def _read_colors(self, group: dict[str, np.ndarray], index: int) -> None:
+        """Bring the colours of one group into its arrays."""
+        bits = color_bits(group["color_size"], self.header.color_step).sum(axis=1)
+        first = int(group["color_word"][0])
+        stop = first + int(color_words(len(group["position"]), bits).sum())
+        spare = self._shapes["colors"][0] - 1
+        if stop > spare or (stop < spare and index + 1 == self.header.n_groups):
+            raise ValueError(f"color_word and colors do not fit color_size in group {index}")
+        group["colors"] = self.read("colors", first, stop + 1)
+        group["color_word"] = group["color_word"] - np.uint32(first)
 
 
 @contextmanager

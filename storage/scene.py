@@ -10,7 +10,8 @@ import numpy as np
 from storage.batches import Rows, group_batch_counts, rows_of
 from storage.bits import words_for
 from storage.codes import unpack_codes
-from storage.schema import BY_NAME, CHUNK, ELLIPSOID_FIELDS, EXTRAS, GROUP, MAX_ATOMS, NO_CAMERA, Header
+from storage.colors import color_words, unpack_colors
+from storage.schema import BY_NAME, CHUNK, ELLIPSOID_FIELDS, EXTRAS, GROUP, MOST_COLOR_BITS, NO_CAMERA, Header, color_bits
 
 POSITION_BITS = 24
 
@@ -41,14 +42,20 @@ class PackedScene:
         return splat, word.astype("<u4").view(np.uint8).reshape(len(splat), ELLIPSOID_FIELDS)
 
     def codes(self, start: int = 0, stop: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Atoms and weight codes of the splats start..stop, two (n, MAX_ATOMS) int32, zero beyond their n_atoms."""
+        """Atoms and weight codes of the splats start..stop, two (n, n_ranks) int32, zero beyond their n_atoms."""
         n_atoms = self.n_atoms[start:stop]
         if not self.header.n_dictionary:
-            return tuple(np.zeros((2, len(n_atoms), MAX_ATOMS), np.int32))
+            return tuple(np.zeros((2, len(n_atoms), self.header.n_ranks), np.int32))
         group = np.arange(self.header.n_splats)[start:stop] // GROUP
         return unpack_codes(
             self.header, self.arrays["codes"], self.arrays["group_word"][group], self.rows.entry[start:stop], n_atoms
         )
+
+    @cached_property
+    def color_cells(self) -> np.ndarray:
+        """Of each splat, (n,) uint32, where the file has boxes of colours."""
+        bits = color_bits(self.arrays["color_size"], self.header.color_step).sum(axis=1)
+        return unpack_colors(self.arrays["colors"], self.arrays["color_word"], bits, self.header.n_splats)
 
 
 @dataclass(frozen=True)
@@ -87,6 +94,8 @@ def check_tables(scene: PackedScene) -> None:
     if not (arrays["box_bits"].sum(axis=1, dtype=np.int64) == POSITION_BITS).all():
         raise ValueError(f"box_bits does not add up to {POSITION_BITS} in every chunk")
     _check_numbers(arrays)
+    if header.color_step:
+        _check_colors(header, arrays)
     counts = group_batch_counts(arrays["batch_count"])
     for stream in streams_of(header):
         n_words = stream.words(counts)
@@ -100,6 +109,15 @@ def check_tables(scene: PackedScene) -> None:
         camera = arrays["camera"]
         if ((camera >= len(header.cameras)) & (camera != NO_CAMERA)).any():
             raise ValueError(f"a camera index beyond the {len(header.cameras)} cameras")
+
+
+def _check_colors(header: Header, arrays: dict[str, np.ndarray]) -> None:
+    bits = color_bits(arrays["color_size"], header.color_step).sum(axis=1)
+    if bits.max() > MOST_COLOR_BITS:
+        raise ValueError(f"colours of {bits.max()} bits a splat, more than {MOST_COLOR_BITS}")
+    n_words = color_words(header.n_splats, bits)
+    if len(arrays["colors"]) != n_words.sum() + 1 or not (arrays["color_word"] == np.cumsum(n_words) - n_words).all():
+        raise ValueError("color_word and colors do not fit color_size")
 
 
 def _check_numbers(arrays: dict[str, np.ndarray]) -> None:

@@ -1,7 +1,7 @@
 """The packed file: every array, its dimensions, dtype, unit and meaning. docs/FORMAT.md says the same in prose.
 
 Dimensions: n splats; c chunks of CHUNK splats; g groups of GROUP splats; b batches; k atoms; r ranks (atoms a splat,
-at most); w weight levels; e 32-bit words of the code stream.
+at most); w weight levels; e 32-bit words of a stream.
 """
 
 from __future__ import annotations
@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, fields
 
 FORMAT_NAME = "splatpress"
-FORMAT_VERSION = 4
-READABLE_VERSIONS = (1, 2, 3, 4)
+FORMAT_VERSION = 5
+READABLE_VERSIONS = (1, 2, 3, 4, 5)
 CHUNK = 128
 GROUP = 8192
-MAX_ATOMS = 8
+MAX_ATOMS = 16  # a splat; up to version 4 there were OLD_RANKS rows of weight levels, whatever was used
+OLD_RANKS = 8
 PATCH_SIZE = 32
 MIP_SIZES = (32, 16, 8, 4, 2, 1)
 ATOM_SIZES = (32, 16, 8)
@@ -21,6 +22,9 @@ TURN_COUNTS = (1, 8)  # ways in which an atom is used: as it is, or turned and m
 CLIPLINE_BITS = 12
 ELLIPSOID_FIELD_BITS, ELLIPSOID_FIELDS = 8, 4  # so an ellipsoid is one whole word
 NO_CAMERA = 0xFFFF
+STEPS_AN_OCTAVE = 16  # of lengths in boxes of colours: code s is 2^(s / 16 - 6) of 255ths
+FINEST_COLOR_STEP, COARSEST_COLOR_STEP = 80, 255  # codes: half a 255th, and more than there are; 0 stands for whole bytes
+MOST_COLOR_BITS = 30  # of a splat: what the finest step takes for a box of all colours
 DEFAULT_UP, DEFAULT_AHEAD = (0, 0, 1), (1, 0, 0)
 LONGEST_DIRECTION = 36  # so that 100 (up . normal)^2 of whole numbers stays within 32 bits
 
@@ -142,6 +146,8 @@ class Header:
     atom_size: int = PATCH_SIZE  # texels to a side of an atom's finest level
     n_turns: int = 1  # ways in which an atom is used, one of TURN_COUNTS
     coarsest_size: int = 1  # texels to a side of an atom's coarsest level, one of MIP_SIZES up to atom_size
+    n_ranks: int = OLD_RANKS  # rows of weight levels: no splat has more atoms
+    color_step: int = 0  # what cells of colours are no larger than, as a code; 0 where `color` has whole bytes
 
     @property
     def mip_sizes(self) -> tuple[int, ...]:
@@ -181,6 +187,8 @@ class Header:
             data = data | {"atom_size": PATCH_SIZE, "n_turns": 1}
         if data["version"] < 4:
             data = data | {"coarsest_size": MIP_SIZES[-1]}
+        if data["version"] < 5:
+            data = data | {"n_ranks": OLD_RANKS, "color_step": 0}
         return _typed(
             Header, {"effects": {}} | data,
             origin=_numbers(data["origin"], 3), up=_whole_numbers(data["up"], 3), ahead=_whole_numbers(data["ahead"], 3),
@@ -207,6 +215,10 @@ ARRAYS = (
     Array("position", ("n", "3"), "uint8", "geometry", "24-bit cell index, little-endian: x lowest, then y, then z"),
     Array("normal", ("n", "2"), "int8", "geometry", "octahedral normal, -127..127"),
     Array("color", ("n", "3"), "uint8", "colors", "average of the patch, sRGB"),
+    Array("color_low", ("c", "3"), "int16", "colors", "lowest corner of each chunk's box of colours on three axes, 32nds of a 255th"),
+    Array("color_size", ("c", "3"), "uint8", "colors", "extents of each chunk's box of colours, in sixteenths of an octave"),
+    Array("color_word", ("c",), "uint32", "colors", "first word of each chunk's colours"),
+    Array("colors", ("e",), "uint32", "colors", "cell of each splat's average in its chunk's box, first axis lowest"),
     Array("batch_count", ("c", "b"), "uint8", "codes", "how many splats of the chunk belong to each batch"),
     Array("group_word", ("g",), "uint32", "codes", "first word of each group's codes"),
     Array("codes", ("e",), "uint32", "codes", "atoms and weights, a bit stream, lowest bit first"),
@@ -229,6 +241,7 @@ def arrays_of(header: Header) -> tuple[Array, ...]:
     if not header.n_dictionary:
         absent |= {a.name for a in ARRAYS if a.part == "dictionary"} | {"codes", "group_word"}
     absent |= {f"atoms_{size}" for size in MIP_SIZES if size not in header.mip_sizes}
+    absent |= {"color"} if header.color_step else {"color_low", "color_size", "color_word", "colors"}
     for extra in EXTRAS:
         if not any(getattr(batch, extra.flag) for batch in header.batches):
             absent |= {extra.stream, extra.table}
@@ -241,5 +254,11 @@ def dimensions_of(header: Header) -> dict[str, int]:
     """The size of every named dimension but the word streams', whose lengths the streams themselves tell."""
     return {
         "n": header.n_splats, "c": header.n_chunks, "g": header.n_groups, "b": len(header.batches),
-        "k": header.n_dictionary, "r": MAX_ATOMS, "w": 2**header.weight_bits,
+        "k": header.n_dictionary, "r": header.n_ranks, "w": 2**header.weight_bits,
     } | {str(s): s for s in (1, 2, 3, 4, 8, 16, 32)}
+
+
+def color_bits(size, step: int):
+    """Bits of each axis, (c, 3) int64, of boxes of colours with the extents `size` (c, 3) uint8: halvings until no cell is
+    larger than `step`. By whole numbers, so that readers and writers agree and no table of them is stored."""
+    return (-(-(size.astype(int) - step) // STEPS_AN_OCTAVE)).clip(0)

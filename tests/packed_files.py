@@ -14,7 +14,7 @@ import numpy as np
 from storage.batches import group_batch_counts
 from storage.packed import begin_packed, create_array, seal_packed
 from storage.scene import streams_of
-from storage.schema import BY_NAME, CHUNK, MAX_ATOMS, NO_CAMERA, Batch, Camera, Header
+from storage.schema import BY_NAME, CHUNK, NO_CAMERA, Batch, Camera, Header
 
 LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 
@@ -37,6 +37,8 @@ class Case:
     atom_size: int = 32
     n_turns: int = 1
     coarsest_size: int = 1
+    n_ranks: int = 8
+    color_step: int = 0
 
 
 def noise(n: int, seed: int, below: int, period: int = 1 << 40) -> np.ndarray:
@@ -59,7 +61,7 @@ def header_of(case: Case) -> Header:
         + (tuple(Batch(n, ellipsoid=True) for n in case.atom_counts) if case.ellipsoids else ()),
         cameras=(camera,) * case.n_cameras, scan={"name": "tiny", "format": "ply", "n_points": case.n_splats},
         settings={"preset": "draft"}, atom_size=case.atom_size, n_turns=case.n_turns,
-        coarsest_size=case.coarsest_size,
+        coarsest_size=case.coarsest_size, n_ranks=case.n_ranks, color_step=case.color_step,
     )
 
 
@@ -72,9 +74,9 @@ def arrays_for(case: Case, header: Header) -> dict[str, np.ndarray]:
         "box_bits": np.array([[8, 8, 8], [7, 8, 9], [24, 0, 0], [0, 11, 13]], np.uint8)[noise(c, 3, 4)],
         "position": _bytes(case, 4, 256),
         "normal": (_bytes(case, 5, 255)[:, :2].astype(np.int64) - 127).astype(np.int8),
-        "color": _bytes(case, 6, 256),
         "batch_count": _batch_count(case, header),
     }
+    arrays |= _color_boxes(case, header) if header.color_step else {"color": _bytes(case, 6, 256)}
     arrays |= _streams(case, header, arrays["batch_count"])
     if header.n_dictionary:
         arrays |= _dictionary(header)
@@ -105,6 +107,23 @@ def fill_folder(header: Header, arrays: dict[str, np.ndarray], folder: Path) -> 
         if "e" in BY_NAME[name].dims:
             create_array(root, header, BY_NAME[name], len(values))
         root[name][:] = values
+
+
+def _color_boxes(case: Case, header: Header) -> dict[str, np.ndarray]:
+    """Boxes of noise that reach beyond what colours there are, and any cells in them."""
+    c = header.n_chunks
+    size = noise(3 * c, 11, 160).reshape(c, 3) + 80
+    low = noise(3 * c, 13, 8192).reshape(c, 3) - [0, 4096, 4096]
+    return {"color_low": low.astype(np.int16), "color_size": size.astype(np.uint8)} | color_stream(size, header, case.period)
+
+
+def color_stream(size: np.ndarray, header: Header, period: int = 1 << 40) -> dict[str, np.ndarray]:
+    """Any cells in boxes of the extents `size` (c, 3), and where those of each chunk lie."""
+    bits = np.maximum(0, -((header.color_step - size.astype(np.int64)) // 16)).sum(axis=1).tolist()
+    n_splats = [min(CHUNK, header.n_splats - CHUNK * i) for i in range(len(bits))]
+    words = [_packed(noise(n, 12, 2**b, period), b) for n, b in zip(n_splats, bits, strict=True)]
+    lengths = np.array([len(w) for w in words])
+    return {"color_word": (np.cumsum(lengths) - lengths).astype(np.uint32), "colors": np.concatenate([*words, np.zeros(1, np.uint32)])}
 
 
 def _bytes(case: Case, seed: int, below: int) -> np.ndarray:
@@ -155,7 +174,7 @@ def _dictionary(header: Header) -> dict[str, np.ndarray]:
     corner = noise(k * 4 * 4 * 3, 10, 255, period=4 * 4 * 3 * 5).reshape(k, 4, 4, 3) - 127
     texels = np.repeat(np.repeat(corner, 8, axis=1), 8, axis=2)
     arrays = {
-        "weight_levels": (np.arange(MAX_ATOMS * levels).reshape(MAX_ATOMS, levels) / 64 - 1).astype(np.float32),
+        "weight_levels": (np.arange(header.n_ranks * levels).reshape(header.n_ranks, levels) / 64 - 1).astype(np.float32),
         "atom_scale": (1 / (64 + np.arange(k))).astype(np.float32),
     }
     for size in header.mip_sizes:

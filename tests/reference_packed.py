@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -78,10 +80,28 @@ def decode_position(scene: PackedScene, splat: int) -> list[float]:
     return position
 
 
+def decode_color(scene: PackedScene, splat: int) -> list[float]:
+    """sRGB, 1.0 is white: bytes, or the middle of a cell on luma and two axes of chroma."""
+    arrays, step, chunk = scene.arrays, scene.header.color_step, splat // CHUNK
+    if not step:
+        return [byte / 255 for byte in arrays["color"][splat].tolist()]
+    sizes = arrays["color_size"][chunk].tolist()
+    bits = [max(0, math.ceil((size - step) / 16)) for size in sizes]
+    first_bit = 32 * int(arrays["color_word"][chunk]) + splat % CHUNK * sum(bits)
+    code = read_field(arrays["colors"], first_bit, sum(bits))
+    on_axes = []
+    for axis in range(3):
+        cell, code = code % 2 ** bits[axis], code >> bits[axis]
+        on_axes.append(arrays["color_low"][chunk, axis] / 32 + (cell + 0.5) * 2 ** (sizes[axis] / 16 - 6) / 2 ** bits[axis])
+    luma, across, green = on_axes[0] / math.sqrt(3), on_axes[1] / math.sqrt(2), on_axes[2] / math.sqrt(6)
+    color = luma + across + green, luma - 2 * green, luma - across + green
+    return [min(max(channel / 255, 0.0), 1.0) for channel in color]
+
+
 def decode_patch(scene: PackedScene, splat: int, size: int = 32) -> np.ndarray:
     """(size, size, 3) float64, sRGB, not yet clamped to [0, 1]."""
     arrays, finest = scene.arrays, min(size, scene.header.atom_size)
-    patch = np.tile(arrays["color"][splat] / 255, (finest, finest, 1))
+    patch = np.tile(decode_color(scene, splat), (finest, finest, 1))
     for rank, (index, weight) in enumerate(decode_code(scene, splat)):
         atom, turn = divmod(index, scene.header.n_turns)
         amount = float(arrays["weight_levels"][rank, weight]) * float(arrays["atom_scale"][atom])

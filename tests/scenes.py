@@ -11,9 +11,11 @@ from pipeline.geometry.cliplines import encode_cliplines
 from pipeline.geometry.ellipsoids import encode_ellipsoids
 from pipeline.geometry.normals import encode_normals
 from pipeline.geometry.positions import encode_positions, fit_boxes
+from pipeline.texture.colors import encode_colors, fit_color_boxes
 from storage.batches import CHUNKS_PER_GROUP, count_batches, rows_of
 from storage.bits import pack_bits
 from storage.codes import pack_codes
+from storage.colors import pack_colors
 from storage.packed import PackedScene
 from storage.schema import CHUNK, CLIPLINE_BITS, GROUP, MAX_ATOMS, MIP_SIZES, NO_CAMERA, Batch, Camera, Header
 
@@ -25,9 +27,9 @@ class Splats:
     position: np.ndarray  # (n, 3) float64, absolute
     normal: np.ndarray  # (n, 3) unit
     color: np.ndarray | None = None  # (n, 3) uint8; grey
-    n_atoms: np.ndarray | None = None  # (n,) 0..8; none
-    atom: np.ndarray | None = None  # (n, 8) index
-    weight: np.ndarray | None = None  # (n, 8) weight code
+    n_atoms: np.ndarray | None = None  # (n,) 0..16; none
+    atom: np.ndarray | None = None  # (n, r) index
+    weight: np.ndarray | None = None  # (n, r) weight code
     clipline: np.ndarray | None = None  # (n, 3) a, b, c; NaN where there is none
     camera: np.ndarray | None = None  # (n,) index; none
     axes: np.ndarray | None = None  # (n, 3, 3) half axes of ellipsoids as rows, the third along the normal; NaN where it is a disc
@@ -39,7 +41,7 @@ class Dictionary:
 
     atoms: np.ndarray  # (k, s, s, 3) int8, -127..127; s is 32, 16 or 8
     scale: np.ndarray  # (k,) float32
-    weight_levels: np.ndarray  # (8, 2^weight_bits) float32
+    weight_levels: np.ndarray  # (n_ranks, 2^weight_bits) float32
     dictionary_bits: int = 8
     n_turns: int = 1
 
@@ -52,6 +54,7 @@ class Settings:
     ahead: tuple[int, int, int] = (1, 0, 0)
     depth_margin: float = 0.05
     cameras: tuple[Camera, ...] = field(default=())
+    color_step: int = 0  # 0: colours in whole bytes, else in boxes
 
 
 def random_colors(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -70,8 +73,8 @@ def coded(rng: np.random.Generator, n: int, n_dictionary: int = 20, weight_bits:
     """Random codes, as arguments of `Splats`."""
     return {
         "n_atoms": rng.integers(0, max_atoms + 1, n),
-        "atom": rng.integers(0, n_dictionary, (n, 8)),
-        "weight": rng.integers(0, 2**weight_bits, (n, 8)),
+        "atom": rng.integers(0, n_dictionary, (n, max_atoms)),
+        "weight": rng.integers(0, 2**weight_bits, (n, max_atoms)),
     }
 
 
@@ -128,16 +131,17 @@ def build_scene_and_order(
         dictionary_bits=dictionary.dictionary_bits if dictionary else 8,
         weight_bits=dictionary.weight_levels.shape[1].bit_length() - 1 if dictionary else 4,
         batches=batches, cameras=settings.cameras, scan={}, settings={},
-        **({"atom_size": dictionary.atoms.shape[1], "n_turns": dictionary.n_turns} if dictionary else {}),
+        color_step=settings.color_step,
+        **({"atom_size": dictionary.atoms.shape[1], "n_turns": dictionary.n_turns, "n_ranks": len(dictionary.weight_levels)} if dictionary else {}),
     )
     boxes = fit_boxes(local[order])
     position = encode_positions(local[order], boxes).astype("<u4").view(np.uint8).reshape(n, 4)[:, :3]
     color = np.full((n, 3), 128, np.uint8) if splats.color is None else splats.color
     arrays = {
         "box_low": boxes.low, "box_size": boxes.size, "box_bits": boxes.bits, "position": position.copy(),
-        "normal": encode_normals(splats.normal[order]), "color": color[order],
-        "batch_count": count_batches(batch, len(batches)),
+        "normal": encode_normals(splats.normal[order]), "batch_count": count_batches(batch, len(batches)),
     }
+    arrays |= color_boxes(color[order], settings.color_step) if settings.color_step else {"color": color[order]}
     rows = rows_of(arrays["batch_count"], batches)
     groups = [slice(start, start + GROUP) for start in range(0, n, GROUP)]
     if dictionary:
@@ -160,6 +164,13 @@ def build_scene_and_order(
         arrays["camera"] = camera[order].astype(np.uint16)
     assert len(arrays["box_low"]) == -(-n // CHUNK) and len(groups) == -(-n // (CHUNK * CHUNKS_PER_GROUP))
     return PackedScene(header, arrays), order
+
+
+def color_boxes(color: np.ndarray, step: int) -> dict[str, np.ndarray]:
+    """Colours (n, 3) as the arrays that hold them in boxes."""
+    boxes = fit_color_boxes(color, step)
+    stream, first = _joined(pack_colors(encode_colors(color, boxes), boxes.bits.sum(axis=1)))
+    return {"color_low": boxes.low, "color_size": boxes.size, "colors": stream, "color_word": first}
 
 
 def _joined(streams: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

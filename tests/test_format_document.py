@@ -65,6 +65,7 @@ def test_format__bits_a_splat_add_up():
 @pytest.mark.parametrize("case", [
     Case(n_splats=GROUP + 300, cliplines=True, period=128), Case(dictionary_bits=16, weight_bits=8, n_dictionary=300),
     Case(dictionary_bits=12, n_dictionary=300), Case(dictionary_bits=12, n_dictionary=300, atom_size=8, n_turns=8),
+    Case(n_splats=GROUP + 300, period=128, atom_counts=(0, 5, 16), n_ranks=16, color_step=112), Case(color_step=80),
 ])
 def test_format__its_example_decodes_single_patches(case, tmp_path):
     example = {}

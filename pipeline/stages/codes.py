@@ -21,9 +21,10 @@ ROWS = 1024  # patches in float32 at a time: 12 MiB
 
 @dataclass(frozen=True)
 class Encode:
-    """A task a block. Arrays: n_atoms (n,) uint8, atom (n, MAX_ATOMS) uint16, weight_code (n, MAX_ATOMS) uint8."""
+    """A task a block. Arrays: n_atoms (n,) uint8, atom (n, r) uint16, weight_code (n, r) uint8."""
 
     patches: Path
+    colors: Path
     quantized: Path | None  # None where nothing calls for a dictionary: every splat has 0 atoms
     max_atoms: int
     tolerance: float
@@ -34,18 +35,18 @@ class Encode:
     def init(self, folder: Path) -> int:
         n = arrays.opened(self.patches, "energy").shape[0]
         arrays.create(folder, "n_atoms", (n,), "uint8")
-        arrays.create(folder, "atom", (n, MAX_ATOMS), "uint16")
-        arrays.create(folder, "weight_code", (n, MAX_ATOMS), "uint8")
+        arrays.create(folder, "atom", (n, self._n_ranks), "uint16")
+        arrays.create(folder, "weight_code", (n, self._n_ranks), "uint8")
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:
         start, stop = arrays.block_range(index, arrays.opened(self.patches, "energy").shape[0])
         encode = self._encoder()
         texel = arrays.read(self.patches, "texel", start, stop)
-        average = arrays.read(self.patches, "average", start, stop)
+        average = arrays.read(self.colors, "average", start, stop)
         n_atoms = np.zeros(stop - start, np.uint8)
-        atom = np.zeros((stop - start, MAX_ATOMS), np.uint16)
-        weight_code = np.zeros((stop - start, MAX_ATOMS), np.uint8)
+        atom = np.zeros((stop - start, self._n_ranks), np.uint16)
+        weight_code = np.zeros((stop - start, self._n_ranks), np.uint8)
         squared, weighted = 0.0, 0.0
         for at in range(0, stop - start, ROWS):
             rows = slice(at, at + ROWS)
@@ -62,6 +63,10 @@ class Encode:
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         return coding_quality(results)
+
+    @property
+    def _n_ranks(self) -> int:
+        return max(1, self.max_atoms)
 
     def _encoder(self):
         if self.quantized is None:

@@ -16,6 +16,7 @@ from pipeline.geometry.frame import tangent_frames
 from pipeline.geometry.positions import Boxes, decode_positions
 from pipeline.coding.omp_kernels import add_atoms
 from pipeline.stages.codes import ROWS, coding_quality
+from pipeline.texture.colors import ColorBoxes, decode_colors
 from pipeline.texture.patches import Patches, make_patches, patch_errors
 from pipeline.texture.resample import PATCH_DIM
 from storage import arrays, work
@@ -25,7 +26,8 @@ from storage.schema import GROUP, MAX_ATOMS
 
 @dataclass(frozen=True)
 class Measure:
-    """A task a group: its patches are resampled from the photographs and compared with what the file decodes to."""
+    """A task a group: its patches are resampled from the photographs and compared with what the file decodes to; splats without
+    a camera count as exact, for the file has all that is known of their colour."""
 
     ingest: Path  # of the scan that has the photographs of the file's cameras, in the same order
     packed: Path
@@ -43,10 +45,11 @@ class Measure:
             atoms, levels = decoded_atoms(packed)
         patches = self._resample(scene, index * GROUP)
         texel = patches.texel
+        color = decoded_colors(scene)
         squared, weighted = 0.0, 0.0
         for at in range(0, len(texel), ROWS):
             rows = slice(at, min(at + ROWS, len(texel)))
-            lost = patch_errors(texel[rows], scene.arrays["color"][rows], decode_patches(scene, rows, atoms, levels))
+            lost = patch_errors(texel[rows], color[rows], decode_patches(scene, rows, atoms, levels))
             squared, weighted = squared + lost[0], weighted + lost[1]
         return {"n_splats": len(texel), "squared_error": squared, "weighted_error": weighted,
                 "histogram": np.bincount(scene.n_atoms, minlength=MAX_ATOMS + 1).tolist(),
@@ -61,7 +64,7 @@ class Measure:
         header, a = scene.header, scene.arrays
         centre, tangents = scene_squares(scene)
         return make_patches(header.cameras, self._read_window, header.origin, centre, tangents, header.radius,
-                            a["camera"], a["color"], first_splat, asked_by(header.settings)["antialiasing"] != OFF)
+                            a["camera"], np.rint(decoded_colors(scene)).astype(np.uint8), first_splat, asked_by(header.settings)["antialiasing"] != OFF)
 
     def _read_window(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
         return arrays.read_window(self.ingest, f"photo_{camera}", top, bottom, left, right)
@@ -83,11 +86,11 @@ def splat_errors(ingest: Path, packed: Path, index: int) -> SplatErrors:
         scene = opened.group(index)
         atoms, levels = decoded_atoms(opened)
     texel = Measure(ingest, packed, "")._resample(scene, index * GROUP).texel
-    error, plain = np.empty(len(texel)), np.empty(len(texel))
+    color, error, plain = decoded_colors(scene), np.empty(len(texel)), np.empty(len(texel))
     for at in range(0, len(texel), ROWS):
         rows = slice(at, min(at + ROWS, len(texel)))
         wanted = texel[rows].astype(np.float32) / 255
-        mean = np.tile(scene.arrays["color"][rows], PATCH_DIM // 3).astype(np.float32) / 255
+        mean = np.tile(color[rows], PATCH_DIM // 3) / 255
         plain[rows] = ((mean - wanted) ** 2).mean(axis=1)
         error[rows] = (((mean + decode_patches(scene, rows, atoms, levels)).clip(0, 1) - wanted) ** 2).mean(axis=1)
     return SplatErrors(decoded_positions(scene) + scene.header.origin, scene.arrays["camera"], error, plain)
@@ -111,11 +114,19 @@ def decoded_positions(scene: PackedScene) -> np.ndarray:
     return decode_positions(code, Boxes(a["box_low"], a["box_size"], a["box_bits"]))
 
 
+def decoded_colors(scene: PackedScene) -> np.ndarray:
+    """Average colours, (n, 3) float32 in 255ths."""
+    arrays = scene.arrays
+    if not scene.header.color_step:
+        return arrays["color"].astype(np.float32)
+    return decode_colors(scene.color_cells, ColorBoxes(arrays["color_low"], arrays["color_size"], scene.header.color_step))
+
+
 def decoded_atoms(packed: PackedFile) -> tuple[np.ndarray, np.ndarray]:
     """Texels (n_indices, 3 atom_size^2) float32 of what each index of a packed file names, and its weight levels."""
     header = packed.header
     if not header.n_dictionary:
-        return np.zeros((1, PATCH_DIM), np.float32), np.zeros((MAX_ATOMS, 1), np.float32)
+        return np.zeros((1, PATCH_DIM), np.float32), np.zeros((header.n_ranks, 1), np.float32)
     size = header.atom_size
     texels = packed.read(f"atoms_{size}").reshape(-1, size, size, 3)
     turned = np.stack([turned_texels(texels, turn) for turn in range(header.n_turns)], axis=1)
@@ -127,7 +138,7 @@ def decode_patches(scene: PackedScene, rows: slice, atoms: np.ndarray, levels: n
     """What the atoms of some splats add to their averages, (n, PATCH_DIM) float32."""
     atom, code = scene.codes(rows.start, rows.stop)
     decoded = np.zeros((len(atom), atoms.shape[1]), np.float32)
-    add_atoms(decoded, atoms, atom, levels[np.arange(MAX_ATOMS), code], scene.n_atoms[rows])
+    add_atoms(decoded, atoms, atom, levels[np.arange(len(levels)), code], scene.n_atoms[rows])
     return shown(decoded, scene.header.atom_size)
 
 

@@ -11,9 +11,10 @@ from storage import arrays, work
 from storage.batches import count_batches, rows_of
 from storage.bits import pack_bits
 from storage.codes import pack_codes
+from storage.colors import pack_colors
 from storage.packed import GROUPS_PER_ZARR_CHUNK, begin_packed, create_array, reopen_packed, seal_packed
-from storage.scene import Stream, streams_of
-from storage.schema import BY_NAME, CHUNK, EXTRAS, GROUP, Batch, Header, arrays_of
+from storage.scene import streams_of
+from storage.schema import BY_NAME, CHUNK, EXTRAS, GROUP, Batch, Header, arrays_of, color_bits
 
 TASK_SPLATS = GROUP * GROUPS_PER_ZARR_CHUNK
 
@@ -24,7 +25,7 @@ class Pack:
 
     header: Header
     splats: Path
-    patches: Path | None  # None: the splats have the scan's colours
+    colors: Path | None  # None: the splats have the scan's colours
     codes: Path | None
     quantized: Path | None
     extras: tuple[tuple[str, Path], ...] = ()  # by flag of storage.schema.EXTRAS: has_<flag>, <flag> of every splat
@@ -43,19 +44,20 @@ class Pack:
         counts = count_batches(batch[order], len(self.header.batches))
         self._write_splats(root, start, stop, order, counts)
         n_words = {}
-        for name, words in self._words(start, stop, order, counts).items():
+        for name, words in (self._words(start, stop, order, counts) | self._color_words(start, stop, order)).items():
             work.write_parts(work.parts(folder) / f"{name}-{index}.npz", words=np.concatenate(words))
             n_words[name] = [len(w) for w in words]
         return {"n_splats": stop - start, "n_words": n_words}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         root = reopen_packed(folder / "packed")
-        for stream in streams_of(self.header):
-            self._join_words(folder, root, stream, [n for r in results for n in r["n_words"][stream.name]], len(results))
+        tables = [(stream.name, stream.table) for stream in streams_of(self.header)]
+        for name, table in [*tables, ("colors", "color_word")][: len(tables) + bool(self.header.color_step)]:
+            self._join_words(folder, root, name, table, [n for r in results for n in r["n_words"][name]], len(results))
         if self.header.n_dictionary:
             for array in arrays_of(self.header):
                 if array.part == "dictionary":
-                    root[array.name][:] = arrays.read(self.quantized, array.name)
+                    root[array.name][:] = arrays.read(self.quantized, array.name)[: root[array.name].shape[0]]
         return {"bytes": array_bytes(root, self.header)}
 
     def _codes(self, name: str, start: int, stop: int) -> np.ndarray:
@@ -65,12 +67,13 @@ class Pack:
 
     def _write_splats(self, root, start: int, stop: int, order: np.ndarray, counts: np.ndarray) -> None:
         code = arrays.read(self.splats, "position_code", start, stop)[order]
-        color = (self.splats, "color") if self.patches is None else (self.patches, "average")
         by_splat = {
             "position": np.stack([code & 255, code >> 8 & 255, code >> 16], axis=1).astype(np.uint8),
             "normal": arrays.read(self.splats, "normal_code", start, stop)[order],
-            "color": arrays.read(*color, start, stop)[order],
         }
+        if not self.header.color_step:
+            color = (self.splats, "color") if self.colors is None else (self.colors, "average")
+            by_splat["color"] = arrays.read(*color, start, stop)[order].astype(np.uint8)
         if self.header.cameras:
             by_splat["camera"] = arrays.read(self.splats, "camera", start, stop)[order]
         for name, rows in by_splat.items():
@@ -79,6 +82,16 @@ class Pack:
         for name in ("box_low", "box_size", "box_bits"):
             root[name][first:end] = arrays.read(self.splats, name, first, end)
         root["batch_count"][first:end] = counts
+        for name in ("color_low", "color_size") if self.header.color_step else ():
+            root[name][first:end] = arrays.read(self.colors, name, first, end)
+
+    def _color_words(self, start: int, stop: int, order: np.ndarray) -> dict[str, list[np.ndarray]]:
+        """The words of each chunk's colours."""
+        if not self.header.color_step:
+            return {}
+        size = arrays.read(self.colors, "color_size", start // CHUNK, -(-stop // CHUNK))
+        code = arrays.read(self.colors, "color_code", start, stop)[order]
+        return {"colors": pack_colors(code, color_bits(size, self.header.color_step).sum(axis=1))}
 
     def _batches(self, n_atoms: np.ndarray, start: int, stop: int) -> np.ndarray:
         """The batch of each splat, (n,) int64."""
@@ -103,10 +116,10 @@ class Pack:
             words[extra.stream] = [pack_bits(_in_rows(fields[g], place[g]), extra.bits) for g in groups]
         return words
 
-    def _join_words(self, folder: Path, root, stream: Stream, n_words: list[int], n_tasks: int) -> None:
-        root[stream.table][:] = (np.cumsum(n_words) - n_words).astype(np.uint32)
-        joined = create_array(root, self.header, BY_NAME[stream.name], sum(n_words) + 1)
-        pieces = (np.load(work.parts(folder) / f"{stream.name}-{index}.npz")["words"] for index in range(n_tasks))
+    def _join_words(self, folder: Path, root, name: str, table: str, n_words: list[int], n_tasks: int) -> None:
+        root[table][:] = (np.cumsum(n_words) - n_words).astype(np.uint32)
+        joined = create_array(root, self.header, BY_NAME[name], sum(n_words) + 1)
+        pieces = (np.load(work.parts(folder) / f"{name}-{index}.npz")["words"] for index in range(n_tasks))
         at, waiting = 0, np.zeros(0, np.uint32)
         for piece in [*pieces, np.zeros(1, np.uint32)]:  # the spare word
             waiting = np.concatenate([waiting, piece])

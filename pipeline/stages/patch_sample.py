@@ -15,9 +15,10 @@ SEED = 9  # another choice than the training set's, whatever its seed
 
 @dataclass(frozen=True)
 class PatchSample:
-    """One task. Arrays as those of `Resample`, of about `n_wanted` splats in order: fit for some thousands, in memory."""
+    """One task. Arrays as those of `Resample`, averages and energies as those of `Colors`, of about `n_wanted` splats in order: fit for some thousands, in memory."""
 
     patches: Path
+    colors: Path
     n_wanted: int
     name = "patch-sample"
 
@@ -26,12 +27,13 @@ class PatchSample:
 
     def run(self, folder: Path, index: int) -> dict:
         n = arrays.opened(self.patches, "energy").shape[0]
-        kept: dict[str, list[np.ndarray]] = {"texel": [], "average": [], "energy": [], "point": []}
+        sources = {"texel": self.patches, "average": self.colors, "energy": self.colors, "point": self.patches}
+        kept: dict[str, list[np.ndarray]] = {name: [] for name in sources}
         for block in range(arrays.n_blocks(n)):
             start, stop = arrays.block_range(block, n)
             chosen = uniform_hash(arrays.read(self.patches, "point", start, stop), SEED) < self.n_wanted / n
             for name, rows in kept.items():
-                rows.append(arrays.read(self.patches, name, start, stop)[chosen])
+                rows.append(arrays.read(sources[name], name, start, stop)[chosen])
         for name, rows in kept.items():
             joined = np.concatenate(rows)
             arrays.create(folder, name, joined.shape, str(joined.dtype))[:] = joined

@@ -10,7 +10,6 @@ import numpy as np
 from pipeline.accuracy import psnr_db
 from pipeline.geometry.frame import Direction
 from pipeline.stages.splats import decoded_squares
-from pipeline.stages.strata import census
 from pipeline.texture.patches import Patches, make_patches
 from pipeline.texture.resample import PATCH_DIM
 from storage import arrays, work
@@ -19,7 +18,7 @@ from storage.schema import Camera
 
 @dataclass(frozen=True)
 class Resample:
-    """A task a block. Arrays: texel (n, PATCH_DIM) uint8, average (n, 3) uint8, energy (n,) float32, point (n,)
+    """A task a block. Arrays: texel (n, PATCH_DIM) uint8, average (n, 3) float32 in 255ths, energy (n,) float32, point (n,)
     uint32 as the partition's."""
 
     ingest: Path
@@ -34,7 +33,7 @@ class Resample:
     def init(self, folder: Path) -> int:
         n = work.summary(self.splats)["n_splats"]
         arrays.create(folder, "texel", (n, PATCH_DIM), "uint8")
-        arrays.create(folder, "average", (n, 3), "uint8")
+        arrays.create(folder, "average", (n, 3), "float32")
         arrays.create(folder, "energy", (n,), "float32")
         arrays.create(folder, "point", (n,), "uint32")
         return arrays.n_blocks(n)
@@ -48,14 +47,12 @@ class Resample:
         arrays.write(folder, "energy", start, patches.energy)
         arrays.write(folder, "point", start, arrays.read(self.partition, "point", start, stop))
         return {"n_splats": stop - start, "resampling_error": patches.resampling_error, "n_probes": patches.n_probes,
-                "n_flagged": patches.n_flagged, "census": census(patches.energy).tolist(),
-                "energy": float(patches.energy.sum(dtype=np.float64))}
+                "n_flagged": patches.n_flagged, "energy": float(patches.energy.sum(dtype=np.float64))}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         error, n_probes = (sum(r[k] for r in results) for k in ("resampling_error", "n_probes"))
         return {"resampling_psnr_db": psnr_db(error, n_probes), "energy": sum(r["energy"] for r in results),
-                "n_flagged": sum(r["n_flagged"] for r in results),
-                "census": np.sum([r["census"] for r in results], axis=0).tolist()}
+                "n_flagged": sum(r["n_flagged"] for r in results)}
 
 
 def resampled_block(photos: Path, partition: Path, splats: Path, radius: float, up: Direction, ahead: Direction,

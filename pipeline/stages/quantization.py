@@ -15,7 +15,7 @@ from pipeline.coding.subspace import lift
 from pipeline.stages.atoms import load_atoms, store_atoms
 from pipeline.stages.training import training_part
 from storage import arrays, work
-from storage.schema import MAX_ATOMS, MIP_SIZES, PATCH_SIZE
+from storage.schema import MIP_SIZES, PATCH_SIZE
 
 IN_COMPONENTS = "in-components"
 
@@ -74,7 +74,7 @@ class Quantization:
         return {"n_splats": len(codes.n_atoms), "squared_error": float((found.residual + rest).sum())}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
-        samples: list[list[np.ndarray]] = [[] for _ in range(MAX_ATOMS)]
+        samples: list[list[np.ndarray]] = [[] for _ in range(self.max_atoms)]
         for i in range(len(results)):
             with np.load(work.parts(folder) / f"weights-{i}.npz") as stored:
                 for rank in range(stored["weight"].shape[1]):

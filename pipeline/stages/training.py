@@ -38,6 +38,7 @@ class TrainingSet:
     """
 
     patches: Path
+    colors: Path
     tolerance: float  # squared error at which a patch needs no atom
     n_wanted: int
     seed: int
@@ -45,7 +46,7 @@ class TrainingSet:
     name = "training-set"
 
     def init(self, folder: Path) -> int:
-        counts = np.array(work.summary(self.patches)["census"])
+        counts = np.array(work.summary(self.colors)["census"])
         share = shares(counts, self.tolerance, self.n_wanted)
         work.write_json(folder / "share.json", {"n_splats": int(counts.sum()), "share": share.tolist()})
         return max(1, min(arrays.n_blocks(int(counts.sum())), -(-int(counts @ share) // TASK_SPLATS)))
@@ -54,13 +55,13 @@ class TrainingSet:
         plan, n_tasks = work.read_json(folder / "share.json"), work.read_json(folder / "plan.json")["n_tasks"]
         n, share = plan["n_splats"], np.array(plan["share"])
         start, stop = (min(n, arrays.n_blocks(n) * i // n_tasks * arrays.BLOCK) for i in (index, index + 1))
-        energy = arrays.read(self.patches, "energy", start, stop)
+        energy = arrays.read(self.colors, "energy", start, stop)
         active = energy > self.tolerance
         draw = uniform_hash(arrays.read(self.patches, "point", start, stop), self.seed)
         chosen = np.flatnonzero(active & (draw < share[octave_of(energy)]))
         order = np.argsort(draw[chosen])
-        for name in ("texel", "average"):
-            rows = arrays.read_rows(self.patches, name, start + chosen)[order]
+        for name, source in (("texel", self.patches), ("average", self.colors)):
+            rows = arrays.read_rows(source, name, start + chosen)[order]
             arrays.store(folder, f"{name}_{index}", rows, rows.shape)
         shown = _patches(folder, index, slice(ROWS))
         beyond = [float((squared_norms(shown) - squared_norms(coefficients(shown, s))).sum()) for s in ATOM_SIZES]
@@ -157,7 +158,7 @@ class Coefficients:
 
 def membership(stage: TrainingSet, folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of every splat: whether its average colour leaves it unsettled, whether it is in the training set, its octave."""
-    energy = arrays.read(stage.patches, "energy")
+    energy = arrays.read(stage.colors, "energy")
     octave, share = octave_of(energy), np.array(work.read_json(folder / "share.json")["share"])
     active = energy > stage.tolerance
     draw = uniform_hash(arrays.read(stage.patches, "point"), stage.seed)

@@ -22,7 +22,7 @@ class Patches:
     """Patches as they are stored, and what coding needs to know of them."""
 
     texel: np.ndarray  # (n, PATCH_DIM) uint8, (row, column, rgb)
-    average: np.ndarray  # (n, 3) uint8: what the packed file stores
+    average: np.ndarray  # (n, 3) float32, exact, in 255ths
     energy: np.ndarray  # (n,) float32: squared norm of texel / 255 - average / 255
     resampling_error: float  # sum of squared differences over all probes
     n_probes: int  # values it is summed over
@@ -62,13 +62,13 @@ def make_patches(
         error += float(resampling_error(texel, rows, window, h, first_splat).sum())
         n_probes += 3 * PROBES * len(rows)
     texel[unseen] = np.tile(color[unseen], PATCH_SIZE * PATCH_SIZE)
-    average, energy = np.empty((len(texel), 3), np.uint8), np.empty(len(texel), np.float32)
+    average, energy = np.empty((len(texel), 3), np.float32), np.empty(len(texel), np.float32)
     _measure(texel.reshape(len(texel), -1, 3), average, energy)
     return Patches(texel, average, energy, error, n_probes, n_flagged)
 
 
 def centred(texel: np.ndarray, average: np.ndarray) -> np.ndarray:
-    """What is coded: patches less their stored average, (n, PATCH_DIM) float32 in [-1, 1]."""
+    """What is coded: patches less their average as it is decoded (n, 3) float32, (n, PATCH_DIM) float32 in [-1, 1]."""
     result = np.empty(texel.shape, np.float32)
     shape = (len(texel), texel.shape[1] // 3, 3)
     _centre(texel.reshape(shape), average, result.reshape(shape))
@@ -78,7 +78,7 @@ def centred(texel: np.ndarray, average: np.ndarray) -> np.ndarray:
 def patch_errors(texel: np.ndarray, average: np.ndarray, added: np.ndarray) -> tuple[float, float]:
     """Squared error of patches, plain and weighted by the splat's blending weight, summed over all values.
 
-    `texel` (n, PATCH_DIM) uint8 resampled, `average` (n, 3) uint8, `added` (n, PATCH_DIM) float32 what the atoms add
+    `texel` (n, PATCH_DIM) uint8 resampled, `average` (n, 3) float32 in 255ths, `added` (n, PATCH_DIM) float32 what the atoms add
     to it. The sum is clamped to [0, 1] as the renderer clamps it.
     """
     shape = (len(texel), -1, 3)
@@ -116,9 +116,8 @@ def _measure(texel, average, energy):
                 value = np.int64(texel[i, t, k])
                 first += value
                 second += value * value
-            mean = (2 * first + n_texels) // (2 * n_texels)
-            average[i, k] = mean
-            total += second - 2 * mean * first + n_texels * mean * mean
+            average[i, k] = first / n_texels
+            total += (n_texels * second - first * first) / n_texels
         energy[i] = total / 65025.0
 
 
@@ -128,7 +127,7 @@ def _centre(texel, average, result):
     for i in range(texel.shape[0]):
         for t in range(texel.shape[1]):
             for k in range(3):
-                result[i, t, k] = np.float32(np.int32(texel[i, t, k]) - np.int32(average[i, k])) * step
+                result[i, t, k] = (np.float32(texel[i, t, k]) - average[i, k]) * step
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
@@ -140,7 +139,7 @@ def _errors(texel, average, added, weight):
         for t in range(texel.shape[1]):
             squared = np.float32(0)
             for k in range(3):
-                decoded = added[i, t, k] + np.float32(average[i, k]) * step
+                decoded = added[i, t, k] + average[i, k] * step
                 error = min(max(decoded, np.float32(0)), np.float32(1)) - np.float32(texel[i, t, k]) * step
                 squared += error * error
             patch_plain += squared

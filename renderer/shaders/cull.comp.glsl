@@ -11,8 +11,8 @@ layout(std430, binding = 7) readonly buffer GroupBoxes { float group_boxes[]; };
 layout(std430, binding = 8) writeonly buffer Draws { Draw draws[]; };             // batch by batch, then whole groups
 
 #ifdef ELLIPSOIDS
-uniform uint ellipsoid_batches;  // a bit each: their splats are triangles
-uint indices_of(uint batch) { return (ellipsoid_batches >> batch & 1u) == 1u ? 3u : 6u; }
+uniform uvec2 ellipsoid_batches;  // a bit each: their splats are triangles
+uint indices_of(uint batch) { return (ellipsoid_batches[batch >> 5] >> (batch & 31u) & 1u) == 1u ? 3u : 6u; }
 #else
 uint indices_of(uint batch) { return 6u; }
 #endif

@@ -18,7 +18,7 @@ flat out float eye_distance;  // 0 where the eye is inside
 flat out mat3 facing;         // axes x, y, z of the disc in those of the ball
 
 Ellipsoid decode_ellipsoid(uint splat, uint word) {
-    uvec2 words = splats[splat];
+    uvec2 words = splat_words(splat);
     vec3 u, v;
     decode_frame(ivec2(int(words.x) >> 24, int(words.y << 24) >> 24), u, v);
     float turn = float(word & 255u) * (3.14159265358979 / 256.0);

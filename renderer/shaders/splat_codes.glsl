@@ -1,24 +1,27 @@
 // The atoms of a splat and their weights, read from the code stream of storage/codes.py. Needs bits.glsl, groups.glsl.
 
 layout(std430, binding = 4) readonly buffer Codes { uint codes[]; };
-layout(std430, binding = 6) readonly buffer Weights { float weights[]; };  // weight_levels (8, levels), then atom_scale
+layout(std430, binding = 6) readonly buffer Weights { float weights[]; };  // weight_levels (n_ranks, levels), then atom_scale
 
 uniform uint atoms_stored;  // of each code of this batch; N_ATOMS of them are drawn
-flat out vec3 atoms[N_ATOMS];    // corner of each atom's finer level in the atlas, and weight of a texel of 1.0
+// Of each atom the weight of a texel of 1.0, its corner in the atlas at the finer level and at the one after that: 16 atoms
+// are 16 of the 31 vectors that common drivers pass on.
 #ifdef LEVELS
-flat out vec2 coarser[N_ATOMS];  // corner of the level after that
+flat out uvec3 atoms[N_ATOMS];
 flat out float level;
+#else
+flat out uvec2 atoms[N_ATOMS];
 #endif
 #ifdef TURNED
-flat out uint turns;  // 3 bits a rank
+flat out uvec2 turns;  // 3 bits a rank, 8 ranks in each
 #endif
 
-// Where an atom's texels begin; see corner() of renderer/atlas.py.
-vec2 atom_corner(uint atom, uint at_level) {
+// Where an atom's texels begin, row above column in 16 bits each; see corner() of renderer/atlas.py.
+uint atom_corner(uint atom, uint at_level) {
     uint size = 32u >> at_level;
     uint columns = scene.atlas_width / size;
     uint band = at_level < 4u ? scene.atlas_bands[at_level] : scene.atlas_bands_beyond[at_level - 4u];
-    return vec2(atom % columns * size, band + atom / columns * size);
+    return atom % columns * size | (band + atom / columns * size) << 16;
 }
 
 void read_atoms(uint group, uint row) {
@@ -32,19 +35,19 @@ void read_atoms(uint group, uint row) {
     uint first_bit = (first_entry(group) + row * atoms_stored) * entry_bits;
     uint word = code_word(group);
 #ifdef TURNED
-    turns = 0u;
+    turns = uvec2(0u);
 #endif
     for (uint rank = 0u; rank < uint(N_ATOMS); ++rank, first_bit += entry_bits) {
         uint entry = READ_BITS(codes, word, first_bit, entry_bits);
         uint atom = entry & ((1u << scene.dictionary_bits) - 1u);
 #ifdef TURNED
-        turns |= (atom & 7u) << (3u * rank);
+        turns[rank >> 3] |= (atom & 7u) << (3u * (rank & 7u));
         atom >>= 3u;
 #endif
-        float weight = weights[rank * n_levels + (entry >> scene.dictionary_bits)] * weights[8u * n_levels + atom];
-        atoms[rank] = vec3(atom_corner(atom, finer), 127.0 * weight);
+        float weight = weights[rank * n_levels + (entry >> scene.dictionary_bits)] * weights[scene.n_ranks * n_levels + atom];
+        atoms[rank].xy = uvec2(floatBitsToUint(127.0 * weight), atom_corner(atom, finer));
 #ifdef LEVELS
-        coarser[rank] = atom_corner(atom, min(finer + 1u, scene.coarsest_level));
+        atoms[rank].z = atom_corner(atom, min(finer + 1u, scene.coarsest_level));
 #endif
     }
 }

@@ -1,8 +1,24 @@
-// Position and tangent frame of a splat, decoded as pipeline/geometry/{positions,normals,frame}.py do.
-// Needs view.glsl.
+// Position, tangent frame and average colour of a splat, decoded as pipeline/geometry/{positions,normals,frame}.py and
+// pipeline/texture/colors.py do. Needs view.glsl.
 
+layout(std430, binding = 1) readonly buffer Boxes { uint boxes[]; };  // BOX_WORDS a chunk: low, size, bits, then those of its colours
+#ifdef COLOR_BOXES
+#include "bits.glsl"
+layout(std430, binding = 0) readonly buffer Splats { uint splats[]; };  // 3 B position, 2 B normal
+layout(std430, binding = 10) readonly buffer Colors { uint colors[]; };
+const uint BOX_WORDS = 11u;
+
+uvec2 splat_words(uint splat) {
+    uint first = splat * 5u;
+    uint shift = 8u * (first & 3u), word = splats[first >> 2], next = splats[(first >> 2) + 1u];
+    return uvec2(word >> shift | next << (31u - shift) << 1, next >> shift);
+}
+#else
 layout(std430, binding = 0) readonly buffer Splats { uvec2 splats[]; };  // 3 B position, 2 B normal, 3 B color
-layout(std430, binding = 1) readonly buffer Boxes { uint boxes[]; };     // 7 words a chunk: low, size, bits
+const uint BOX_WORDS = 7u;
+
+uvec2 splat_words(uint splat) { return splats[splat]; }
+#endif
 
 struct Disc {
     vec3 centre;  // in camera axes, against the eye
@@ -10,7 +26,7 @@ struct Disc {
 };
 
 vec3 decode_position(uint splat, uint code) {
-    uint box = splat / CHUNK * 7u;
+    uint box = splat / CHUNK * BOX_WORDS;
     vec3 low = uintBitsToFloat(uvec3(boxes[box], boxes[box + 1u], boxes[box + 2u]));
     vec3 size = uintBitsToFloat(uvec3(boxes[box + 3u], boxes[box + 4u], boxes[box + 5u]));
     uvec3 bits = (uvec3(boxes[box + 6u]) >> uvec3(0u, 8u, 16u)) & 0xFFu;
@@ -43,7 +59,7 @@ void decode_frame(ivec2 code, out vec3 u, out vec3 v) {
 }
 
 Disc decode_disc(uint splat) {
-    uvec2 words = splats[splat];
+    uvec2 words = splat_words(splat);
     ivec2 normal_code = ivec2(int(words.x) >> 24, int(words.y << 24) >> 24);
     vec3 u, v;
     decode_frame(normal_code, u, v);
@@ -51,6 +67,25 @@ Disc decode_disc(uint splat) {
                 world_to_camera(u) * scene.radius, world_to_camera(v) * scene.radius);
 }
 
+#ifdef COLOR_BOXES
+vec3 decode_color(uint splat) {
+    uint box = splat / CHUNK * BOX_WORDS + 7u;
+    uint low_xy = boxes[box + 1u], low_z_size_xy = boxes[box + 2u], size_z_bits = boxes[box + 3u];
+    vec3 low = vec3(int(low_xy << 16) >> 16, int(low_xy) >> 16, int(low_z_size_xy << 16) >> 16) / 32.0;
+    uvec3 size_code = uvec3(low_z_size_xy >> 16, low_z_size_xy >> 24, size_z_bits) & 0xFFu;
+    uvec3 bits = (uvec3(size_z_bits) >> uvec3(8u, 16u, 24u)) & 0xFFu;
+    uint width = bits.x + bits.y + bits.z;
+    uint code = 0u;
+    if (width > 0u) code = READ_BITS(colors, boxes[box], splat % CHUNK * width, width);  // else its word may be beyond the end
+    uvec3 cells = uvec3(1u) << bits;
+    uvec3 cell = (uvec3(code) >> uvec3(0u, bits.x, bits.x + bits.y)) & (cells - 1u);
+    vec3 on_axes = low + (vec3(cell) + 0.5) * (exp2(vec3(size_code) / 16.0 - 6.0) / vec3(cells));
+    vec3 color = on_axes.x * inversesqrt(3.0) * vec3(1.0, 1.0, 1.0) + on_axes.y * inversesqrt(2.0) * vec3(1.0, 0.0, -1.0)
+               + on_axes.z * inversesqrt(6.0) * vec3(1.0, -2.0, 1.0);
+    return clamp(color / 255.0, 0.0, 1.0);
+}
+#else
 vec3 decode_color(uint splat) {
     return vec3((uvec3(splats[splat].y) >> uvec3(8u, 16u, 24u)) & 0xFFu) / 255.0;
 }
+#endif

@@ -22,6 +22,7 @@ layout(std140, binding = 1) uniform Scene {
     uvec2 atlas_bands_beyond;  // of the levels 4 and 5
     vec2 atlas_texel;  // one texel in texture coordinates
     uint coarsest_level;  // of the atoms: 5 where they have a level of one texel
+    uint n_ranks;  // rows of weight levels
 } scene;
 
 const uint CHUNK = 128u;

@@ -33,6 +33,9 @@ CASES = {
     "v3-turned-8": Case(dictionary_bits=6, atom_size=8, n_turns=8),
     "v3-small-16": Case(atom_size=16),
     "v4-two-levels": Case(atom_size=16, n_turns=8, coarsest_size=8),
+    "v5-color-boxes": Case(atom_size=8, n_turns=8, color_step=100),
+    "v5-sixteen-atoms": Case(atom_size=8, n_turns=8, atom_counts=(0, 7, 9, 16), n_ranks=16, color_step=133),
+    "v5-boxes-of-two-groups": Case(n_splats=8192 + 130, period=128, n_dictionary=0, atom_counts=(0,), n_cameras=0, color_step=80),
 }
 
 
@@ -55,9 +58,15 @@ def _splat_numbers(scene: PackedScene, i: int) -> dict:
     patch = reference_packed.decode_patch(scene, i) if scene.header.n_dictionary else np.zeros((32, 32, 3))
     return {
         "position": reference_packed.decode_position(scene, i), "normal": normal, "u": u, "v": v,
-        "color": scene.arrays["color"][i].tolist(), "code": reference_packed.decode_code(scene, i),
+        **_color_numbers(scene, i), "code": reference_packed.decode_code(scene, i),
         "clipline": reference_packed.decode_clipline(scene, i), **_ellipsoid_numbers(scene, i), "texels": patch[[0, 9, 31], [31, 20, 0]].tolist(),
     }
+
+
+def _color_numbers(scene: PackedScene, i: int) -> dict:
+    if scene.header.color_step:
+        return {"color_in_box": reference_packed.decode_color(scene, i)}
+    return {"color": scene.arrays["color"][i].tolist()}
 
 
 def _ellipsoid_numbers(scene: PackedScene, i: int) -> dict:

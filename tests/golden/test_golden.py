@@ -9,6 +9,7 @@ from pipeline.geometry.cliplines import decode_cliplines
 from pipeline.geometry.ellipsoids import decode_ellipsoids
 from pipeline.geometry.normals import decode_normals
 from pipeline.geometry.positions import Boxes, decode_positions
+from pipeline.stages.measure import decoded_colors
 from storage.bits import unpack_bits
 from storage.packed import SUFFIX, PackedFile
 from storage.schema import CLIPLINE_BITS, FORMAT_VERSION, GROUP
@@ -88,6 +89,13 @@ def test_golden__the_decoders_in_use_agree(name, scenes, expected):
         assert_close(decode_normals(arrays["normal"][i : i + 1])[0].tolist(), wanted[str(i)]["normal"])
         n_atoms = scene.n_atoms[i]
         assert [list(pair) for pair in zip(atom[i, :n_atoms], weight[i, :n_atoms])] == wanted[str(i)]["code"]
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if CASES[name].color_step])
+def test_golden__boxes_of_colours_in_use_agree(name, scenes, expected):
+    found = decoded_colors(scenes[name]) / 255
+    for i, wanted in expected[name]["splats"].items():
+        assert_close(found[int(i)].tolist(), wanted["color_in_box"], 1e-6)
 
 
 def test_golden__cliplines_in_use_agree(scenes, expected):

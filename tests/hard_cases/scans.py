@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.executors import SerialExecutor
 from pipeline.settings import settings_for
 from services.workflow import compress
-from storage.packed import SUFFIX, PackedFile
+from storage.packed import SUFFIX, PackedFile, PackedScene
 from tests.pipeline.readers.workspace import write_photo, write_vis
 from tests.pipeline.test_stage import Heard
 
@@ -98,6 +98,10 @@ def compressed(scan: Path, out: Path, settings=QUICK, render: bool = False) -> t
     return report, next(out.glob("*" + SUFFIX))
 
 
-def arrays_of_packed(path: Path) -> dict[str, np.ndarray]:
+def scene_of_packed(path: Path) -> PackedScene:
     with PackedFile(path) as packed:
-        return dict(packed.load().arrays)
+        return packed.load()
+
+
+def arrays_of_packed(path: Path) -> dict[str, np.ndarray]:
+    return dict(scene_of_packed(path).arrays)

@@ -15,11 +15,13 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.limits import LARGEST_COORDINATE, SMALLEST_RADIUS
 from pipeline.readers.check import check_scan
+from pipeline.stages.measure import decoded_colors
+from pipeline.texture.colors import length_of
 from services.cli import main
 from services.workflow import compress
 from storage.errors import InvalidScan, SplatpressError
 from tests.hard_cases.scans import (
-    QUICK, Placed, arrays_of_packed, compressed, grained_photo, photographed_wall, write_photographed, write_points,
+    QUICK, Placed, arrays_of_packed, compressed, grained_photo, photographed_wall, scene_of_packed, write_photographed, write_points,
 )
 from tests.pipeline.readers.shared_data import shared_scan
 from tests.pipeline.test_stage import Heard
@@ -186,9 +188,10 @@ def test_whole__turning_a_scan_by_any_angles_leaves_psnr(tmp_path):
 
 def test_whole__patches_of_a_far_scan_are_those_of_the_near_one(tmp_path, wall):
     _, packed = compressed(photographed_wall(tmp_path / "scan", Placed(np.eye(3), shift=(4.5e5, 5.4e6, 128.0))), tmp_path / "out")
-    near, far = (arrays_of_packed(p) for p in (wall[1], packed))
-    assert np.abs(near["color"].astype(int) - far["color"]).max() <= 1
-    assert (near["normal"] == far["normal"]).all()
+    near, far = (scene_of_packed(p) for p in (wall[1], packed))
+    apart = np.abs(decoded_colors(near) - decoded_colors(far))  # a colour may fall into the next cell, few do
+    assert apart.max() <= 1.7 * length_of(near.header.color_step) and np.median(apart) < 0.05
+    assert (near.arrays["normal"] == far.arrays["normal"]).all()
 
 
 # --- order and workers -----------------------------------------------------------------------------------------------------

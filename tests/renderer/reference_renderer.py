@@ -18,7 +18,7 @@ from pipeline.geometry.positions import Boxes, decode_positions
 from storage.bits import unpack_bits
 from storage.packed import PackedScene
 from storage.schema import CLIPLINE_BITS, GROUP, MIP_SIZES, NO_CAMERA, Camera
-from tests.reference_packed import turned
+from tests.reference_packed import decode_color, turned
 
 NEAR_IN_RADII = 0.01
 ROUNDING = 1e-5
@@ -49,7 +49,7 @@ class Fragments:
     ball: np.ndarray | None = None  # (m, 3) of an ellipsoid: where it is hit, in its own axes, as a point of the unit ball
 
 
-def render(scene: PackedScene, view: Camera, max_atoms: int = 8) -> tuple[np.ndarray, np.ndarray]:
+def render(scene: PackedScene, view: Camera, max_atoms: int = 16) -> tuple[np.ndarray, np.ndarray]:
     """Picture (h, w, 3) in [0, 1], sRGB, and coverage (h, w)."""
     atom, weight_code = scene.codes()
     header = scene.header
@@ -59,9 +59,11 @@ def render(scene: PackedScene, view: Camera, max_atoms: int = 8) -> tuple[np.nda
     def levels_of(index: int, turn: int) -> list[np.ndarray]:
         return [turned(scene.arrays[f"atoms_{size}"][index].astype(np.float64), turn) for size in header.mip_sizes]
 
+    average = averages_of(scene)
+
     def color(splat: int, fragments: Fragments) -> np.ndarray:
         level = mip_level(ATOM_AREA, fragments.area_px, 5)
-        total = np.tile(scene.arrays["color"][splat] / 255.0, (len(fragments.x), 1))
+        total = np.tile(average[splat], (len(fragments.x), 1))
         for rank in range(min(max_atoms, scene.n_atoms[splat])):
             index, turn = divmod(atom[splat, rank], header.n_turns)
             weight = scene.arrays["weight_levels"][rank, weight_code[splat, rank]] * scene.arrays["atom_scale"][index]
@@ -80,11 +82,12 @@ def render_baseline(scene: PackedScene, photos: list[np.ndarray], view: Camera) 
     pyramids = [box_pyramid(photo / 255.0) for photo in photos]
     discs = [discs_of(scene, camera) for camera in header.cameras]
     balls = [ellipsoids_of(scene, camera) for camera in header.cameras]
+    average = averages_of(scene)
 
     def color(splat: int, fragments: Fragments) -> np.ndarray:
         index = camera_of[splat]
         if index == NO_CAMERA:
-            return np.tile(scene.arrays["color"][splat] / 255.0, (len(fragments.x), 1))
+            return np.tile(average[splat], (len(fragments.x), 1))
         camera, disc = header.cameras[index], discs[index]
         if fragments.ball is not None:
             axes = balls[index][splat]
@@ -98,6 +101,11 @@ def render_baseline(scene: PackedScene, photos: list[np.ndarray], view: Camera) 
         return sample(pyramids[index], px_x, px_y, level)
 
     return blend(scene, view, color)
+
+
+def averages_of(scene: PackedScene) -> np.ndarray:
+    """(n, 3) sRGB, 255 is 1.0."""
+    return np.array([decode_color(scene, splat) for splat in range(scene.header.n_splats)])
 
 
 def blend(scene: PackedScene, view: Camera, color) -> tuple[np.ndarray, np.ndarray]:

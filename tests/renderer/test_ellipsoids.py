@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from renderer.baseline import PhotoSplats
 from renderer.scene import DRAWS, GpuScene, group_boxes
-from storage.schema import GROUP
+from storage.schema import GROUP, MAX_ATOMS
 from tests.renderer.reference_renderer import psnr_db, render, render_baseline
 from tests.renderer.test_baseline import smooth_photo
 from tests.renderer.test_renderer import assert_agrees, drawn
@@ -49,6 +49,19 @@ def test_ellipsoids__stand_beside_discs_with_cliplines(renderer):
     splats = Splats(**{**splats.__dict__, "clipline": line})
     scene = build_scene(splats, Settings(radius=RADIUS), random_dictionary(rng))
     assert {(b.clipline, b.ellipsoid) for b in scene.header.batches} == {(False, False), (True, False), (False, True)}
+    assert_agrees(renderer, scene, camera_looking((0.3, -1.4, 0.2), (0, 0, 0)))
+
+
+def test_ellipsoids__are_told_from_discs_beyond_the_32nd_batch(renderer):
+    rng = np.random.default_rng(4)
+    n = 300
+    splats = cloud(rng, n, **coded(rng, n, max_atoms=MAX_ATOMS))
+    angle = rng.uniform(0, 2 * np.pi, n)
+    line = np.column_stack([np.cos(angle), np.sin(angle), rng.uniform(0.3, 0.9, n)])
+    line[~np.isnan(splats.axes[:, 0, 0]) | (rng.random(n) < 0.5)] = np.nan
+    splats = Splats(**{**splats.__dict__, "clipline": line})
+    scene = build_scene(splats, Settings(radius=RADIUS, color_step=100), random_dictionary(rng))
+    assert sum(b.ellipsoid for b in scene.header.batches[32:]) >= 15
     assert_agrees(renderer, scene, camera_looking((0.3, -1.4, 0.2), (0, 0, 0)))
 
 

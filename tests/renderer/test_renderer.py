@@ -1,24 +1,26 @@
 """The GL renderer against its slow twin, and what it promises of hard views."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from renderer.scene import DRAWS, GpuScene
-from storage.schema import GROUP
+from storage.schema import GROUP, MAX_ATOMS
 from tests.renderer.reference_renderer import psnr_db, render
 from tests.scenes import (
     Dictionary, Settings, Splats, build_scene, camera_looking, coded, random_colors, random_dictionary, sheet,
 )
 
 
-def drawn(renderer, scene, view, max_atoms=8):
+def drawn(renderer, scene, view, max_atoms=MAX_ATOMS):
     gpu_scene = GpuScene(scene, renderer.context)
     picture = renderer.render(gpu_scene, view, max_atoms)
     gpu_scene.release()
     return picture
 
 
-def assert_agrees(renderer, scene, view, max_atoms=8, least_covered=0.05):
+def assert_agrees(renderer, scene, view, max_atoms=MAX_ATOMS, least_covered=0.05):
     picture = drawn(renderer, scene, view, max_atoms)
     expected, covered = render(scene, view, max_atoms)
     assert covered.mean() >= least_covered
@@ -32,10 +34,11 @@ def test_renderer__draws_plain_discs_as_the_twin_does(renderer):
     assert_agrees(renderer, build_scene(sheet(rng, 60)), camera_looking((0.3, -1.2, 0.4), (0, 0, 0)), least_covered=0.3)
 
 
-@pytest.mark.parametrize("max_atoms", range(9))
+@pytest.mark.parametrize("max_atoms", range(MAX_ATOMS + 1))
 def test_renderer__draws_every_atom_count(renderer, max_atoms):
     rng = np.random.default_rng(1)
-    scene = build_scene(sheet(rng, 90, **coded(rng, 90)), Settings(radius=0.2), random_dictionary(rng))
+    splats = sheet(rng, 110, **coded(rng, 110, max_atoms=MAX_ATOMS))
+    scene = build_scene(splats, Settings(radius=0.2), random_dictionary(rng))
     view = camera_looking((0.2, -1.0, 0.3), (0, 0, 0), (72, 40), (50, 55))
     picture = assert_agrees(renderer, scene, view, max_atoms, least_covered=0.3)
     used = {int(name.split("atoms=")[1].split()[0]) for name in picture.programs if "atoms=" in name}
@@ -69,6 +72,34 @@ def test_renderer__turns_atoms_of_every_size(renderer, size, distance):
     view = camera_looking((0.1 * distance, -distance, 0), (0, 0, 0), (64, 48), (50 * distance**0.7, 45 * distance**0.7))
     picture = assert_agrees(renderer, scene, view)
     assert any("turned" in name for name in picture.programs)
+
+
+def test_renderer__turns_the_atoms_of_every_rank(renderer):
+    rng = np.random.default_rng(29)
+    whole = random_dictionary(rng)
+    dictionary = Dictionary(whole.atoms, whole.scale, np.full_like(whole.weight_levels, 0.4), n_turns=8)
+    codes = coded(rng, 60, 8 * 20, max_atoms=MAX_ATOMS) | {"n_atoms": np.full(60, MAX_ATOMS)}
+    scene = build_scene(sheet(rng, 60, **codes), Settings(radius=0.2), dictionary)
+    assert_agrees(renderer, scene, camera_looking((0.1, -0.7, 0.1), (0, 0, 0)), least_covered=0.3)
+
+
+@pytest.mark.parametrize(("step", "n"), [(80, 60), (112, 140), (140, 300), (255, 140)])
+def test_renderer__draws_colours_in_boxes_as_the_twin_does(renderer, step, n):
+    rng = np.random.default_rng(31)
+    line = np.tile([0.8, 0.6, 0.1], (n, 1))
+    line[rng.random(n) < 0.6] = np.nan
+    splats = sheet(rng, n, clipline=line, **coded(rng, n, max_atoms=2))
+    splats = replace(splats, color=np.concatenate([splats.color[: n // 2], 100 + rng.integers(0, 9, (n - n // 2, 3))]).astype(np.uint8))
+    scene = build_scene(splats, Settings(radius=0.15, color_step=step), random_dictionary(rng))
+    picture = assert_agrees(renderer, scene, camera_looking((0.3, -1.2, 0.4), (0, 0, 0)), least_covered=0.3)
+    assert all("color boxes" in name for name in picture.programs if name.startswith(("visibility", "attribute")))
+
+
+def test_renderer__colours_in_boxes_change_no_more_than_half_a_cell(renderer):
+    rng = np.random.default_rng(37)
+    splats, view = sheet(rng, 200), camera_looking((0.3, -1.2, 0.4), (0, 0, 0))
+    plain, boxed = (drawn(renderer, build_scene(splats, Settings(color_step=step)), view).rgb.astype(int) for step in (0, 112))
+    assert 0 < np.abs(plain - boxed).max() <= 3
 
 
 @pytest.mark.parametrize("distance", [1.0, 4.0, 10.0])

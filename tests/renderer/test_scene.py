@@ -85,7 +85,7 @@ def test_gpu_scene__counts_the_bytes_of_every_buffer_and_texture(renderer):
     assert parts["geometry"] == 5 * n + 28 * scene.header.n_chunks + 24 * 2 + arrays["cliplines"].nbytes
     layout = atlas_layout(20)
     atlas_bytes = 3 * layout.width * layout.height
-    assert parts["dictionary"] == atlas_bytes + 8 * 16 * 4 + 20 * 4
+    assert parts["dictionary"] == atlas_bytes + 16 * 16 * 4 + 20 * 4
     tables = scene.header.n_chunks * (len(scene.header.batches) - 1) * 2
     assert 0 <= parts["codes"] - arrays["codes"].nbytes - tables - group_table(scene).nbytes < 4
     assert gpu_scene.total_bytes == sum(parts.values())

@@ -133,7 +133,7 @@ def test_off__all_is_the_shortest_path(made):
     report, scene, picture = made("all=off")
     assert not scene.header.effects and "measure-effects" not in [s["name"] for s in report["stages"]]
     assert {word for program in picture.programs for word in program.split() if "=" not in word} == {
-        "cull", "visibility", "attribute", "turned", "by", "batch", "resolve"}
+        "cull", "visibility", "attribute", "turned", "by", "batch", "color", "boxes", "resolve"}
     assert picture.accumulation == "RGBA16F"
 
 

@@ -59,7 +59,7 @@ def test_workflow__the_report_has_its_keys_and_its_figures_agree(packed_serially
     assert len(made["learning"]) == 2 and made["learning"][1]["psnr_db"] > made["learning"][0]["psnr_db"]
     names = [s["name"] for s in made["stages"]]
     assert names == ["ingest", "partition", "neighbours", "splats", "nearest-points", "measure-effects", "resample",
-                     "training-set", "coefficients", "dictionary-seed", "ksvd-update", "quantise", "prices", "encode", "pack"]
+                     "colors", "training-set", "coefficients", "dictionary-seed", "ksvd-update", "quantise", "prices", "encode", "pack"]
     assert all(s["seconds"] > 0 and s["peak_rss_bytes"] > 1e7 for s in made["stages"])
 
 
@@ -108,11 +108,17 @@ def test_workflow__tasks_that_run_twice_or_late_change_no_byte(tmp_path):
     assert not [p for p in (tmp_path / "work haunted").rglob("*") if ".partial" in p.name]
 
 
+def assert_measured(found: float, made: float) -> None:
+    """What is measured on a file is what the coder said, but for splats that no camera sees, a third of this scan: rounding
+    of their colours cannot be told from the file."""
+    assert made - 1e-3 <= found <= made + 0.08
+
+
 def test_workflow__the_packed_file_measures_what_the_coder_said(scan, packed_serially, tmp_path):
     out, made = packed_serially
     measured = report(out / "wavy plane.splatpress", scan, tmp_path / "again", SerialExecutor(), Heard(), render=False)
     for figure in ("texture_psnr_db", "visible_psnr_db"):
-        assert measured["quality"][figure] == pytest.approx(made["quality"][figure], abs=1e-3)
+        assert_measured(measured["quality"][figure], made["quality"][figure])
     assert measured["quality"]["resampling_psnr_db"] == pytest.approx(made["quality"]["resampling_psnr_db"], abs=0.2)
     assert measured["atoms"] == made["atoms"]
 
@@ -142,7 +148,7 @@ def test_workflow__every_code_width_packs_and_measures(scan, tmp_path, dictionar
                             dictionary_bits=dictionary_bits, weight_bits=weight_bits)
     made = compress(scan, tmp_path / "out", settings, SerialExecutor(), Heard(), render=False)
     measured = report(tmp_path / "out" / "wavy plane.splatpress", scan, tmp_path / "again", SerialExecutor(), Heard(), render=False)
-    assert measured["quality"]["texture_psnr_db"] == pytest.approx(made["quality"]["texture_psnr_db"], abs=1e-3)
+    assert_measured(measured["quality"]["texture_psnr_db"], made["quality"]["texture_psnr_db"])
 
 
 def test_workflow__without_atoms_only_averages_are_kept(scan, tmp_path):

@@ -14,7 +14,7 @@ BATCHES = tuple(Batch(n) for n in range(MAX_ATOMS + 1))
 
 def coded(dictionary_bits: int, weight_bits: int, n: int = 300):
     """A header, and entries, atom counts, atoms and weight codes of one group of `n` splats."""
-    header = header_of(Case(dictionary_bits=dictionary_bits, weight_bits=weight_bits))
+    header = header_of(Case(dictionary_bits=dictionary_bits, weight_bits=weight_bits, n_ranks=MAX_ATOMS))
     batch = noise(n, 1, len(BATCHES))
     batch = batch[np.lexsort((batch, np.arange(n) // CHUNK))]
     rows = rows_of(count_batches(batch, len(BATCHES)), BATCHES)
@@ -56,7 +56,7 @@ def test_codes__groups_are_found_by_their_first_word():
 
 
 def test_codes__splats_without_atoms_take_no_word():
-    header = header_of(Case())
+    header = header_of(Case(n_ranks=MAX_ATOMS))
     none = np.zeros((5, MAX_ATOMS), np.int64)
     words = pack_codes(header, np.zeros(5, np.int64), np.zeros(5, np.int64), none, none)
     assert len(words) == 0

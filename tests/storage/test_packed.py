@@ -12,19 +12,22 @@ import pytest
 import zarr
 from numcodecs.zstd import Zstd
 
+from pipeline.stages.measure import decoded_colors
 from storage import packed
 from storage.checks import check_frame
 from storage.errors import InternalError, InvalidPackedFile
 from storage.layout import metadata_of
 from storage.packed import PackedFile, begin_packed, create_array, is_packed_file, reopen_packed, seal_packed
 from storage.scene import PackedScene
-from storage.schema import ARRAYS, BY_NAME, GROUP, MAX_ATOMS, Batch, Header, arrays_of
+from storage.schema import ARRAYS, BY_NAME, GROUP, Batch, Header, arrays_of
 from storage.seal import SEAL_BYTES, UNSEALED, write_seal
-from tests.packed_files import Case, arrays_for, fill_folder, header_of, noise, write_arrays, write_packed_file
-from tests.reference_packed import decode_code
+from tests.packed_files import Case, arrays_for, color_stream, fill_folder, header_of, noise, write_arrays, write_packed_file
+from tests.reference_packed import decode_code, decode_color
 
 SMALL = Case(n_splats=200, n_dictionary=3, cliplines=True, ellipsoids=True)
 MANY_GROUPS = Case(n_splats=9 * GROUP + 500, cliplines=True, period=128)  # in two zarr chunks of splats
+BOXED = Case(n_splats=300, n_dictionary=3, atom_counts=(0, 1, 9, 16), n_ranks=16, color_step=112)
+MANY_BOXED = replace(MANY_GROUPS, cliplines=False, color_step=112)
 
 
 @pytest.fixture(autouse=True)
@@ -36,6 +39,11 @@ def no_waiting_for_the_disk(monkeypatch):
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
     return write_packed_file(SMALL, tmp_path_factory.mktemp("packed") / "small.splatpress")
+
+
+@pytest.fixture(scope="module")
+def boxed(tmp_path_factory):
+    return write_packed_file(BOXED, tmp_path_factory.mktemp("packed") / "boxed.splatpress")
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +78,7 @@ def same_arrays(found: dict, expected: dict) -> bool:
     Case(), SMALL, Case(n_splats=1), Case(n_splats=128), Case(dictionary_bits=16, weight_bits=8, n_dictionary=260),
     Case(dictionary_bits=6, atom_size=8, n_turns=8),
     Case(n_dictionary=0, atom_counts=(0,), n_cameras=0), Case(n_dictionary=0, atom_counts=(0,), cliplines=True),
-    Case(atom_counts=(0,)),
+    Case(atom_counts=(0,)), BOXED, Case(n_splats=1, color_step=80), Case(n_dictionary=0, atom_counts=(0,), n_cameras=0, color_step=255),
 ])
 def test_packed__header_and_arrays_come_back(case, tmp_path):
     header = header_of(case)
@@ -95,13 +103,22 @@ def test_packed__chunks_of_zeros_are_written_by_whoever_opens_the_folder(tmp_pat
     assert same_arrays(read_whole(tmp_path / "a.splatpress").arrays, arrays)
 
 
-def test_packed__codes_are_those_of_the_slow_twin(small):
-    scene = read_whole(small)
+@pytest.mark.parametrize("case", [SMALL, BOXED])
+def test_packed__codes_are_those_of_the_slow_twin(case, tmp_path):
+    scene = read_whole(write_packed_file(case, tmp_path / "a.splatpress"))
     atom, weight = scene.codes()
     for splat in range(scene.header.n_splats):
         expected = decode_code(scene, splat)
         assert scene.n_atoms[splat] == len(expected)
-        assert list(zip(atom[splat], weight[splat])) == expected + [(0, 0)] * (MAX_ATOMS - len(expected))
+        assert list(zip(atom[splat], weight[splat])) == expected + [(0, 0)] * (case.n_ranks - len(expected))
+
+
+def test_packed__colours_in_boxes_are_those_of_the_slow_twin(boxed):
+    scene = read_whole(boxed)
+    found = decoded_colors(scene)
+    for splat in range(scene.header.n_splats):
+        np.testing.assert_allclose(found[splat] / 255, decode_color(scene, splat), atol=1e-6)
+    assert len(np.unique(found, axis=0)) > 150 and found.min() == 0 and found.max() == 255
 
 
 def test_packed__codes_of_a_range_are_a_part_of_all(many_groups):
@@ -114,7 +131,7 @@ def test_packed__codes_of_a_range_are_a_part_of_all(many_groups):
 def test_packed__scan_without_texture_has_codes_of_no_atoms(tmp_path):
     path = write_packed_file(Case(n_dictionary=0, atom_counts=(0,), n_cameras=0), tmp_path / "a.splatpress")
     atom, weight = read_whole(path).codes()
-    assert atom.shape == weight.shape == (300, MAX_ATOMS)
+    assert atom.shape == weight.shape == (300, 8)
     assert atom.dtype == weight.dtype == np.int32
     assert not atom.any() and not weight.any()
 
@@ -147,14 +164,23 @@ def test_packed__a_group_alone_is_what_it_is_in_the_whole(many_groups, index):
         assert (some == all_of_them[splats]).all()
 
 
-def test_packed__a_group_is_read_without_the_zarr_chunks_of_others(many_groups, tmp_path):
+@pytest.mark.parametrize("index", [0, 7, 8, 9])
+def test_packed__a_group_alone_has_the_colours_that_it_has_in_the_whole(tmp_path, index):
+    path = write_packed_file(MANY_BOXED, tmp_path / "a.splatpress")
+    with PackedFile(path) as opened:
+        part, whole = opened.group(index), opened.load()
+    assert (decoded_colors(part) == decoded_colors(whole)[index * GROUP : (index + 1) * GROUP]).all()
+
+
+@pytest.mark.parametrize("case", [MANY_GROUPS, MANY_BOXED])
+def test_packed__a_group_is_read_without_the_zarr_chunks_of_others(case, tmp_path):
     def ruin(members):
         for name in members:
             if name.split("/")[0] in by_splat and name.split("/")[1:3] == ["c", "1"]:
                 members[name] = b"ruined"
 
     by_splat = {array.name for array in ARRAYS if array.dims[0] in "nc"}
-    path = craft(many_groups, tmp_path / "a.splatpress", ruin)
+    path = craft(write_packed_file(case, tmp_path / "whole.splatpress"), tmp_path / "a.splatpress", ruin)
     with PackedFile(path) as opened:
         opened.group(7)
         with pytest.raises(InvalidPackedFile):
@@ -341,7 +367,7 @@ HUGE, NOT_A_NUMBER = 2**60, float("nan")
 
 
 @pytest.mark.parametrize("field, value", [
-    ("format", "otherpress"), ("format", None), ("version", 0), ("version", 5), ("version", "1"), ("version", True), ("version", 1),
+    ("format", "otherpress"), ("format", None), ("version", 0), ("version", 6), ("version", "1"), ("version", True), ("version", 1),
     ("n_splats", 0), ("n_splats", -1), ("n_splats", 201), ("n_splats", 199), ("n_splats", HUGE), ("n_splats", 200.0),
     ("n_splats", "200"), ("n_splats", True), ("n_splats", 10**400),
     ("radius", NOT_A_NUMBER), ("radius", float("inf")), ("radius", 0), ("radius", -1.0), ("radius", "0.25"),
@@ -354,6 +380,8 @@ HUGE, NOT_A_NUMBER = 2**60, float("nan")
     ("dictionary_bits", -1), ("dictionary_bits", 1), ("dictionary_bits", 17), ("dictionary_bits", HUGE),
     ("atom_size", 16), ("atom_size", 64), ("atom_size", 0), ("atom_size", HUGE), ("n_turns", 0), ("n_turns", 2), ("n_turns", -8),
     ("n_turns", 8.0), ("n_turns", HUGE),
+    ("n_ranks", 0), ("n_ranks", 7), ("n_ranks", 9), ("n_ranks", 17), ("n_ranks", HUGE), ("n_ranks", 8.0), ("n_ranks", None),
+    ("color_step", 79), ("color_step", 112), ("color_step", 256), ("color_step", -1), ("color_step", HUGE), ("color_step", 0.5), ("color_step", True),
     ("coarsest_size", 0), ("coarsest_size", 2), ("coarsest_size", 3), ("coarsest_size", 64), ("coarsest_size", True), ("coarsest_size", None),
     ("weight_bits", 0), ("weight_bits", 9), ("weight_bits", 5), ("weight_bits", HUGE), ("weight_bits", "4"),
     ("batches", []), ("batches", {}), ("batches", [{"n_atoms": 9, "clipline": False}]),
@@ -448,21 +476,26 @@ def test_packed__refuses_word_streams_of_another_length(small, tmp_path, n_words
     assert_refused(craft_json(small, tmp_path / "a.splatpress", "codes/zarr.json", lambda data: data.update(edit)))
 
 
+def one_with(name: str, small, boxed):
+    """A file that has an array."""
+    return boxed if name.startswith("color") and name != "color" else small
+
+
 @pytest.mark.parametrize("name", [array.name for array in ARRAYS])
-def test_packed__refuses_a_missing_array(small, tmp_path, name):
+def test_packed__refuses_a_missing_array(small, boxed, tmp_path, name):
     def drop(members):
         for member in [m for m in members if m.startswith(name + "/")]:
             del members[member]
 
-    assert_refused(craft(small, tmp_path / "a.splatpress", drop))
+    assert_refused(craft(one_with(name, small, boxed), tmp_path / "a.splatpress", drop))
 
 
 @pytest.mark.parametrize("name", [array.name for array in ARRAYS])
-def test_packed__refuses_a_missing_chunk(small, tmp_path, name):
+def test_packed__refuses_a_missing_chunk(small, boxed, tmp_path, name):
     def drop(members):
         del members[next(m for m in members if m.startswith(name + "/c/"))]
 
-    assert_refused(craft(small, tmp_path / "a.splatpress", drop), match="members")
+    assert_refused(craft(one_with(name, small, boxed), tmp_path / "a.splatpress", drop), match="members")
 
 
 @pytest.mark.parametrize("renamed", ["position/c/1/0", "position/c/0/1", "../position", "/position/c/0/0"])
@@ -598,6 +631,35 @@ def test_packed__refuses_tables_that_do_not_fit(tmp_path, edit):
     assert_refused(path)
     with PackedFile(path) as opened, pytest.raises(InvalidPackedFile):
         opened.group(0)
+
+
+@pytest.mark.parametrize("edit", [
+    changed("color_word", 0, 1), changed("color_word", 2, 0), changed("color_word", 0, 2**32 - 1), changed("color_size", (0, 0), 255),
+    changed("color_size", (2, 1), 80), longer("colors"),
+])
+def test_packed__refuses_boxes_of_colours_that_do_not_fit(tmp_path, edit):
+    header = header_of(BOXED)
+    arrays = arrays_for(BOXED, header)
+    arrays["color_size"][[0, 2]] = [[200, 180, 180], [120, 130, 120]]
+    arrays |= color_stream(arrays["color_size"], header)
+    read_whole(write_arrays(header, arrays, tmp_path / "sound.splatpress"))
+    edit(arrays)
+    path = write_arrays(header, arrays, tmp_path / "a.splatpress")
+    assert_refused(path, match="color_word")
+    with PackedFile(path) as opened, pytest.raises(InvalidPackedFile, match="color_word"):
+        opened.group(0)
+
+
+def test_packed__refuses_colours_of_more_bits_than_a_shader_reads(tmp_path):
+    header = header_of(replace(BOXED, color_step=80))
+    arrays = arrays_for(BOXED, header)
+    for size, fine in ((240, True), (241, False)):
+        arrays["color_size"][1] = size
+        path = write_arrays(header, arrays | color_stream(arrays["color_size"], header), tmp_path / f"{size}.splatpress")
+        if fine:
+            assert len(read_whole(path).color_cells) == 300
+        else:
+            assert_refused(path, match="colours of 33 bits a splat, more than 30")
 
 
 @pytest.mark.parametrize("edit", [

@@ -54,7 +54,7 @@ def test_arrays__rows_alone_are_those_of_the_whole(tmp_path, rows):
 def test_training__neither_the_choice_nor_its_order_turns_with_the_chunks(tmp_path):
     rng = np.random.default_rng(0)
     n = 3000
-    rows = {"texel": rng.integers(0, 256, (n, 3072)).astype(np.uint8), "average": rng.integers(0, 256, (n, 3)).astype(np.uint8),
+    rows = {"texel": rng.integers(0, 256, (n, 3072)).astype(np.uint8), "average": rng.integers(0, 256, (n, 3)).astype(np.float32),
             "energy": rng.uniform(0, 60, n).astype(np.float32), "point": np.arange(n, dtype=np.uint32)}
 
     def chosen(order: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -64,7 +64,7 @@ def test_training__neither_the_choice_nor_its_order_turns_with_the_chunks(tmp_pa
             for name, values in rows.items():
                 arrays.create(patches, name, values.shape, str(values.dtype))[:] = values[order]
             work.complete(patches, {"census": census(rows["energy"]).tolist()})
-        return arrays.read(run_stage(TrainingSet(patches, 8.0, 700, seed, 1.0), tmp_path, SerialExecutor(), Heard()).folder, "texel_0")
+        return arrays.read(run_stage(TrainingSet(patches, patches, 8.0, 700, seed, 1.0), tmp_path, SerialExecutor(), Heard()).folder, "texel_0")
 
     still, turned = chosen(np.arange(n)), chosen(rng.permutation(n))
     assert 500 < len(still) < 1100 and (still == turned).all()
