@@ -55,7 +55,8 @@ class Renderer:
 
     Guarantees: no NaN and no Inf reaches a picture; splats behind the camera, at its plane and around the eye are
     drawn as far as they are in front of it; a splat smaller than a pixel still covers one; however many splats lie on
-    top of each other, a picture is within 1/255 of exact sums, but where the job asked for `accumulation=off`.
+    top of each other, a picture is within 1/255 of exact sums, but where the job asked for `accumulation=off` (and but for
+    inputs that docs/NUMERICS.md names).
     """
 
     def __init__(self, context: moderngl.Context | None = None) -> None:

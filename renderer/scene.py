@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.effects.request import OFF, asked_by
 from pipeline.geometry.ellipsoids import lengths_of
 from renderer.atlas import atlas_layout, upload_atlas
+from renderer.stacks import has_stacks
 from renderer.targets import NARROW, WIDE
 from storage.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.errors import ResourceExhausted
@@ -135,7 +136,7 @@ class GpuScene:
     uniforms: moderngl.Buffer | None = None
     atlas: moderngl.Texture | None = None
     bytes_by_part: dict[str, int] = field(default_factory=dict)
-    accumulation: str = NARROW  # what its colours are added up in; the renderer widens it where overdraw calls for it
+    accumulation: str = NARROW  # of its colours: wide where splats are copies, and once the renderer finds overdraw
     watched: bool = True  # whether the renderer looks for overdraw, and may widen: not where the job asked for 16 bits
     drawn: frozenset[str] = frozenset()  # effects whose shader parts its programs have
 
@@ -147,7 +148,7 @@ class GpuScene:
         if header.n_dictionary and header.coarsest_size < header.atom_size:
             self.drawn |= {"mip_levels"}
         self.watched = asked_by(header.settings)["accumulation"] != OFF
-        if "accumulation" in self.drawn:
+        if "accumulation" in self.drawn or (self.watched and has_stacks(self.scene)):
             self.accumulation = WIDE
         self.bytes_by_part = dict.fromkeys(("geometry", "codes", "colors", "dictionary"), 0)
         with self.context:

@@ -11,7 +11,8 @@ from storage.errors import ResourceExhausted
 
 # Half floats have 11 bits: every layer that is added rounds the sum once more. On stacks of splats of one bright colour,
 # the worst case, pictures were off by 1/255 from a weight of 20 on, by 3/255 at 100 and by 24/255 at 1,000; so beyond
-# OVERDRAWN (resolve.frag.glsl) a scene is drawn once more, and from then on, with sums of 24 bits.
+# OVERDRAWN (resolve.frag.glsl) a scene is drawn once more, and from then on, with sums of 24 bits. Stacks of copies, whose
+# rims alone do the same, are told when a scene is loaded (stacks.py).
 NARROW, WIDE = "RGBA16F", "RGBA32F"
 _TYPES = {NARROW: "f2", WIDE: "f4"}
 

@@ -1,7 +1,7 @@
 """32-bit sums of colours: only where so many splats lie on top of each other that 16 bits would show.
 
-The renderer finds out pixel by pixel and draws once more with wide sums where it must (renderer/targets.py); a scan whose
-own surface already lies so thick is drawn so from the start.
+The renderer finds out pixel by pixel and draws once more with wide sums where it must (renderer/targets.py), and looks for
+copies when it loads a scene (renderer/stacks.py); a scan whose own surface already lies so thick is drawn so from the start.
 """
 
 from __future__ import annotations

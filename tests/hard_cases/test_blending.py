@@ -7,7 +7,9 @@ import pytest
 
 from renderer.renderer import Renderer
 from renderer.scene import GpuScene
+from renderer.stacks import has_stacks
 from renderer.targets import NARROW, WIDE
+from storage.schema import Camera
 from tests import reference
 from tests.renderer.reference_renderer import render
 from tests.scenes import Settings, Splats, build_scene, camera_looking
@@ -48,7 +50,8 @@ def test_blending__sums_in_half_floats_break_at_a_thousand_bright_layers(rendere
     """The naive formulation: the paper's RGBA16F whatever the overdraw."""
     scene = build_scene(stack(1000, "bright", True, 0.0))
     expected, covered = render(scene, VIEW)
-    monkeypatch.setattr("renderer.renderer.WIDE", NARROW)
+    for module in ("renderer", "scene"):
+        monkeypatch.setattr(f"renderer.{module}.WIDE", NARROW)
     picture = drawn(renderer, scene)
     assert np.abs(picture.rgb / 255 - expected)[covered & picture.coverage].max() > 5 / 255
 
@@ -78,6 +81,50 @@ def test_blending__rims_of_a_thousand_layers_that_differ_stay_narrow_and_within_
             off.append(reference.srgb(reference.half_float_mean(linear, weight)) - reference.srgb((linear * weight).sum() / weight.sum()))
     copies = reference.srgb(reference.half_float_mean(np.full(100, 0.616), np.full(100, 0.0278))) - reference.srgb(0.616)
     assert np.abs(off).max() <= 1 / 255 < abs(copies)
+
+
+# A strip of pixels where splats at the origin, 160 px of radius, weigh 0.010 to 0.014.
+RIM = Camera("rim", 20, 1, 1600.0, 1600.0, 10.0, -158.4, ((1.0, 0, 0), (0, 0, -1.0), (0, 1.0, 0)), (0.0, -1.0, 0.0))
+
+
+@pytest.mark.parametrize("n", [1, 10, 30, 100, 1000])
+@pytest.mark.parametrize("color", COLORS)
+def test_blending__rims_of_copies_are_within_1_of_255_of_exact_sums(renderer, n, color):
+    """A picture of rims alone, whose weights stay below 16 whatever the layers: copies are told by their positions."""
+    for alike, spread in ((True, 0.0), (False, 0.0), (True, 1e-4), (True, 1e-3)):
+        scene = build_scene(stack(n, color, alike, spread))
+        picture, (expected, covered) = drawn(renderer, scene, RIM), render(scene, RIM)
+        both = picture.coverage & covered
+        assert both.any() and np.abs(picture.rgb / 255 - expected)[both].max() <= 1 / 255 + 1e-6
+        assert picture.accumulation == (WIDE if n >= 100 else NARROW if n <= 10 else picture.accumulation)
+
+
+def test_blending__rims_of_copies_break_where_overdraw_is_told_by_weight_alone(renderer, monkeypatch):
+    """The naive formulation: sums are narrow until a pixel's weight reaches 16."""
+    monkeypatch.setattr("renderer.scene.has_stacks", lambda scene: False)
+    scene = build_scene(stack(1000, "bright", True, 0.0))
+    picture, (expected, covered) = drawn(renderer, scene, RIM), render(scene, RIM)
+    assert picture.accumulation == NARROW
+    assert np.abs(picture.rgb / 255 - expected)[covered & picture.coverage].max() > 5 / 255
+
+
+@pytest.mark.parametrize("n", [10, 41, 128, 300])
+@pytest.mark.parametrize("jitter", [0.0, 1e-4])
+@pytest.mark.parametrize("seed", range(4))
+def test_blending__stacks_are_found_wherever_chunks_and_cells_part_them(n, jitter, seed):
+    rng = np.random.default_rng(seed)
+    copies = rng.uniform(-1, 1, 3) * [1, 0, 1] + jitter * rng.uniform(-1, 1, (n, 3)) * [1, 0, 1]
+    others = rng.uniform(-1, 1, (700, 3)) * [1, 0, 1]
+    position = np.concatenate([copies, others])
+    scene = build_scene(Splats(position, np.tile([0.0, -1, 0], (len(position), 1))), Settings(radius=0.05))
+    assert has_stacks(scene) == (n > 10)
+
+
+def test_blending__what_is_no_stack_is_none():
+    rng = np.random.default_rng(0)
+    for position in (rng.uniform(-1, 1, (5000, 3)) * [1, 0, 1], np.repeat(rng.uniform(-1, 1, (300, 3)), 4, axis=0),
+                     np.stack(np.meshgrid(*[np.linspace(-1, 1, 60)] * 2, [0]), -1).reshape(-1, 3)):
+        assert not has_stacks(build_scene(Splats(position, np.tile([0.0, -1, 0], (len(position), 1))), Settings(radius=0.03)))
 
 
 def test_blending__a_scene_once_overdrawn_keeps_its_wide_sums_and_others_do_not(renderer):
