@@ -22,7 +22,8 @@ class Piece:
 
     position: np.ndarray  # (n, 3) float64, absolute; may hold NaN, which the ingest counts and drops
     normal: np.ndarray | None = None  # (n, 3) float32, any length; zero or NaN means none
-    color: np.ndarray | None = None  # (n, 3) uint8, sRGB
+    color: np.ndarray | None = None  # (n, 3) uint8, sRGB; black where the file has NaN
+    colorless: np.ndarray | None = None  # (n,) bool: where that is; None where the file cannot have it
     intensity: np.ndarray | None = None  # (n,) float32 in the file's own range
     visible_count: np.ndarray | None = None  # (n,) int64: how many cameras see each point
     visible_camera: np.ndarray | None = None  # (sum(visible_count),) int32 positions in ScanSource.cameras

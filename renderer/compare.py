@@ -10,8 +10,9 @@ import math
 import numba
 import numpy as np
 
+from pipeline.accuracy import BEST_DB
+
 PEAK = 255.0
-BEST_DB = 100.0
 SSIM_WINDOW_PX = 11  # what a Gaussian of 1.5 pixels cut off at 3.5 sigma covers
 _REACH = SSIM_WINDOW_PX // 2
 _GAUSSIAN = np.exp(-0.5 * (np.arange(-_REACH, _REACH + 1) / 1.5) ** 2)

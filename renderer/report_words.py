@@ -120,7 +120,7 @@ def mean_pass_seconds(views: list[dict], key: str) -> dict[str, float]:
 
 NUMERICS = {  # key: what was met, one and many; what was done about it
     "dropped_points": ("point has", "points have", "a position that is not finite", "dropped"),
-    "degenerate_normals": ("splat has", "splats have", "a neighbourhood that defines no normal, or a given normal that is zero",
+    "degenerate_normals": ("splat has", "splats have", "no normal of the scan's, and a neighbourhood that defines none",
                            "given a normal at right angles to what there is"),
     "flagged_projections": ("splat is", "splats are", "not seen whole by any one photograph",
                             "coloured by the scan, or by the photograph's edge repeated"),

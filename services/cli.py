@@ -291,8 +291,10 @@ def _summary(report: dict, out: Path) -> str:
     lines = [f"splats           {report['splats']:,}",
              f"size             {sizes['bytes_per_splat']:.2f} bytes a splat on the GPU, file {sizes['file_bytes']:,} bytes"]
     if quality["texture_psnr_db"] is not None:
-        lines.append(f"texture PSNR     {quality['texture_psnr_db']:.2f} dB, visible {quality['visible_psnr_db']:.2f} dB, "
-                     f"resampling {quality['resampling_psnr_db']:.2f} dB")
+        from renderer.report_words import decibels
+
+        texture, visible, resampling = (decibels(quality[f"{what}_psnr_db"]) for what in ("texture", "visible", "resampling"))
+        lines.append(f"texture PSNR     {texture}, visible {visible}, resampling {resampling}")
     if sizes["compression_factor_total"] is not None:
         lines.append(f"compression      {sizes['compression_factor_total']:.1f} times in all, "
                      f"{sizes['compression_factor_texture']:.1f} times the textures")

@@ -31,6 +31,7 @@ MAX_TEXT_BYTES = 1 << 26  # cameras.txt, rigs.txt, frames.txt
 MAX_LINE_BYTES = 1 << 28  # a photo with 10 million image points in one line of images.txt
 
 _N_POSE = 7  # quaternion w x y z, translation x y z
+_SPACE = b"\x1f"  # stands for the spaces of a name while pycolmap reads a text model: it takes a name to end at the first
 _EMPTY_BIN = struct.pack("<Q", 0)
 
 
@@ -145,7 +146,8 @@ def _text_without_points(stream: BinaryIO, where: str) -> bytes:
             kept.append(b"\n")
             is_points = False
         elif line.strip() and not line.lstrip().startswith(b"#"):
-            kept.append(line.rstrip() + b"\n")
+            fields = line.split(None, _N_POSE + 2)  # number, pose, camera, and the name, which may hold spaces
+            kept.append(b" ".join([*fields[:-1], fields[-1].rstrip().replace(b" ", _SPACE)]) + b"\n")
             is_points = True
     return b"".join(kept)
 
@@ -201,8 +203,9 @@ def _registered(model: pycolmap.Reconstruction, image_id: int, where: str) -> Re
     pose = image.cam_from_world()
     # The matrix of a quaternion of 0 is the identity, so the quaternion is what has to be checked.
     quaternion, centre = np.asarray(pose.rotation.quat), image.projection_center()
-    label = f"{where}:image {image.name!r}"
-    if escapes(image.name):
+    name = image.name.replace(_SPACE.decode(), " ")
+    label = f"{where}:image {name!r}"
+    if escapes(name):
         raise InvalidScan(label, "a name that leaves images/", "relative names without '..' or '\\'")
     _check_size(f"{where}:camera {camera.camera_id}", camera.width, camera.height)
     if not abs(np.linalg.norm(quaternion) - 1) < 1e-6 or not np.isfinite(centre).all():
@@ -211,7 +214,7 @@ def _registered(model: pycolmap.Reconstruction, image_id: int, where: str) -> Re
     if not np.isfinite(camera.params).all() or any(f <= 0 for f in focal_lengths):
         raise InvalidScan(f"{where}:camera {camera.camera_id}", f"parameters {list(camera.params)}", camera.params_info)
     return RegisteredPhoto(
-        name=image.name,
+        name=name,
         camera_id=int(image.camera_id),
         model=camera.model.name,
         width_px=int(camera.width),

@@ -10,6 +10,7 @@ References: G. Turk, The PLY Polygon File Format, 1994.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -154,16 +155,23 @@ def _ascii_rows(vertices: Vertices, max_points: int) -> Iterator[dict[str, np.nd
             yield dict(zip(names, values.T, strict=True))
 
 
+def _plain_numbers(line: str) -> str:
+    """The line with what Microsoft's C libraries print for NaN and infinity as others print it."""
+    if "#" not in line and "(" not in line:
+        return line
+    return re.sub(r"(-?)(?:1\.#INF|inf\(?)\S*", r"\1inf", re.sub(r"-?(?:1\.#(?:QNAN|SNAN|IND)|nan\()\S*", "nan", line))
+
+
 def _parse_rows(lines: list[str], n_columns: int, first: int, where: str) -> np.ndarray:  # (n, n_columns)
     try:
-        values = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)
+        values = np.loadtxt(map(_plain_numbers, lines), dtype=np.float64, comments=None, ndmin=2)
     except ValueError:
         values = None
     if values is not None and values.shape == (len(lines), n_columns):
         return values
     for i, line in enumerate(lines):
         try:
-            n_found = len([float(word) for word in line.split()])
+            n_found = len([float(word) for word in _plain_numbers(line).split()])
         except ValueError:
             n_found = -1
         if n_found != n_columns:
@@ -172,16 +180,17 @@ def _parse_rows(lines: list[str], n_columns: int, first: int, where: str) -> np.
 
 
 def _to_8_bit(values: np.ndarray, dtype: str, where: str, first: int) -> np.ndarray:  # (n, 3) uint8
-    """Colours as 8 bits: floats are 0 to 1, 16 bits are scaled, other integers are taken as they are."""
+    """Colours as 8 bits: floats are 0 to 1, 16 bits are scaled, other integers are taken as they are. NaN is black."""
     is_float = dtype.startswith("f")
     top = 1.0 if is_float else 65535 if dtype == "u2" else 255
-    wrong = (values < 0) | (values > top) if is_float else ~((values >= 0) & (values <= top))
+    scaled = np.rint(np.where(np.isnan(values) & is_float, 0, values) * (255 / top))  # beyond 1 by rounding is 255
+    wrong = ~((scaled >= 0) & (scaled <= 255))
     if wrong.any():
         row, channel = np.argwhere(wrong)[0]
         found = f"a colour of {values[row, channel]}"
-        raise InvalidScan(f"{where} {first + row}", found, f"0 to {top} in type {dtype}")
-    known = np.nan_to_num(values, nan=0.0) if is_float else values  # a vertex at NaN may have a colour of NaN
-    return np.rint(known.astype(np.float64) * (255 / top)).astype(np.uint8)
+        hint = "write colours of 0 to 255 as uchar" if is_float else ""
+        raise InvalidScan(f"{where} {first + row}", found, f"0 to {top} in type {dtype}", hint)
+    return scaled.astype(np.uint8)
 
 
 def _piece(vertices: Vertices, rows: dict[str, np.ndarray], first: int) -> Piece:
@@ -189,15 +198,17 @@ def _piece(vertices: Vertices, rows: dict[str, np.ndarray], first: int) -> Piece
         names = vertices.columns.get(key)
         return None if names is None else np.stack([rows[n] for n in names], axis=1).astype(dtype)
 
-    color = stack("color", np.float64)
+    color, colorless = stack("color", np.float64), None
     if color is not None:
         declared = next(p.dtype for p in vertices.header.vertex.properties if p.name == vertices.columns["color"][0])
+        colorless = np.isnan(color).any(axis=1) if declared.startswith("f") else None
         color = _to_8_bit(color, declared, f"{vertices.where}:vertex", first)
     intensity = stack("intensity", np.float32)
     return Piece(
         position=stack("position", np.float64),
         normal=stack("normal", np.float32),
         color=color,
+        colorless=colorless,
         intensity=None if intensity is None else intensity[:, 0],
     )
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.limits import check_bounds
 from pipeline.readers import open_scan
+from pipeline.readers.check import black_points
 from pipeline.scan import Piece, ScanSource
 from pipeline.splats.cameras import N_CANDIDATES, rank_candidates
 from storage import arrays
@@ -54,6 +55,7 @@ class Ingest:
             warnings.append(
                 f"{points['n_dropped']} of {points['n_read']} points have a position that is not finite and were dropped"
             )
+        warnings += black_points(source, points["n_splats"], **points["n_black"])
         return {
             "format": source.format, "unit": source.unit, "n_points": points["n_splats"], "n_read": points["n_read"],
             "n_dropped": points["n_dropped"], "low": points["low"], "high": points["high"],
@@ -72,7 +74,7 @@ def _store_points(source: ScanSource, folder: Path) -> dict:
     writers: dict[str, arrays.Appender] = {}
     n_read = n_kept = 0
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    intensities = []
+    intensities, black = [], {"n_color": 0, "n_intensity": 0}
     for piece in source.pieces(PIECE):
         finite = np.isfinite(piece.position).all(axis=1)
         n_read += len(finite)
@@ -86,7 +88,10 @@ def _store_points(source: ScanSource, folder: Path) -> dict:
             if name not in writers:
                 writers[name] = arrays.Appender(folder, name, rows.shape[1:], str(rows.dtype))
             writers[name].append(rows)
+        if piece.colorless is not None:
+            black["n_color"] += int(piece.colorless[finite].sum())
         if "intensity" in columns:
+            black["n_intensity"] += int((~np.isfinite(columns["intensity"])).sum())
             known = columns["intensity"][np.isfinite(columns["intensity"])].astype(np.float64)
             if len(known):
                 intensities.append(np.quantile(known, (0.01, 0.99)))
@@ -97,7 +102,7 @@ def _store_points(source: ScanSource, folder: Path) -> dict:
         raise InvalidScan(source.path, f"none of its {n_read} points has a finite position", "at least one point")
     check_bounds(source.path, low, high)
     return {
-        "n_splats": n_kept, "n_read": n_read, "n_dropped": n_read - n_kept, "low": low.tolist(), "high": high.tolist(),
+        "n_splats": n_kept, "n_read": n_read, "n_dropped": n_read - n_kept, "n_black": black, "low": low.tolist(), "high": high.tolist(),
         "intensity_range": _intensity_range(intensities),
     }
 

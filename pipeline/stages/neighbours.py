@@ -1,4 +1,4 @@
-"""How far splats lie apart, and normals where the scan has none."""
+"""How far splats lie apart, and normals where the scan has none, or one that is zero or not finite."""
 
 from __future__ import annotations
 
@@ -36,16 +36,19 @@ class Neighbourhoods:
         points = work.summary(self.partition)
         n = points["n_splats"]
         start, stop = arrays.block_range(index, n)
-        given = arrays.exists(self.partition, "normal")
+        normal, bad = np.zeros((stop - start, 3)), np.ones(stop - start, bool)
+        if arrays.exists(self.partition, "normal"):
+            normal, bad = usable_normals(arrays.read(self.partition, "normal", start, stop))
         found = find_neighbours(
-            index, SPACING_RANK if given else NEIGHBOURS,
+            index, NEIGHBOURS if bad.any() else SPACING_RANK,
             lambda b: arrays.read(self.partition, "position", *arrays.block_range(b, n)),
             np.array(points["block_low"]), np.array(points["block_high"]),
         )
-        if given:
-            normal, degenerate = usable_normals(arrays.read(self.partition, "normal", start, stop))
-        else:
-            normal, degenerate = estimate_normals(arrays.read(self.partition, "position", start, stop), found.position)
+        missing = np.flatnonzero(bad)
+        degenerate = np.zeros(stop - start, bool)
+        if len(missing):
+            point = arrays.read(self.partition, "position", start, stop)[missing]
+            normal[missing], degenerate[missing] = estimate_normals(point, found.position[missing])
         arrays.write(folder, "spacing", start, found.distance[:, SPACING_RANK - 1].astype(np.float32))
         arrays.write(folder, "normal", start, normal.astype(np.float32))
         arrays.write(folder, "degenerate", start, degenerate)

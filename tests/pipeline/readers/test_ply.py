@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.readers import open_scan
+from pipeline.readers.check import check_scan
 from pipeline.readers.ply import open_vertices
 from pipeline.readers.ply_header import MAX_HEADER_BYTES
 from storage.errors import InvalidScan, UnsupportedScan
@@ -95,6 +96,23 @@ def test_ply__colours_of_other_types_are_scaled_to_8_bits(tmp_path, kind, values
     rows = table(3, [("x", "f4"), ("y", "f4"), ("z", "f4"), *colors])
     rows["diffuse_green"] = values
     np.testing.assert_array_equal(read(write(tmp_path / "a.ply", rows))["color"][:, 1], [0, 1, 255])
+
+
+def test_ply__colours_beyond_1_by_rounding_are_white_and_nan_is_black_and_said(tmp_path):
+    rows = table(3, [("x", "f4"), ("y", "f4"), ("z", "f4")] + [(c, "f4") for c in ("red", "green", "blue")])
+    for channel in ("red", "green", "blue"):
+        rows[channel] = [1.0000001, -1e-9, np.nan]
+    scan = write(tmp_path / "a.ply", rows)
+    piece = next(open_scan(scan).pieces(10))
+    assert piece.color.tolist() == [[255] * 3, [0] * 3, [0] * 3] and piece.colorless.tolist() == [False, False, True]
+    assert [f.text for f in check_scan(str(scan)) if "colour" in f.text] == ["1 of 3 points have a colour that is not finite and are drawn black"]
+
+
+@pytest.mark.parametrize(("word", "value"), [("-nan(ind)", np.nan), ("nan(snan)", np.nan), ("1.#QNAN", np.nan), ("-1.#IND", np.nan),
+                                             ("1.#INF00", np.inf), ("-1.#INF", -np.inf)])
+def test_ply__nan_and_infinity_may_be_written_as_on_windows(tmp_path, word, value):
+    (tmp_path / "a.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 3\n{XYZ}end_header\n0 0 0\n1 {word} 2\n1 1 1\n")
+    np.testing.assert_array_equal(read(tmp_path / "a.ply")["position"][1], [1, value, 2])
 
 
 @pytest.mark.parametrize(("kind", "value"), [("f4", 200.0), ("i4", 256), ("i4", -1)])
