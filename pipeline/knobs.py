@@ -41,6 +41,8 @@ class Knob:
             return ", ".join(str(c) for c in self.choices)
         if self.high == math.inf:
             return f"{'above' if self.above_low else 'at least'} {_number(self.low)}"
+        if self.above_low:
+            return f"above {_number(self.low)}, up to {_number(self.high)}"
         return f"{_number(self.low)} to {_number(self.high)}"
 
     @property
@@ -132,6 +134,9 @@ KNOBS = (
     Knob("subspace_floor_db", float, "above the target that the components keep which the dictionary is learned in",
          "atoms nearer to those learned from whole patches", "time and memory of learning",
          "components", low=3.0, high=60.0),
+    Knob("density", float, "the share of the points that become splats, chosen by hash of their place in the scan's files",
+         "bytes, frame time and time of all stages, in proportion", "detail: splats are larger, their radius follows from the wider "
+         "spacing, and each shows more photo pixels in as many texels and atoms", "partition", low=0.0, high=1.0, above_low=True),
     Knob("radius", float, "of every splat, in the scan's unit; by default the median distance to the 4th neighbour",
          "larger: no holes where points are sparse; smaller: sharper textures", "larger: overdraw, and more photo pixels a texel",
          "splats", low=0.0, optional=True, above_low=True),

@@ -22,6 +22,7 @@ class Settings:
     least_gain_db: float = 0.01
     training_splats: int = 20_000
     subspace_floor_db: float = 10.0
+    density: float = 1.0
     radius: float | None = None
     view_distance: float | None = None
     seed: int = 0

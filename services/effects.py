@@ -20,7 +20,7 @@ from storage.packed import SUFFIX
 def effects_of(scan: Path, settings: Settings, executor: Executor, progress: Progress, work: Path | None = None) -> list[dict]:
     """The rows of a scan's plan; the stages up to its splats are run for it, in `work` or thrown away."""
     with _run(executor, progress, work) as run:
-        return plan_scan(run, splats_of(run, scan, settings.radius).sources, parse_request(settings.effects))[0].to_json()
+        return plan_scan(run, splats_of(run, scan, settings.radius, density=settings.density).sources, parse_request(settings.effects))[0].to_json()
 
 
 def worth_of_effects(
@@ -36,7 +36,7 @@ def worth_of_effects(
             name = list(requests)[len(variants)]
             before = len(run.records)
             asked = replace(settings, effects=canonical_request(requests[name]))
-            prepared = prepare(run, scan, asked.radius, asked.effects)
+            prepared = prepare(run, scan, asked.radius, asked.effects, density=asked.density)
             coded = code(run, prepared, asked) if is_textured(prepared) else None
             path = Path(folder) / f"{len(variants)}{SUFFIX}"
             pack(run, prepared, coded, asked, scan.stem, path)

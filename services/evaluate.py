@@ -20,7 +20,7 @@ from renderer.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluation_page import write_evaluation
 from renderer.held_out import HeldOut, compare_held_out
 from renderer.report import sizes_of
-from services.workflow import Coded, Prepared, Run, code, code_patches, encode, pack, prepare, put_in_place, resample, texels_of_levels
+from services.workflow import Coded, Prepared, Run, code, code_patches, encode, is_textured, pack, prepare, put_in_place, resample, texels_of_levels
 from storage import arrays
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile, PackedScene
@@ -54,7 +54,7 @@ class _Evaluation:
 
     @property
     def n_splats(self) -> int:
-        return self.prepared.scan.summary["n_points"]
+        return self.prepared.splats.summary["n_splats"]
 
 
 def evaluate(scan: Path, out: Path, settings: Settings, executor: Executor, progress: Progress, *,
@@ -80,8 +80,8 @@ def evaluate(scan: Path, out: Path, settings: Settings, executor: Executor, prog
 
 
 def _measure(run: Run, scan: Path, out: Path, settings: Settings, wanted: list[str], hold_out: int | None, render: bool) -> dict:
-    prepared = prepare(run, scan, settings.radius, settings.effects)
-    if prepared.splats.summary["n_without_camera"] == prepared.scan.summary["n_points"]:
+    prepared = prepare(run, scan, settings.radius, settings.effects, density=settings.density)
+    if not is_textured(prepared):
         raise InvalidScan(str(scan), "no photograph that sees any of its points", "a scan with photographs: there is no texture to evaluate")
     packed = out / "work" / "packed"
     packed.mkdir(parents=True, exist_ok=True)
@@ -228,7 +228,7 @@ def _held_out(e: _Evaluation, out: Path, every: int) -> dict | None:
     chosen = tuple(range(0, len(names), every))
     if len(chosen) == len(names):
         raise InvalidScan(str(e.scan), f"{len(names)} photographs, each of them held out", "--hold-out so large that some are left")
-    prepared = prepare(e.run, e.scan, e.settings.radius, e.settings.effects, chosen)
+    prepared = prepare(e.run, e.scan, e.settings.radius, e.settings.effects, chosen, e.settings.density)
     coded = code(e.run, prepared, e.settings)
     path = e.out / f"held-out{SUFFIX}"
     pack(e.run, prepared, coded, e.settings, e.scan.stem, path)

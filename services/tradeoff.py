@@ -18,7 +18,7 @@ from renderer.compare import BEST_DB
 from renderer.report import sizes_of
 from renderer.tradeoff_page import summarised, write_tradeoff
 from services.processes import BUDGET_S
-from services.workflow import Run, code, pack, prepare, put_in_place, resample
+from services.workflow import Run, code, is_textured, pack, prepare, put_in_place
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile
 
@@ -127,8 +127,8 @@ def measure_ladder(run: Run, scan: Path, out: Path, settings: Settings, knobs: d
 def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
     """A point of the ladder, and the folder of the photographs that textured it."""
     first = len(run.records)
-    prepared = prepare(run, scan, step.settings.radius, step.settings.effects)
-    if prepared.splats.summary["n_without_camera"] == prepared.splats.summary["n_splats"]:
+    prepared = prepare(run, scan, step.settings.radius, step.settings.effects, density=step.settings.density)
+    if not is_textured(prepared):
         raise InvalidScan(str(scan), "no photograph that sees any of its points", "a scan with photographs: without, no knob trades accuracy")
     coded = code(run, prepared, step.settings)
     path = folder / f"{step.key.replace('/', '-')}{SUFFIX}"

@@ -145,9 +145,9 @@ def fingerprint(scan: Path) -> str:
     return state.hexdigest()
 
 
-def prepare(run: Run, scan: Path, radius: float | None, request: str = "", held_out: tuple[int, ...] = ()) -> Prepared:
+def prepare(run: Run, scan: Path, radius: float | None, request: str = "", held_out: tuple[int, ...] = (), density: float = 1.0) -> Prepared:
     """The scan as splats, and with the effects that they call for; the photographs `held_out` texture none."""
-    return with_effects(run, splats_of(run, scan, radius, held_out), request)
+    return with_effects(run, splats_of(run, scan, radius, held_out, density), request)
 
 
 def with_effects(run: Run, prepared: Prepared, request: str) -> Prepared:
@@ -169,15 +169,15 @@ def _with_ellipsoids(run: Run, prepared: Prepared, ellipsoids: Path) -> Prepared
     return replace(prepared, splats=splats, sources=replace(s, splats=splats.folder))
 
 
-def splats_of(run: Run, scan: Path, radius: float | None, held_out: tuple[int, ...] = ()) -> Prepared:
+def splats_of(run: Run, scan: Path, radius: float | None, held_out: tuple[int, ...] = (), density: float = 1.0) -> Prepared:
     """Read the scan, put its points in chunk order, and make splats of them."""
-    return splats_from(run, *points_of(run, scan), str(scan), radius, held_out)
+    return splats_from(run, *points_of(run, scan, density), str(scan), radius, held_out)
 
 
-def points_of(run: Run, scan: Path) -> tuple[StageRecord, StageRecord]:
-    """Read the scan, and put its points in chunk order."""
+def points_of(run: Run, scan: Path, density: float = 1.0) -> tuple[StageRecord, StageRecord]:
+    """Read the scan, and put its points in chunk order, or that share of them."""
     ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
-    return ingest, run.do(Partition(ingest.folder))
+    return ingest, run.do(Partition(ingest.folder, density))
 
 
 def splats_from(run: Run, ingest: StageRecord, partition: StageRecord, scan: str, radius: float | None,
@@ -207,7 +207,7 @@ def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[Effe
 
 def is_textured(prepared: Prepared) -> bool:
     """Whether any splat has a photograph."""
-    return prepared.splats.summary["n_without_camera"] < prepared.scan.summary["n_points"]
+    return prepared.splats.summary["n_without_camera"] < prepared.splats.summary["n_splats"]
 
 
 def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
@@ -406,7 +406,7 @@ def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = Tru
     """All of a job, into the folder `out`, which is there. Returns the report."""
     name = scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem
     path = out / (name + SUFFIX)
-    prepared = prepare(run, scan, settings.radius, settings.effects)
+    prepared = prepare(run, scan, settings.radius, settings.effects, density=settings.density)
     coded = code(run, prepared, settings) if is_textured(prepared) else None
     pack(run, prepared, coded, settings, name, path)
     return finish(run, path, prepared, coded, settings, out, render)

@@ -7,41 +7,53 @@ median by two histograms, then two runs. Ties go by file order in both, so the o
 from __future__ import annotations
 
 import uuid
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.geometry.chunks import longest_axis, median_split, split_rank
+from pipeline.hashing import uniform_hash
 from storage import arrays, work
-from storage.errors import ResourceExhausted
+from storage.errors import InvalidScan, ResourceExhausted
 
 IN_MEMORY = 1 << 20  # points: 60 MB of records, and as much again twice while they are put in order
 PIECE = 1 << 16
 BINS = 1 << 12
+DENSITY_SEED = 1 << 63  # beyond every job's seed: which points are kept tells nothing of which are learned from
 
 
 @dataclass(frozen=True)
 class Partition:
     """One task: it rewrites the whole scan. Arrays as the ingest's, in chunk order, position against `origin`; and
-    point (n,) uint32, each one's place in the ingest, which unlike its place here does not turn with the scan."""
+    point (n,) uint32, each one's place in the ingest, which unlike its place here does not turn with the scan.
+
+    A `density` below 1 keeps that share of the points, by hash of their place in the ingest.
+
+    Raises: InvalidScan where none is left.
+    """
 
     ingest: Path
+    density: float = 1.0
     name = "partition"
 
     def init(self, folder: Path) -> int:
-        n = work.summary(self.ingest)["n_points"]
+        n = self._n_kept()
+        if not n:
+            n_points = work.summary(self.ingest)["n_points"]
+            raise InvalidScan("density", f"{self.density:g} keeps none of {n_points:,} points", f"{1 / n_points:.2g} and more")
         for name, dtype in _columns(self.ingest).items():
             arrays.create(folder, name, (n, *dtype.shape), str(dtype.base))
         return 1
 
     def run(self, folder: Path, index: int) -> dict:
         points = work.summary(self.ingest)
-        n = points["n_points"]
+        n = self._n_kept()
         scratch = [work.parts(folder) / f"{uuid.uuid4().hex}.bin" for _ in range(2)]
         record = np.dtype([(name, dtype.base, dtype.shape) for name, dtype in _columns(self.ingest).items()])
         try:
-            _copy_records(self.ingest, scratch[0], record, n, np.array(_origin(points)))
+            _copy_records(self.ingest, scratch[0], record, self.density, np.array(_origin(points)))
             _split(scratch, record, 0, n, folder)
         except OSError as error:
             raise ResourceExhausted(f"stage {self.name}", f"{error.strerror or error}", f"room for {2 * n * record.itemsize} bytes") from error
@@ -52,10 +64,14 @@ class Partition:
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         points = work.summary(self.ingest)
-        n = points["n_points"]
+        n = self._n_kept()
         bounds = [_bounds(folder, *arrays.block_range(i, n)) for i in range(arrays.n_blocks(n))]
         low, high = np.array(bounds).transpose(1, 0, 2)
         return {"n_splats": n, "origin": _origin(points), "block_low": low.tolist(), "block_high": high.tolist()}
+
+    def _n_kept(self) -> int:
+        n = work.summary(self.ingest)["n_points"]
+        return sum(len(rows) for rows in _kept_rows(n, self.density)) if self.density < 1 else n
 
 
 def _origin(points: dict) -> list[float]:
@@ -78,13 +94,23 @@ def _bounds(folder: Path, start: int, stop: int) -> tuple[np.ndarray, np.ndarray
     return position.min(axis=0), position.max(axis=0)
 
 
-def _copy_records(ingest: Path, scratch: Path, record: np.dtype, n: int, origin: np.ndarray) -> None:
+def _kept_rows(n: int, density: float) -> Iterator[np.ndarray]:
+    """Places in the ingest of the points that are kept, a block of it at a time."""
+    for start in range(0, n, arrays.BLOCK):
+        rows = np.arange(start, min(n, start + arrays.BLOCK))
+        yield rows if density >= 1 else rows[uniform_hash(rows, DENSITY_SEED) < density]
+
+
+def _copy_records(ingest: Path, scratch: Path, record: np.dtype, density: float, origin: np.ndarray) -> None:
     with open(scratch, "wb") as file:
-        for start in range(0, n, arrays.BLOCK):
-            rows = np.empty(min(arrays.BLOCK, n - start), record)
+        for kept in _kept_rows(work.summary(ingest)["n_points"], density):
+            if not len(kept):
+                continue
+            start, stop = kept[0], kept[-1] + 1
+            rows = np.empty(len(kept), record)
             for name in columns_of(ingest):
-                rows[name] = arrays.read(ingest, name, start, start + len(rows))
-            rows["point"] = np.arange(start, start + len(rows))
+                rows[name] = arrays.read(ingest, name, start, stop)[kept - start]
+            rows["point"] = kept
             rows["position"] -= origin
             rows.tofile(file)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.stages.training import uniform_hash
+from pipeline.hashing import uniform_hash
 from storage import arrays
 
 SEED = 9  # another choice than the training set's, whatever its seed

@@ -14,6 +14,7 @@ from pipeline.coding.grid import coefficients
 from pipeline.coding.ksvd import BLOCK as TASK_SPLATS
 from pipeline.coding.omp_kernels import squared_norms
 from pipeline.coding.subspace import HALF, find_components, halves_suffice, project
+from pipeline.hashing import uniform_hash
 from pipeline.stages.strata import octave_of, shares
 from pipeline.texture.patches import centred
 from storage import arrays, work
@@ -169,17 +170,6 @@ def training_part(folder: Path, index: int) -> TrainingPart:
     """The patches of one task of `Components` or `Coefficients`."""
     coefficients = arrays.read(folder, f"coefficient_{index}").astype(np.float32, copy=False)
     return TrainingPart(coefficients, arrays.read(folder, f"rest_{index}").astype(np.float64))
-
-
-def uniform_hash(index: np.ndarray, seed: int) -> np.ndarray:
-    """A number in [0, 1) for each whole number, by splitmix64 of it and the seed (Steele et al. 2014)."""
-    with np.errstate(over="ignore"):
-        z = index.astype(np.uint64) + np.uint64(seed) * np.uint64(0xD1342543DE82EF95)
-        z = (z + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
-        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        z ^= z >> np.uint64(31)
-    return (z >> np.uint64(11)) / 2.0**53
 
 
 def _patches(training: Path, index: int, rows: slice) -> np.ndarray:
