@@ -31,14 +31,14 @@ PHOTOS, BY_PHOTO, SAMPLE = "a photograph", "the splats of a photograph", "a bloc
 TASKS = {
     "ingest": SCAN, "photographs": PHOTOS, "partition": SCAN, "neighbours": BLOCKS, "splats": BLOCKS,
     "nearest-points": BY_PHOTO, "measure-effects": SAMPLE, "cliplines": BLOCKS, "exposure": PHOTOS, "resample": BLOCKS,
-    "colors": BLOCKS,
-    "training-set": TRAINING, "components": TRAINING, "coefficients": TRAINING, "dictionary-seed": SEED,
-    "ksvd-update": TRAINING, "quantise": TRAINING, "prices": TRAINING, "encode": BLOCKS, "pack": GROUPS,
+    "colors": BLOCKS, "training-set": TRAINING, "components": TRAINING, "coefficients": TRAINING,
+    "dictionary-seed": SEED, "ksvd-update": TRAINING, "quantise": TRAINING, "prices": TRAINING, "encode": BLOCKS, "pack": GROUPS,
 }
 BY_ATOMS = {"dictionary-seed", "ksvd-update", "quantise", "prices", "encode"}  # whose costs go with the number of indices
 READS = {  # whose output a stage reads whole; the training set reads its own share of patches
     "partition": ("ingest",), "neighbours": ("partition",), "splats": ("partition", "neighbours"),
-    "nearest-points": ("partition",), "cliplines": ("splats", "nearest-points"), "exposure": ("photographs",), "resample": ("splats", "photographs"),
+    "nearest-points": ("partition",), "cliplines": ("splats", "nearest-points"), "exposure": ("photographs",),
+    "resample": ("splats", "photographs"),
     "components": ("training-set",), "coefficients": ("training-set",), "dictionary-seed": ("components", "coefficients"),
     "ksvd-update": ("components", "coefficients"), "quantise": ("components", "coefficients"),
     "prices": ("components", "coefficients"),

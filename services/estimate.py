@@ -7,9 +7,10 @@ known of each is whether it goes by splats or by training patches.
 
 from __future__ import annotations
 
+import math
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,9 +19,13 @@ import numpy as np
 from pipeline.coding.grid import TURNS, AtomForm
 from pipeline.settings import Settings
 from pipeline.stage import Executor, Progress, Stage, StageRecord
+from pipeline.stages.patches import Resample
+from pipeline.stages.price import Prices, price_for
 from pipeline.stages.sampled import Sampled
+from pipeline.stages.strata import shares
 from pipeline.stages.training import TrainingSet, membership
 from renderer.report import sizes_of
+from services.estimate_gaps import Slope, Sorts, outcome_in_job, slope_at
 from services.kept_estimates import keep_estimate
 from services.stage_lock import stage_lock
 from services.workflow import (
@@ -31,11 +36,10 @@ from storage import arrays, work
 from storage.packed import SUFFIX, PackedFile
 from storage.schema import ATOM_SIZES, EXTRAS
 
-SAMPLE = 3 * arrays.BLOCK // 2  # splats: a task that warms a worker up (by its memory, mostly), and one that meets it warm
+SAMPLE = 2 * arrays.BLOCK  # splats: two tasks of full size
 MOST_TRAINING = 16_384  # patches that the pilot learns from
 MOST_ATOMS = MOST_TRAINING // PATCHES_AN_ATOM
-MOST_PRODUCTS = 3 * (MOST_TRAINING // 2) * 512  # of a patch and an atom in one of its turns: three passes of learning for most scans
-LEAST_COMPARED = 50  # splats of an octave on either side
+MOST_PRODUCTS = 4 * 12_288 * 4096  # of a patch and an atom in one of its turns: four passes of learning for most scans
 BANDS = {"seconds": 0.25, "gpu_bytes": 0.05, "texture_psnr_db": 0.5, "peak_memory_bytes": 0.25}
 
 
@@ -54,7 +58,7 @@ class _Pilot:
 
     @property
     def n_splats(self) -> int:
-        return self.prepared.scan.summary["n_points"]
+        return self.prepared.splats.summary["n_splats"]
 
     @property
     def share(self) -> float:
@@ -90,7 +94,7 @@ def _one_at_a_time(folder: Path, do: Callable[[], StageRecord]) -> StageRecord:
 
 
 def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
-    prepared = prepare(run, scan, settings.radius, settings.effects)
+    prepared = prepare(run, scan, settings.radius, settings.effects, density=settings.density)
     stages: list[Stage] = []
 
     def noted(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
@@ -129,7 +133,7 @@ def _affordable(settings: Settings, patches: StageRecord, prepared: Prepared) ->
     n_turns = (form or AtomForm()).n_turns
     n_indices = 2 ** index_bits(settings, form, prepared.splats.summary["n_splats"])
     n_atoms = min(n_indices // n_turns, settings.training_splats // PATCHES_AN_ATOM, MOST_ATOMS)
-    n_training = min(settings.training_splats, max(MOST_TRAINING // 2, n_atoms * PATCHES_AN_ATOM))
+    n_training = min(settings.training_splats, max(3 * MOST_TRAINING // 4, n_atoms * PATCHES_AN_ATOM))
     passes = max(2, MOST_PRODUCTS // (n_training * n_atoms * n_turns))
     return replace(settings, training_splats=n_training, iterations=min(settings.iterations, passes))
 
@@ -139,21 +143,29 @@ def _affordable(settings: Settings, patches: StageRecord, prepared: Prepared) ->
 
 def _scaled(pilot: _Pilot, settings: Settings) -> dict:
     learning = _learning(pilot, settings)
-    rows = [{"name": r.name, "seconds": r.made_seconds, "pilot_seconds": r.made_seconds} for r in pilot.full]
-    for stage, record in pilot.stages:
-        rows.append({"name": record.name, "seconds": _stage_seconds(pilot, stage, record, settings, learning),
-                     "pilot_seconds": record.made_seconds})
+    rows = [_row(r, r.made_seconds, _processor_seconds(r)) for r in pilot.full]
+    rows += [_row(record, *_stage_seconds(pilot, stage, record, settings, learning)) for stage, record in pilot.stages]
     rows = _merged(rows)
-    sizes = _sizes(pilot, learning)
-    quality = pilot.coded.codes.summary if pilot.coded else {}
+    loss, taken = _job_for_pilot(pilot, learning)
+    sizes = _sizes(pilot, learning, taken)
     memory = max(r.peak_rss_bytes for r in [*pilot.full, *(record for _, record in pilot.stages)])
     figures = {"seconds": sum(row["seconds"] for row in rows), "peak_memory_bytes": memory,
-               "gpu_bytes": sizes["gpu_bytes"], "texture_psnr_db": quality.get("texture_psnr_db")}
+               "gpu_bytes": sizes["gpu_bytes"], "texture_psnr_db": _psnr_db(pilot, loss)}
     return {name: _banded(name, value) for name, value in figures.items()} | {
         "bytes_per_splat": sizes["gpu_bytes"] / pilot.n_splats, "splats": pilot.n_splats, "n_workers": pilot.n_workers,
         "sizes": sizes, "stages": rows, "learning": learning, "preset": settings.preset,
         "sample": {"n_splats": pilot.n_sample, "n_training": learning.get("n_patches_pilot"), "iterations": pilot.settings.iterations,
                    "seconds": sum(row["pilot_seconds"] for row in rows)}}
+
+
+def _row(record: StageRecord, seconds: float, processor_seconds: float) -> dict:
+    return {"name": record.name, "seconds": seconds, "processor_seconds": processor_seconds, "pilot_seconds": record.made_seconds,
+            "pilot_processor_seconds": _processor_seconds(record)}
+
+
+def _processor_seconds(record: StageRecord) -> float:
+    """Of a stage's tasks."""
+    return sum(task["processor_seconds"] for task in work.finished_tasks(record.folder).values())
 
 
 def _banded(name: str, value: float | None) -> dict | None:
@@ -175,29 +187,37 @@ def _learning(pilot: _Pilot, settings: Settings) -> dict:
     form = None if settings.coder == "paper" else AtomForm(found["atom_size"], found["n_turns"])
     most = 2 ** index_bits(settings, form, pilot.n_splats) // found["n_turns"]
     n_atoms = max(1, min(most, int(n_patches) // PATCHES_AN_ATOM))
-    return {"n_active": int(n_active), "n_patches": int(n_patches), "n_patches_pilot": training["n_patches"],
+    return {"n_wanted": settings.training_splats, "n_active": int(n_active), "n_patches": int(n_patches), "n_patches_pilot": training["n_patches"],
             "n_atoms": n_atoms, "n_atoms_pilot": pilot.coded.n_dictionary}
 
 
-def _stage_seconds(pilot: _Pilot, stage: Stage, record: StageRecord, settings: Settings, learning: dict) -> float:
-    """A stage's wall time: what its tasks take, by the splat or the patch, shared by the workers, and what it takes once.
+def _stage_seconds(pilot: _Pilot, stage: Stage, record: StageRecord, settings: Settings, learning: dict) -> tuple[float, float]:
+    """A stage's wall time: what its tasks take, by the splat or the patch, shared by the workers, and what it takes once;
+    and the processor time of its tasks.
 
-    Tasks count as the fastest one did, which met a warm worker, and without the kernels that it compiled: they are there
-    when the job runs.
+    Tasks count without the kernels that they compiled: those are there when the job runs. Of the first stage the fastest
+    task counts, as the others met a worker without pages of memory.
     """
     tasks = work.finished_tasks(record.folder).values()
     busy = sum(task["seconds"] for task in tasks)
     once = max(0.0, record.made_seconds - busy / len(tasks) * -(-len(tasks) // pilot.n_workers)) if tasks else record.made_seconds
+    used = sum(task["processor_seconds"] for task in tasks)
     if record.n_splats:
-        busy = record.n_splats * min((t["seconds"] - t["compile_seconds"]) / t["n_splats"] for t in tasks if t["n_splats"])
+        busy, used = (record.n_splats * _rate(tasks, clock, cold=stage.name == Resample.name) for clock in ("seconds", "processor_seconds"))
     atoms = learning["n_atoms"] / max(1, learning["n_atoms_pilot"]) if learning else 1.0
     if hasattr(stage, "training") or stage.name == TrainingSet.name:
         n_patches = min(learning.get("n_patches", 0), getattr(stage, "most_patches", np.inf))
         factor = n_patches / record.n_splats if learning and record.n_splats else 1.0
         passes = _passes(pilot, settings) if record.name == "ksvd-update" else 1
-        return passes * atoms * (once + _shared(busy * factor, len(tasks) * factor, pilot.n_workers))
-    whole = busy / pilot.share * (atoms if record.name == "encode" else 1.0)
-    return once + _shared(whole, len(tasks) / pilot.share, pilot.n_workers)
+        return passes * atoms * (once + _shared(busy * factor, len(tasks) * factor, pilot.n_workers)), passes * atoms * used * factor
+    atoms = atoms if record.name == "encode" else 1.0
+    return once + _shared(busy * atoms / pilot.share, len(tasks) / pilot.share, pilot.n_workers), used * atoms / pilot.share
+
+
+def _rate(tasks: Iterable[dict], clock: str, cold: bool) -> float:
+    """Seconds a splat."""
+    taken = [(t[clock] * max(0.0, 1 - t["compile_seconds"] / t["seconds"]), t["n_splats"]) for t in tasks if t["n_splats"]]
+    return min(s / n for s, n in taken) if cold else sum(s for s, _ in taken) / sum(n for _, n in taken)
 
 
 def _passes(pilot: _Pilot, settings: Settings) -> float:
@@ -215,39 +235,36 @@ def _shared(busy: float, n_tasks: float, n_workers: int) -> float:
 def _merged(rows: list[dict]) -> list[dict]:
     merged: dict[str, dict] = {}
     for row in rows:
-        known = merged.setdefault(row["name"], {"name": row["name"], "seconds": 0.0, "pilot_seconds": 0.0})
-        known["seconds"] += row["seconds"]
-        known["pilot_seconds"] += row["pilot_seconds"]
+        known = merged.setdefault(row["name"], dict.fromkeys(row, 0.0) | {"name": row["name"]})
+        for clock in row.keys() - {"name"}:
+            known[clock] += row[clock]
     return list(merged.values())
 
 
-def _sizes(pilot: _Pilot, learning: dict) -> dict:
-    """Bytes by part: the dictionary by its atoms, all else by the splat."""
+def _sizes(pilot: _Pilot, learning: dict, taken: float) -> dict:
+    """Bytes by part: the dictionary by its atoms, codes by the `taken` atoms of a splat, all else by the splat."""
     sizes = {name: pilot.sizes[f"{name}_bytes"] / pilot.share for name in ("geometry", "codes", "colors")}
     sizes["dictionary"] = pilot.sizes["dictionary_bytes"] * (learning["n_atoms"] / learning["n_atoms_pilot"] if learning else 1)
-    if learning:
-        sizes["codes"] *= _atoms_factor(pilot, learning)
+    sizes["codes"] *= taken
     return {f"{name}_bytes": int(n) for name, n in sizes.items()} | {"gpu_bytes": int(sum(sizes.values()))}
 
 
-def _atoms_factor(pilot: _Pilot, learning: dict) -> float:
-    """How many atoms the job's splats take, for one that the pilot's do.
+def _psnr_db(pilot: _Pilot, loss: float) -> float | None:
+    found = pilot.coded.codes.summary["texture_psnr_db"] if pilot.coded else None
+    return None if found is None or not loss else found - 10 * math.log10(loss)
 
-    Splats that a dictionary was learned from do better with it than others, and the others worse than with the best one,
-    by as much: both gaps shrink as the number of patches grows. What the pilot's two sorts of splats take tells them,
-    octave by octave of contrast, for the training set prefers the higher ones.
-    """
+
+def _job_for_pilot(pilot: _Pilot, learning: dict) -> tuple[float, float]:
+    """Squared error and atoms of the job's splats, for one of each of the pilot's."""
+    if not learning:
+        return 1.0, 1.0
     stage, record = next(pair for pair in pilot.stages if isinstance(pair[0], TrainingSet))
     active, learned, octave = membership(stage, record.folder)
-    n_atoms = arrays.read(pilot.coded.codes.folder, "n_atoms").astype(float)
-    shrink = min(1.0, learning["n_patches_pilot"] / learning["n_patches"])
-    in_job = min(1.0, learning["n_patches"] / max(1, learning["n_active"]))
-    wanted = n_atoms[active].sum()
-    for o in np.unique(octave[active]):
-        here = active & (octave == o)
-        inside, outside = n_atoms[here & learned], n_atoms[here & ~learned]
-        if min(len(inside), len(outside)) >= LEAST_COMPARED:
-            gap = (outside.mean() - inside.mean()) / 2
-            middle = (outside.mean() + inside.mean()) / 2
-            wanted += here.sum() * (middle + (1 - 2 * in_job) * gap * shrink) - n_atoms[here].sum()
-    return float(wanted / max(1e-9, n_atoms[active].sum()))
+    error, n_atoms = (arrays.read(pilot.coded.codes.folder, name).astype(float) for name in ("error", "n_atoms"))
+    prices = next((r.summary for _, r in pilot.stages if r.name == Prices.name), None)
+    slope = slope_at(price_for(prices, record.summary), prices) if prices else Slope(None)
+    census = np.array(work.summary(stage.patches)["census"]) / pilot.share
+    a_patch = (learning["n_atoms"] / learning["n_patches"]) / (learning["n_atoms_pilot"] / learning["n_patches_pilot"])
+    job = outcome_in_job(Sorts(octave[active], learned[active], error[active], n_atoms[active]),
+                         shares(census, stage.tolerance, learning["n_wanted"]), min(1.0, a_patch), slope)
+    return (job.error + error[~active].sum()) / max(1e-30, error.sum()), job.n_atoms / max(1e-9, n_atoms[active].sum())

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.accuracy import psnr_db
 from pipeline.coding.grid import AtomForm, coefficients, shown, texels_of
 from pipeline.coding.omp import Codes, Pursuit, reconstruct
+from pipeline.coding.omp_kernels import squared_norms
 from pipeline.stages.atoms import load_atoms
 from pipeline.texture.patches import centred, patch_errors
 from pipeline.texture.resample import PATCH_DIM, disc_weights
@@ -21,7 +22,8 @@ ROWS = 1024  # patches in float32 at a time: 12 MiB
 
 @dataclass(frozen=True)
 class Encode:
-    """A task a block. Arrays: n_atoms (n,) uint8, atom (n, r) uint16, weight_code (n, r) uint8."""
+    """A task a block. Arrays: n_atoms (n,) uint8, atom (n, r) uint16, weight_code (n, r) uint8, error (n,) float32: the squared
+    norm that is left of each patch, before its texels are clamped."""
 
     patches: Path
     colors: Path
@@ -37,26 +39,26 @@ class Encode:
         arrays.create(folder, "n_atoms", (n,), "uint8")
         arrays.create(folder, "atom", (n, self._n_ranks), "uint16")
         arrays.create(folder, "weight_code", (n, self._n_ranks), "uint8")
+        arrays.create(folder, "error", (n,), "float32")
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:
         start, stop = arrays.block_range(index, arrays.opened(self.patches, "energy").shape[0])
         encode = self._encoder()
-        texel = arrays.read(self.patches, "texel", start, stop)
         average = arrays.read(self.colors, "average", start, stop)
         n_atoms = np.zeros(stop - start, np.uint8)
         atom = np.zeros((stop - start, self._n_ranks), np.uint16)
-        weight_code = np.zeros((stop - start, self._n_ranks), np.uint8)
+        weight_code, error = np.zeros((stop - start, self._n_ranks), np.uint8), np.zeros(stop - start, np.float32)
         squared, weighted = 0.0, 0.0
-        for at in range(0, stop - start, ROWS):
-            rows = slice(at, at + ROWS)
-            found, decoded = encode(centred(texel[rows], average[rows]))
+        for at, texel in arrays.pieces(self.patches, "texel", start, stop, ROWS):
+            rows = slice(at - start, at - start + ROWS)
+            found, decoded = encode(centred(texel, average[rows]))
             used = found.weight_code.shape[1]
             n_atoms[rows], atom[rows, :used] = found.codes.n_atoms, found.codes.atom_index
-            weight_code[rows, :used] = found.weight_code
-            lost = patch_errors(texel[rows], average[rows], decoded)
+            weight_code[rows, :used], error[rows] = found.weight_code, found.residual
+            lost = patch_errors(texel, average[rows], decoded)
             squared, weighted = squared + lost[0], weighted + lost[1]
-        for name, values in (("n_atoms", n_atoms), ("atom", atom), ("weight_code", weight_code)):
+        for name, values in (("n_atoms", n_atoms), ("atom", atom), ("weight_code", weight_code), ("error", error)):
             arrays.write(folder, name, start, values)
         return {"n_splats": stop - start, "squared_error": squared, "weighted_error": weighted,
                 "histogram": np.bincount(n_atoms, minlength=MAX_ATOMS + 1).tolist()}
@@ -70,7 +72,7 @@ class Encode:
 
     def _encoder(self):
         if self.quantized is None:
-            return lambda patches: (_no_codes(len(patches)), np.zeros_like(patches))
+            return lambda patches: (_no_codes(patches), np.zeros_like(patches))
         atoms, levels = load_atoms(self.quantized), arrays.read(self.quantized, "weight_levels")
 
         def encode(patches: np.ndarray) -> tuple[Pursuit, np.ndarray]:
@@ -78,8 +80,10 @@ class Encode:
                 found = atoms.pursue(patches, self.max_atoms, self.tolerance, levels)
                 return found, reconstruct(found.codes, atoms.dictionary)
             size = self.form.size
-            found = atoms.pursue(coefficients(patches, size), self.max_atoms, self.tolerance, levels, self.price)
-            return found, shown(texels_of(reconstruct(found.codes, atoms.dictionary), size), size)
+            short = coefficients(patches, size)
+            found = atoms.pursue(short, self.max_atoms, self.tolerance, levels, self.price)
+            beyond = np.maximum(squared_norms(patches) - squared_norms(short), 0)  # what atoms of this size cannot show
+            return found._replace(residual=found.residual + beyond), shown(texels_of(reconstruct(found.codes, atoms.dictionary), size), size)
 
         return encode
 
@@ -93,6 +97,7 @@ def coding_quality(results: list[dict]) -> dict:
             "histogram": histogram.tolist(), "mean_atoms": float(histogram @ np.arange(len(histogram)) / n)}
 
 
-def _no_codes(n: int) -> Pursuit:
+def _no_codes(patches: np.ndarray) -> Pursuit:
+    n = len(patches)
     nothing = Codes(np.zeros((n, 0), np.int32), np.zeros((n, 0), np.float32), np.zeros(n, np.int32))
-    return Pursuit(nothing, np.zeros((n, 0), np.int32), np.zeros(n))
+    return Pursuit(nothing, np.zeros((n, 0), np.int32), squared_norms(patches))

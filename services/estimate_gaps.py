@@ -1,0 +1,91 @@
+"""What a dictionary learned from more splats than the pilot's does for splats that it was learned from, and for the others.
+
+Splats that a dictionary was learned from do better with it than others, and the others worse than with the best one, by as
+much; both gaps shrink as patches an atom grow. What the pilot's two sorts of splats lose and take tells the gaps, octave by
+octave of contrast, for the training set prefers the higher ones.
+
+The price of an atom is set such that the splats learned from have the error that the target promises. Theirs is too good in
+the pilot by more than in the job, so the job's price is lower: fewer errors, more atoms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+LEAST_COMPARED = 50  # splats of an octave on either side
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of the splats that their average colour does not settle."""
+
+    error: float  # summed
+    n_atoms: float
+
+
+@dataclass(frozen=True)
+class Sorts:
+    """The pilot's unsettled splats; rows correspond."""
+
+    octave: np.ndarray  # (n,)
+    learned: np.ndarray  # (n,) bool: whether the dictionary was learned from it
+    error: np.ndarray  # (n,)
+    n_atoms: np.ndarray  # (n,)
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Of the ladder of prices where the pilot's price lies; None where it is the ladder's last, and no job's is lower."""
+
+    atoms_an_error: float | None  # d log(atoms) / d log(error), negative
+
+
+def outcome_in_job(sorts: Sorts, in_job: np.ndarray, shrink: float, slope: Slope) -> Outcome:
+    """What the job's splats lose and take, scaled to as many as the pilot has. `in_job`, by octave, is the share that the job
+    learns from; `shrink` what is left of the pilot's gaps."""
+    learned, others = _by_octave(sorts, "error", shrink)
+    fall = 1.0 if slope.atoms_an_error is None else _learned_error(sorts) / max(1e-30, _weighted(sorts, learned))
+    error = fall * _mixed(sorts, in_job, learned, others)
+    n_atoms = _mixed(sorts, in_job, *_by_octave(sorts, "n_atoms", shrink))
+    return Outcome(error, n_atoms * fall ** (slope.atoms_an_error or 0.0))
+
+
+def slope_at(price: float, ladder: dict) -> Slope:
+    """Of the summary of `Prices`."""
+    prices, error, n_atoms = (np.array(ladder[k]) for k in ("price", "error", "n_atoms"))
+    if price <= prices.min() * 1.001 or min(error.min(), n_atoms.min()) <= 0:
+        return Slope(None)
+    order = np.argsort(prices)
+    at = int(np.clip(np.searchsorted(prices[order], price), 1, len(prices) - 1))
+    below, above = order[at - 1], order[at]
+    rise = np.log(error[above] / error[below])
+    return Slope(float(np.log(n_atoms[above] / n_atoms[below]) / rise) if rise > 1e-9 else 0.0)
+
+
+def _by_octave(sorts: Sorts, name: str, shrink: float) -> tuple[dict[int, float], dict[int, float]]:
+    """Means of the job's splats that it learns from, and of its others."""
+    values, learned, others = getattr(sorts, name), {}, {}
+    for octave in np.unique(sorts.octave):
+        here = sorts.octave == octave
+        inside, outside = values[here & sorts.learned], values[here & ~sorts.learned]
+        if min(len(inside), len(outside)) >= LEAST_COMPARED:
+            middle, half = (outside.mean() + inside.mean()) / 2, (outside.mean() - inside.mean()) / 2 * shrink
+        else:
+            middle, half = values[here].mean(), 0.0
+        learned[int(octave)], others[int(octave)] = middle - half, middle + half
+    return learned, others
+
+
+def _learned_error(sorts: Sorts) -> float:
+    """Of all splats, were those that the pilot did not learn from as those that it did."""
+    return _weighted(sorts, _by_octave(sorts, "error", 1.0)[0])
+
+
+def _weighted(sorts: Sorts, mean: dict[int, float]) -> float:
+    return float(sum((sorts.octave == octave).sum() * value for octave, value in mean.items()))
+
+
+def _mixed(sorts: Sorts, in_job: np.ndarray, learned: dict[int, float], others: dict[int, float]) -> float:
+    return _weighted(sorts, {o: in_job[o] * learned[o] + (1 - in_job[o]) * others[o] for o in learned})
