@@ -263,7 +263,7 @@ def _job_for_pilot(pilot: _Pilot, learning: dict) -> tuple[float, float]:
     error, n_atoms = (arrays.read(pilot.coded.codes.folder, name).astype(float) for name in ("error", "n_atoms"))
     prices = next((r.summary for _, r in pilot.stages if r.name == Prices.name), None)
     slope = slope_at(price_for(prices, record.summary), prices) if prices else Slope(None)
-    census = np.array(work.summary(stage.patches)["census"]) / pilot.share
+    census = np.array(work.summary(stage.colors)["census"]) / pilot.share
     a_patch = (learning["n_atoms"] / learning["n_patches"]) / (learning["n_atoms_pilot"] / learning["n_patches_pilot"])
     job = outcome_in_job(Sorts(octave[active], learned[active], error[active], n_atoms[active]),
                          shares(census, stage.tolerance, learning["n_wanted"]), min(1.0, a_patch), slope)
