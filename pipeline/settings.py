@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from pipeline.knobs import BY_NAME, KNOBS
+from storage.schema import MAX_ATOMS
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,8 @@ PRESETS = {
     "draft": Settings("draft", target_psnr_db=36.0, iterations=3, training_splats=10_000),
     "balanced": Settings("balanced"),
     "high": Settings("high", dictionary_bits=12, weight_bits=8, target_psnr_db=44.0, iterations=8, training_splats=80_000),
+    "archive": Settings("archive", dictionary_bits=12, weight_bits=8, max_atoms=MAX_ATOMS, target_psnr_db=48.0, iterations=8,
+                        training_splats=80_000),
 }
 DEFAULT_PRESET = Settings().preset
 

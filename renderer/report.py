@@ -27,7 +27,7 @@ import numpy as np
 from pipeline.effects.request import OFF, asked_by
 from renderer.files import strict, write_json
 from storage.packed import PackedScene
-from storage.schema import BY_NAME, MAX_ATOMS, Camera, Header
+from storage.schema import BY_NAME, Camera, Header
 
 REPORT_NAME = "report.json"
 GPU_PARTS = ("geometry", "codes", "colors", "dictionary")
@@ -130,11 +130,11 @@ def source_texture_bytes(cameras: Sequence[Camera]) -> int | None:
 
 
 def atoms_of(scene: PackedScene) -> dict:
-    """How many splats have 0, 1 ... MAX_ATOMS atoms (`histogram`), and the `mean`; counted from the batches."""
+    """How many splats have 0, 1 ... `n_ranks` atoms (`histogram`), and the `mean`; counted from the batches."""
     splats = scene.arrays["batch_count"].sum(axis=0, dtype=np.int64)
     n_atoms = [batch.n_atoms for batch in scene.header.batches]
-    histogram = np.bincount(n_atoms, weights=splats, minlength=MAX_ATOMS + 1).astype(np.int64)
-    return {"histogram": histogram.tolist(), "mean": float(histogram @ np.arange(MAX_ATOMS + 1) / histogram.sum())}
+    histogram = np.bincount(n_atoms, weights=splats, minlength=scene.header.n_ranks + 1).astype(np.int64)
+    return {"histogram": histogram.tolist(), "mean": float(histogram @ np.arange(len(histogram)) / histogram.sum())}
 
 
 def write_report(folder: Path, report: dict) -> Path:

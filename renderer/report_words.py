@@ -12,7 +12,7 @@ NOT_MEASURED = "–"
 PARTS = {
     "geometry": "Positions (24 bits), normals (16 bits) and the boxes of the chunks they are relative to.",
     "codes": "Which atoms each splat adds up, with what weights, and how many splats have how many.",
-    "colors": "The average colour of every splat, 24-bit sRGB.",
+    "colors": "The average colour of every splat: 24-bit sRGB, or a cell of its chunk's box of colours.",
     "dictionary": "The atoms with their mip levels, and what the weight codes stand for.",
 }
 

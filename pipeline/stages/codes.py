@@ -15,7 +15,6 @@ from pipeline.stages.atoms import load_atoms
 from pipeline.texture.patches import centred, patch_errors
 from pipeline.texture.resample import PATCH_DIM, disc_weights
 from storage import arrays
-from storage.schema import MAX_ATOMS
 
 ROWS = 1024  # patches in float32 at a time: 12 MiB
 
@@ -61,7 +60,7 @@ class Encode:
         for name, values in (("n_atoms", n_atoms), ("atom", atom), ("weight_code", weight_code), ("error", error)):
             arrays.write(folder, name, start, values)
         return {"n_splats": stop - start, "squared_error": squared, "weighted_error": weighted,
-                "histogram": np.bincount(n_atoms, minlength=MAX_ATOMS + 1).tolist()}
+                "histogram": np.bincount(n_atoms, minlength=self._n_ranks + 1).tolist()}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         return coding_quality(results)

@@ -21,7 +21,7 @@ from pipeline.texture.patches import Patches, make_patches, patch_errors
 from pipeline.texture.resample import PATCH_DIM
 from storage import arrays, work
 from storage.packed import PackedFile, PackedScene
-from storage.schema import GROUP, MAX_ATOMS
+from storage.schema import GROUP
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Measure:
             lost = patch_errors(texel[rows], color[rows], decode_patches(scene, rows, atoms, levels))
             squared, weighted = squared + lost[0], weighted + lost[1]
         return {"n_splats": len(texel), "squared_error": squared, "weighted_error": weighted,
-                "histogram": np.bincount(scene.n_atoms, minlength=MAX_ATOMS + 1).tolist(),
+                "histogram": np.bincount(scene.n_atoms, minlength=scene.header.n_ranks + 1).tolist(),
                 "resampling_error": patches.resampling_error, "n_probes": patches.n_probes, "n_flagged": patches.n_flagged}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:

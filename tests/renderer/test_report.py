@@ -13,7 +13,7 @@ from renderer.pictures import jpeg_within, save_picture
 from renderer.report import build_report, write_report
 from renderer.report_page import ALL_PICTURES_BYTES, page_of, write_page
 from storage.schema import PATCH_SIZE
-from tests.scenes import Settings, Splats, build_scene, camera_looking, random_dictionary
+from tests.scenes import Settings, Splats, build_scene, camera_looking, random_dictionary, sheet
 
 KEYS = {
     "": {"scan", "splats", "sizes", "quality", "atoms", "learning", "stages", "settings", "warnings"},
@@ -82,10 +82,11 @@ def strictly_parsed(path):
 @pytest.mark.parametrize("n_dictionary", [0, 20])
 @pytest.mark.parametrize("record", [None, {}, full_record(), dict.fromkeys(full_record())])
 def test_report__has_all_keys_whatever_was_recorded(n_photos, n_dictionary, record):
-    report = build_report(tiny(n_photos, n_dictionary), 1000, record)
+    scene = tiny(n_photos, n_dictionary)
+    report = build_report(scene, 1000, record)
     for part, keys in KEYS.items():
         assert keys <= set(report[part] if part else report)
-    assert len(report["atoms"]["histogram"]) == 9
+    assert len(report["atoms"]["histogram"]) == scene.header.n_ranks + 1
     for entry in report["learning"]:
         assert {"seconds", "psnr_db"} <= set(entry)
     for stage in report["stages"]:
@@ -102,6 +103,15 @@ def test_report__counts_every_array_once_and_the_camera_not_at_all():
     assert sizes["geometry_bytes"] == 5 * N + 27 * 4  # 24 + 16 bits a splat, and four boxes
     assert sizes["bytes_per_splat"] == on_gpu / N
     assert sizes["file_bytes"] == 1000
+
+
+def test_report__counts_boxes_of_colours_as_colours():
+    rng = np.random.default_rng(0)
+    scene = build_scene(sheet(rng, N), Settings(color_step=112))
+    arrays = scene.arrays
+    sizes = build_report(scene, 1000)["sizes"]
+    assert sizes["colors_bytes"] == 13 * 4 + arrays["colors"].nbytes and "color" not in arrays
+    assert sizes["colors_bytes"] < 3.7 * N  # of random colours; 4 boxes of 128 splats
 
 
 def test_report__compression_factors_are_those_of_table_1():
@@ -122,7 +132,7 @@ def test_report__of_a_scan_without_photographs_has_no_compression_factor():
 def test_report__counts_atoms_as_the_codes_have_them():
     scene = tiny()
     atoms = build_report(scene, 1000)["atoms"]
-    assert atoms["histogram"] == np.bincount(scene.n_atoms, minlength=9).tolist()
+    assert atoms["histogram"] == np.bincount(scene.n_atoms, minlength=scene.header.n_ranks + 1).tolist()
     assert atoms["mean"] == pytest.approx(scene.n_atoms.mean())
 
 

@@ -472,7 +472,7 @@ def test_api__on_loopback_no_other_page_may_ask(api):
 def test_api__options_and_presets_are_those_of_the_command_line(api):
     options = {o["name"]: o for o in api.get("/v1/options").json()}
     assert options["dictionary_bits"]["domain"] == {"enum": ["auto", 8, 9, 10, 11, 12, 13, 14, 16]} and options["iterations"]["value"] == Settings().iterations
-    assert [p["name"] for p in api.get("/v1/presets").json()] == ["draft", "balanced", "high"]
+    assert [p["name"] for p in api.get("/v1/presets").json()] == ["draft", "balanced", "high", "archive"]
 
 
 def test_api__health_and_metrics(api, scan):

@@ -40,13 +40,13 @@ def made(scan, tmp_path_factory, renderer):
 
 def test_ladder__takes_the_chosen_settings_then_presets_then_knobs_in_turns():
     steps = ladder(settings_for("balanced"), {"iterations": (1, 3), "weight_bits": (8,)})
-    assert [s.key for s in steps] == ["chosen", "draft", "high", "iterations=1", "weight_bits=8", "iterations=3"]
-    assert steps[0].preset == "balanced" and steps[3].knob == "iterations" and steps[3].settings == settings_for("balanced", iterations=1)
+    assert [s.key for s in steps] == ["chosen", "draft", "high", "archive", "iterations=1", "weight_bits=8", "iterations=3"]
+    assert steps[0].preset == "balanced" and steps[4].knob == "iterations" and steps[4].settings == settings_for("balanced", iterations=1)
 
 
 def test_ladder__measures_nothing_twice():
     steps = ladder(settings_for("balanced"), {"iterations": (settings_for("balanced").iterations, 3, 3), "weight_bits": (4,)})
-    assert [s.key for s in steps][3:] == ["iterations=3"]
+    assert [s.key for s in steps][4:] == ["iterations=3"]
 
 
 def test_ladder__every_step_says_the_arguments_that_ask_for_it():

@@ -41,7 +41,7 @@ def test_price__spends_the_same_atoms_better_than_a_cut_off():
     assert priced.residual.sum() < cut.residual.sum()
 
 
-LADDER = {"price": [2.0, 1.0, 0.5], "error": [8.0, 4.0, 2.0]}
+LADDER = {"price": [2.0, 1.0, 0.5], "error": [8.0, 4.0, 2.0], "n_atoms": [1.0, 2.0, 3.0]}
 WHOLE = {"n_active": 10, "n_splats": 10, "settled_energy": 0.0}
 
 
@@ -62,6 +62,21 @@ def test_price__settled_splats_leave_more_to_the_others():
 @pytest.mark.parametrize(("wanted", "found"), [(0.1, 0.5), (100.0, 2.0)])
 def test_price__beyond_the_ladder_is_its_end(wanted, found):
     assert price_at(LADDER, WHOLE, wanted) == pytest.approx(found)
+
+
+@pytest.mark.parametrize(("last", "found"), [(3.9, 1.0), (3.75, 1.0), (3.7, 0.5), (2.0, 0.5)])
+def test_price__ends_where_splats_have_run_out_of_atoms(last, found):
+    """An atom more from the second price to the third: 0.3 dB are 4.0 to 3.73."""
+    ladder = LADDER | {"error": [8.0, 4.0, last]}
+    assert price_at(ladder, WHOLE, 0.1) == pytest.approx(found)
+
+
+def test_price__is_no_cliff_at_its_end():
+    """As the target goes on beyond what atoms can show, the price stays where it is."""
+    ladder = {"price": [2.0, 1.0, 0.5, 0.25], "error": [8.0, 4.0, 3.5, 3.4], "n_atoms": [1.0, 2.0, 3.0, 5.0]}
+    prices = [price_at(ladder, WHOLE, wanted) for wanted in np.geomspace(8, 0.01, 60)]
+    assert all(b <= a for a, b in zip(prices, prices[1:])) and prices[-1] == pytest.approx(0.5)
+    assert max(a / b for a, b in zip(prices, prices[1:])) < 2
 
 
 def test_weights__even_levels_are_the_same_for_every_rank_and_as_wide_as_pays():
