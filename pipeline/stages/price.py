@@ -77,17 +77,23 @@ def price_for(ladder: dict, training: dict) -> float:
 
     The least of the ladder that is worth its atoms where none is low enough: what a decibel then costs is out of proportion.
     """
+    ladder = worth_its_atoms(ladder, training)
     patch_error = training["cutoff_error"] / training["n_splats"]
-    share = training["n_active"] / training["n_splats"]
-    error = np.array(ladder["error"]) * share + training["settled_energy"] / training["n_splats"]
-    n = _worth(error, share * np.array(ladder["n_atoms"]))
-    order = np.argsort(error[:n])
-    found = np.interp(np.log(patch_error), np.log(np.maximum(error[:n][order], 1e-30)), np.log(np.array(ladder["price"])[:n][order]))
+    error = _of_all(ladder, training)
+    order = np.argsort(error)
+    found = np.interp(np.log(patch_error), np.log(np.maximum(error[order], 1e-30)), np.log(np.array(ladder["price"])[order]))
     return float(np.exp(found))
 
 
-def _worth(error: np.ndarray, n_atoms: np.ndarray) -> int:
-    """How many prices of the ladder, the highest first, are worth the atoms that they take more than the one before."""
-    gain_db = -10 * np.diff(np.log10(np.maximum(error, 1e-30)))
-    bad = np.flatnonzero(gain_db < LEAST_GAIN_DB * np.maximum(np.diff(n_atoms), 0))
-    return int(bad[0]) + 1 if len(bad) else len(error)
+def worth_its_atoms(ladder: dict, training: dict) -> dict:
+    """The ladder down to the last price that is worth the atoms that it takes more than the one before."""
+    gain_db = -10 * np.diff(np.log10(np.maximum(_of_all(ladder, training), 1e-30)))
+    more_atoms = np.diff(ladder["n_atoms"]) * training["n_active"] / training["n_splats"]
+    bad = np.flatnonzero(gain_db < LEAST_GAIN_DB * np.maximum(more_atoms, 0))
+    return {name: values[: int(bad[0]) + 1] if len(bad) else values for name, values in ladder.items()}
+
+
+def _of_all(ladder: dict, training: dict) -> np.ndarray:
+    """The error of a patch of the scan at each price, those that their average settles among them."""
+    error = np.array(ladder["error"]) * training["n_active"] + training["settled_energy"]
+    return error / training["n_splats"]
