@@ -20,7 +20,7 @@ from pipeline.coding.grid import TURNS, AtomForm
 from pipeline.settings import Settings
 from pipeline.stage import Executor, Progress, Stage, StageRecord
 from pipeline.stages.patches import Resample
-from pipeline.stages.price import Prices, price_for, worth_its_atoms
+from pipeline.stages.price import Prices, least_price, price_for
 from pipeline.stages.sampled import Sampled
 from pipeline.stages.strata import shares
 from pipeline.stages.training import TrainingSet, membership
@@ -263,7 +263,7 @@ def _job_for_pilot(pilot: _Pilot, learning: dict) -> tuple[float, float]:
     error, n_atoms = (arrays.read(pilot.coded.codes.folder, name).astype(float) for name in ("error", "n_atoms"))
     prices = next((r.summary for _, r in pilot.stages if r.name == Prices.name), None)
     price = prices and price_for(prices, record.summary)
-    slope = slope_at(price, worth_its_atoms(prices, record.summary)) if prices else Slope(None)
+    slope = slope_at(price, prices, least_price(prices, record.summary)) if prices else Slope(None)
     census = np.array(work.summary(stage.colors)["census"]) / pilot.share
     a_patch = (learning["n_atoms"] / learning["n_patches"]) / (learning["n_atoms_pilot"] / learning["n_patches_pilot"])
     job = outcome_in_job(Sorts(octave[active], learned[active], error[active], n_atoms[active]),

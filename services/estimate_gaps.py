@@ -52,10 +52,10 @@ def outcome_in_job(sorts: Sorts, in_job: np.ndarray, shrink: float, slope: Slope
     return Outcome(error, n_atoms * fall ** (slope.atoms_an_error or 0.0))
 
 
-def slope_at(price: float, ladder: dict) -> Slope:
-    """Of the summary of `Prices`."""
+def slope_at(price: float, ladder: dict, least: float) -> Slope:
+    """Of the summary of `Prices`; `least` is the lowest price that any target makes it."""
     prices, error, n_atoms = (np.array(ladder[k]) for k in ("price", "error", "n_atoms"))
-    if price <= prices.min() * 1.001 or min(error.min(), n_atoms.min()) <= 0:
+    if price <= least * 1.001 or min(error.min(), n_atoms.min()) <= 0:
         return Slope(None)
     order = np.argsort(prices)
     at = int(np.clip(np.searchsorted(prices[order], price), 1, len(prices) - 1))

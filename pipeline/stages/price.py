@@ -77,23 +77,26 @@ def price_for(ladder: dict, training: dict) -> float:
 
     The least of the ladder that is worth its atoms where none is low enough: what a decibel then costs is out of proportion.
     """
-    ladder = worth_its_atoms(ladder, training)
     patch_error = training["cutoff_error"] / training["n_splats"]
-    error = _of_all(ladder, training)
-    order = np.argsort(error)
-    found = np.interp(np.log(patch_error), np.log(np.maximum(error[order], 1e-30)), np.log(np.array(ladder["price"])[order]))
-    return float(np.exp(found))
+    log_error, log_price = np.log(np.maximum(_error_of_all(ladder, training), 1e-30)), np.log(ladder["price"])
+    order = np.argsort(log_error)
+    found = np.exp(np.interp(np.log(patch_error), log_error[order], log_price[order]))
+    return max(float(found), least_price(ladder, training))
 
 
-def worth_its_atoms(ladder: dict, training: dict) -> dict:
-    """The ladder down to the last price that is worth the atoms that it takes more than the one before."""
-    gain_db = -10 * np.diff(np.log10(np.maximum(_of_all(ladder, training), 1e-30)))
-    more_atoms = np.diff(ladder["n_atoms"]) * training["n_active"] / training["n_splats"]
-    bad = np.flatnonzero(gain_db < LEAST_GAIN_DB * np.maximum(more_atoms, 0))
-    return {name: values[: int(bad[0]) + 1] if len(bad) else values for name, values in ladder.items()}
+def least_price(ladder: dict, training: dict) -> float:
+    """The price, found between the middles of the ladder's steps, down to which an atom more gains LEAST_GAIN_DB."""
+    n_atoms = np.array(ladder["n_atoms"]) * training["n_active"] / training["n_splats"]
+    fall_db = -10 * np.diff(np.log10(np.maximum(_error_of_all(ladder, training), 1e-30)))
+    gain_db, log_price = fall_db / np.maximum(np.diff(n_atoms), 1e-9), np.log(ladder["price"])
+    middle = (log_price[1:] + log_price[:-1]) / 2
+    bad = np.flatnonzero(gain_db < LEAST_GAIN_DB)
+    if not len(bad):
+        return float(np.exp(log_price[-1]))
+    i = bad[0]
+    return float(np.exp(middle[0] if i == 0 else np.interp(LEAST_GAIN_DB, gain_db[[i, i - 1]], middle[[i, i - 1]])))
 
 
-def _of_all(ladder: dict, training: dict) -> np.ndarray:
+def _error_of_all(ladder: dict, training: dict) -> np.ndarray:
     """The error of a patch of the scan at each price, those that their average settles among them."""
-    error = np.array(ladder["error"]) * training["n_active"] + training["settled_energy"]
-    return error / training["n_splats"]
+    return (np.array(ladder["error"]) * training["n_active"] + training["settled_energy"]) / training["n_splats"]

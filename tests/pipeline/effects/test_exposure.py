@@ -151,14 +151,16 @@ def _seam(path) -> float:
     from scipy.spatial import cKDTree
 
     from pipeline.geometry.positions import Boxes, decode_positions
+    from pipeline.stages.measure import decoded_colors
     from storage.packed import PackedFile
 
     with PackedFile(path) as packed:
-        a = packed.load().arrays
+        scene = packed.load()
+    a, color = scene.arrays, decoded_colors(scene)
     position = a["position"].astype(np.uint32) @ np.array([1, 1 << 8, 1 << 16], np.uint32)
     centre = decode_positions(position, Boxes(a["box_low"], a["box_size"], a["box_bits"]))
     pairs = cKDTree(centre).query_pairs(0.03, output_type="ndarray")
-    apart = np.abs(a["color"][pairs[:, 0]].astype(float) - a["color"][pairs[:, 1]]).mean(axis=1)
+    apart = np.abs(color[pairs[:, 0]] - color[pairs[:, 1]]).mean(axis=1)
     across = a["camera"][pairs[:, 0]] != a["camera"][pairs[:, 1]]
     assert across.any()
     return apart[across].mean() - apart[~across].mean()
