@@ -37,7 +37,7 @@ class Sorts:
 
 @dataclass(frozen=True)
 class Slope:
-    """Of the ladder of prices where the pilot's price lies; None where it is the ladder's last, and no job's is lower."""
+    """Of the ladder of prices where the pilot's price lies; None where it is the least, and no job's is lower."""
 
     atoms_an_error: float | None  # d log(atoms) / d log(error), negative
 

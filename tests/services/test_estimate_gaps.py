@@ -24,7 +24,7 @@ def in_job(share: float) -> np.ndarray:
 
 
 def test_gaps__a_pilot_that_is_the_job_needs_no_correction():
-    found = outcome_in_job(sorts(), in_job(0.5), 1.0, slope_at(4.0, LADDER, 1.0))
+    found = outcome_in_job(sorts(), in_job(0.5), 1.0, slope_at(4.0, LADDER, 2.0))
     assert found == Outcome(pytest.approx(N * 1.0), pytest.approx(N * 2.0))
 
 
@@ -39,7 +39,7 @@ def test_gaps__shrink_to_the_middle_with_more_patches_an_atom():
 
 def test_gaps__a_smaller_optimism_lowers_the_price():
     """The job's learned splats must come down from 0.99 to the pilot's 0.9: an eleventh less error, and as much more atoms."""
-    found = outcome_in_job(sorts(), in_job(0.0), 0.1, slope_at(4.0, LADDER, 1.0))
+    found = outcome_in_job(sorts(), in_job(0.0), 0.1, slope_at(4.0, LADDER, 2.0))
     assert found.error == pytest.approx(N * 1.01 * 0.9 / 0.99)
     assert found.n_atoms == pytest.approx(N * 2.02 * 0.99 / 0.9)
 
@@ -51,5 +51,5 @@ def test_gaps__octaves_with_few_splats_of_a_sort_have_none():
 
 @pytest.mark.parametrize(("price", "expected"), [(3.0, -1.0), (7.9, -1.0), (2.0, None), (1.0, None)])
 def test_gaps__slope_is_that_of_the_ladder_and_none_at_its_end(price, expected):
-    found = slope_at(price, LADDER, 1.0).atoms_an_error
+    found = slope_at(price, LADDER, 2.0).atoms_an_error
     assert found == (expected if expected is None else pytest.approx(expected))
