@@ -33,7 +33,8 @@ SAMPLE = 4096  # patches: their mean error is known to about 2 %, which is 0.1 d
 
 @dataclass(frozen=True)
 class Prices:
-    """A task a part of the training set: some of it is coded at every price of the ladder.
+    """A task a part of the training set: some of it, by hash, so that it is the same splats however the scan is turned, is
+    coded at every price of the ladder.
 
     A patch counts as many times as its octave of contrast has others that were not chosen: octaves with few patches are
     learned from whole, and would else set the price. Of fountain_p11 with 10,000 patches they raised the PSNR of `draft`
@@ -53,8 +54,7 @@ class Prices:
 
     def run(self, folder: Path, index: int) -> dict:
         patches, rest = training_part(self.training, index)
-        n_tasks = work.summary(self.training)["n_tasks"]
-        rows = slice(None, None, max(1, len(patches) * n_tasks // SAMPLE))  # spread over the scan
+        rows = arrays.read(self.chosen, f"luck_{index}") < SAMPLE / max(SAMPLE, work.summary(self.chosen)["n_patches"])
         patches, rest = patches[rows], rest[rows]
         share = np.array(work.read_json(self.chosen / "share.json")["share"])
         weight = 1 / share[octave_of(squared_norms(patches) + rest)].clip(share[share > 0].min())

@@ -32,7 +32,8 @@ class TrainingPart(NamedTuple):
 
 @dataclass(frozen=True)
 class TrainingSet:
-    """A task a range of blocks, about TASK_SPLATS patches each. Arrays of task t: texel_<t>, average_<t>.
+    """A task a range of blocks, about TASK_SPLATS patches each. Arrays of task t: texel_<t>, average_<t>, luck_<t> (m,)
+    float64, the hash as a share of what its octave is taken below: who is below a half is a half of the set, of each octave.
 
     A splat is taken if a hash of its point's place in the scan's files and the seed says so, and patches are in the order
     of that hash: neither depends on tasks or workers, nor on chunks, which turn with the scan.
@@ -64,6 +65,8 @@ class TrainingSet:
         for name, source in (("texel", self.patches), ("average", self.colors)):
             rows = arrays.read_rows(source, name, start + chosen)[order]
             arrays.store(folder, f"{name}_{index}", rows, rows.shape)
+        luck = (draw / np.maximum(share[octave_of(energy)], 1e-300))[chosen][order]
+        arrays.store(folder, f"luck_{index}", luck, luck.shape)
         shown = _patches(folder, index, slice(ROWS))
         beyond = [float((squared_norms(shown) - squared_norms(coefficients(shown, s))).sum()) for s in ATOM_SIZES]
         cut = float(np.minimum(energy, self.cutoff).sum(dtype=np.float64))

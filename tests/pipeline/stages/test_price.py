@@ -103,21 +103,37 @@ def test_weights__even_levels_are_the_same_for_every_rank_and_as_wide_as_pays():
     assert error(levels[0]) <= min(error(levels[0] * factor) for factor in (0.8, 1.25))
 
 
-def ladder_of(folder, patches: np.ndarray, share: np.ndarray) -> dict:
+def ladder_of(folder, patches: np.ndarray, share: np.ndarray, luck: np.ndarray | None = None, n_tasks: int = 1) -> dict:
     """What a training set of these patches, which is such a share of each octave, finds with 16 atoms."""
     space, chosen, quantized = (folder / name for name in ("space", "chosen", "quantized"))
+    luck = np.linspace(0, 1, len(patches), endpoint=False) if luck is None else luck
     work.begin(space)
-    arrays.store(space, "coefficient_0", patches)
-    arrays.store(space, "rest_0", np.zeros(len(patches), np.float32))
-    work.complete(space, {"n_tasks": 1})
     work.begin(chosen)
+    for i, rows in enumerate(np.array_split(np.arange(len(patches)), n_tasks)):
+        arrays.store(space, f"coefficient_{i}", patches[rows])
+        arrays.store(space, f"rest_{i}", np.zeros(len(rows), np.float32))
+        arrays.store(chosen, f"luck_{i}", luck[rows])
+    work.complete(space, {"n_tasks": n_tasks})
     work.write_json(chosen / "share.json", {"share": share.tolist()})
+    work.complete(chosen, {"n_patches": len(patches)})
     work.begin(quantized)
     atoms = np.random.default_rng(9).standard_normal((16, patches.shape[1]))
     store_atoms(quantized, atoms / np.linalg.norm(atoms, axis=1, keepdims=True))
     arrays.store(quantized, "weight_levels", np.tile(np.linspace(-4, 4, 16, dtype=np.float32), (8, 1)))
     stage = Prices(space, chosen, quantized, 8, 1.0)
-    return stage.finalise(folder, [stage.run(folder, 0)])
+    return stage.finalise(folder, [stage.run(folder, i) for i in range(n_tasks)])
+
+
+def test_prices__are_those_of_the_same_splats_wherever_tasks_part_them(tmp_path):
+    """A scan that is turned has the same training set, but for a few splats, in other tasks and places."""
+    rng = np.random.default_rng(4)
+    patches = (rng.standard_normal((9000, 12)) * rng.uniform(0.2, 4, (9000, 1))).astype(np.float32)
+    luck, share = rng.random(9000), np.full(N_OCTAVES, 0.3)
+    turned = rng.permutation(9000)[:-3]
+    still = ladder_of(tmp_path / "still", patches, share, luck)
+    moved = ladder_of(tmp_path / "turned", patches[turned], share, luck[turned], n_tasks=3)
+    for figure in ("error", "n_atoms"):
+        assert moved[figure] == pytest.approx(still[figure], rel=0.002)
 
 
 def test_prices__what_is_rare_counts_as_rare_though_it_was_learned_from_whole(tmp_path):
