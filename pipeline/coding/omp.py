@@ -62,9 +62,9 @@ def sparse_encode(
     atom, while weights stay those of the full patches. `n_threads` None takes all cores.
 
     Guarantees: no atom twice in a support; the residual never rises with an atom; exact weights are the least squares
-    of their support; scaling a patch (and its tolerance, by the square) scales its weights; the result does not depend on
-    threads, that of a patch on the other patches only as far as BLAS rounds by the rows of a product. Inputs may be read-only, strided or float64. Beyond 16,384
-    atoms no k x k matrix is made.
+    of their support; scaling a patch (and its tolerance, by the square) scales its weights; the result of a patch
+    does not depend on threads, nor, but for the rounding of BLAS products of another size, on the other patches. Inputs
+    may be read-only, strided or float64. Beyond 16,384 atoms no k x k matrix is made.
 
     Raises ValueError: shapes that do not fit, more atoms asked than exist, rows that are not unit vectors, values that
     are not finite, a search there is not.
