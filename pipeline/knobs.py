@@ -124,6 +124,15 @@ KNOBS = (
     Knob("target_psnr_db", float, "where a splat is good enough and takes no further atom",
          "error of every splat that has not yet all its atoms", "atoms: bytes, frame time, time of coding", "training-set",
          low=10.0, high=80.0, ladder=(42.0, 38.0, 44.0, 36.0, 34.0)),
+    Knob("budget_bytes", float, "bytes a splat, of all that a GPU holds, in place of the target's error: an atom costs what makes the "
+         "packed file keep it, and use 98 % or more of it", "a file of known size, its atoms where they mend most; the target is what the "
+         "dictionary is learned for", "all patches are coded once more for each price that is tried, two or three times in all",
+         "encode", low=0.0, optional=True, above_low=True),
+    Knob("atom_search", str, "how a splat's next atom is found, of 1,024 or more that lie in few components: by products with all of them; by short products, "
+         "certified by whole ones with the few atoms that may be the best; or by short ones alone",
+         "certified: the atoms of exact search, in 0.4 of its time (4,096 atoms of 32x32 texels), 0.7 (512 of 16x16 in 8 turns); approximate: "
+         "hardly any more time", "exact: that time; approximate: now and then an atom that is nearly the best, 0.0004 dB there",
+         "encode", choices=("exact", "certified", "approximate")),
     Knob("iterations", int, "passes of k-SVD", "a dictionary nearer to its best; each pass gives less than the one before",
          "time of learning, in proportion", "ksvd-update", low=1, high=1000, ladder=(3, 1, 12)),
     Knob("least_gain_db", float, "of a pass of k-SVD that another is to follow", "passes that gain more than nothing",
@@ -151,3 +160,12 @@ KNOBS = (
          canonical=_canonical_request, words="NAME=auto|on|off, joined by commas"),
 )
 BY_NAME = {knob.name: knob for knob in KNOBS}
+
+# Of a picture, not of a file: arguments of `splatpress render`.
+VIEW_KNOBS = (
+    Knob("atoms", int, "atoms of each splat that are drawn, the first of those it has", "frame time, which grows with atoms",
+         "what later atoms would mend: they were chosen after these, so the first are the best of as many", "render", low=0, high=MAX_ATOMS),
+    Knob("precision", str, "bits a channel of the sums that splats are blended in; auto: 16, and 32 for a scene that once had more than a "
+         "weight of 16 on a pixel", "32: sums within 1/255 however many splats lie on each other", "32: twice the memory and bandwidth of blending; "
+         "16: up to 24/255 off where a thousand splats lie on each other", "render", choices=("auto", "16", "32")),
+)

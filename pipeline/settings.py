@@ -19,6 +19,8 @@ class Settings:
     weight_bits: int = 4
     max_atoms: int = 8
     target_psnr_db: float = 40.0
+    budget_bytes: float | None = None
+    atom_search: str = "certified"
     iterations: int = 4
     least_gain_db: float = 0.01
     training_splats: int = 20_000
@@ -48,4 +50,7 @@ def settings_for(preset: str = DEFAULT_PRESET, **changes) -> Settings:
         if name not in BY_NAME:
             raise ValueError(f"{name!r} is no setting; allowed: {', '.join(BY_NAME)}")
     settings = replace(PRESETS[preset], **{k: v for k, v in changes.items() if v is not None})
-    return replace(settings, **{knob.name: knob.checked(getattr(settings, knob.name)) for knob in KNOBS})
+    settings = replace(settings, **{knob.name: knob.checked(getattr(settings, knob.name)) for knob in KNOBS})
+    if settings.budget_bytes is not None and settings.coder == "paper":
+        raise ValueError(f"budget_bytes is {settings.budget_bytes:g} with coder paper, which has a cut-off and no price; allowed: coder default")
+    return settings

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 
-from pipeline.knobs import BY_NAME, KNOBS, Knob
+from pipeline.knobs import BY_NAME, KNOBS, VIEW_KNOBS, Knob
 from pipeline.settings import DEFAULT_PRESET, PRESETS, Settings, settings_for
 
 
@@ -20,11 +20,29 @@ def add_settings(command: argparse.ArgumentParser, names: Collection[str] = BY_N
         argument = f"--{knob.name.replace('_', '-')}"
         spellings = (argument.removesuffix("s"), argument) if knob.canonical else (argument,)
         command.add_argument(*spellings, dest=knob.name, metavar=_metavar(knob), action="append" if knob.canonical else "store",
-                             help=f"{knob.help} ({knob.allowed})")
+                             help=f"{knob.help} ({knob.allowed})".replace("%", "%%"))
 
 
 def add_preset(command: argparse.ArgumentParser) -> None:
     command.add_argument("--preset", default=DEFAULT_PRESET, metavar="|".join(PRESETS))
+
+
+def add_view_knobs(command: argparse.ArgumentParser) -> None:
+    """One argument a knob of a picture, of its kind; by default the first choice, or the most there is."""
+    for knob in VIEW_KNOBS:
+        command.add_argument(f"--{knob.name}", type=_parser_of(knob), metavar=_metavar(knob), default=knob.choices[0] if knob.choices else knob.high,
+                             help=f"{knob.help} ({knob.allowed})")
+    command.add_argument("--max-atoms", dest="atoms", type=_parser_of(VIEW_KNOBS[0]), default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+
+
+def _parser_of(knob: Knob) -> Callable[[str], object]:
+    def parsed(text: str):
+        try:
+            return knob.parsed(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return parsed
 
 
 def settings_of(options: argparse.Namespace) -> Settings:

@@ -13,10 +13,9 @@ import traceback
 import warnings
 from pathlib import Path
 
-from services.arguments import WrongArgument, add_preset, add_settings, settings_of
+from services.arguments import WrongArgument, add_preset, add_settings, add_view_knobs, settings_of
 from services.service_cli import add_service_verbs
 from storage.errors import SplatpressError
-from storage.schema import MAX_ATOMS
 
 OK, ARGUMENTS, INPUT_OUTPUT, INVALID_INPUT, INTERNAL, GATE_MISSED, INTERRUPTED = 0, 1, 2, 3, 4, 7, 130
 
@@ -139,7 +138,7 @@ def _render(options: argparse.Namespace) -> int:
     from services.rendering import render_views
 
     paths = render_views(_scan_path(options.packed), Path(options.out), camera=options.camera, n_orbit=options.orbit,
-                         size=options.size, max_atoms=options.max_atoms, light=lamp(*options.light) if options.light else None)
+                         size=options.size, max_atoms=options.atoms, precision=options.precision, light=lamp(*options.light) if options.light else None)
     for path in paths:
         print(path)
     return OK
@@ -379,7 +378,7 @@ def _parser() -> argparse.ArgumentParser:
     render.add_argument("--size", type=_size, metavar="WxH", help="default: the camera's own, or 1280x720")
     render.add_argument("--light", type=_direction, metavar="RIGHT,UP,TOWARDS",
                         help="a distant lamp that way from the viewer, as 1,1,1; default: as photographed")
-    render.add_argument("--max-atoms", type=int, choices=range(MAX_ATOMS + 1), default=MAX_ATOMS, metavar=f"0..{MAX_ATOMS}")
+    add_view_knobs(render)
     render.add_argument("--out", required=True, metavar="DIR")
     render.set_defaults(command=_render)
     report = commands.add_parser("report", help="measure a packed file against its scan")

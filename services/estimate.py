@@ -29,8 +29,7 @@ from services.estimate_gaps import Slope, Sorts, outcome_in_job, slope_at
 from services.kept_estimates import keep_estimate
 from services.stage_lock import stage_lock
 from services.workflow import (
-    PATCHES_AN_ATOM, Coded, Prepared, Run, code_patches, index_bits, is_textured, pack, prepare, resample,
-    texels_of_levels,
+    PATCHES_AN_ATOM, Coded, Prepared, Run, code_prepared, index_bits, is_textured, pack, prepare, resample,
 )
 from storage import arrays, work
 from storage.packed import SUFFIX, PackedFile
@@ -95,11 +94,12 @@ def _one_at_a_time(folder: Path, do: Callable[[], StageRecord]) -> StageRecord:
 
 def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
     prepared = prepare(run, scan, settings.radius, settings.effects, density=settings.density)
-    stages: list[Stage] = []
+    ran: dict[Path, tuple[Stage, StageRecord]] = {}
 
     def noted(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
-        stages.append(stage)
-        return do()
+        record = do()
+        ran.setdefault(record.folder, (stage, record))
+        return record
 
     pilot = Run(scratch / "pilot", run.executor, run.progress, step=noted)
     pilot.work.mkdir(parents=True, exist_ok=True)
@@ -108,13 +108,13 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
     if is_textured(prepared):
         patches = resample(pilot, sampled)
         own = _affordable(settings, patches, prepared)
-        coded = code_patches(pilot, patches, own, prepared.splats.summary["n_splats"], texels_of_levels(prepared, own)[0])
+        coded = code_prepared(pilot, sampled, patches, own, prepared.splats.summary["n_splats"])
     path = scratch / f"pilot{SUFFIX}"
     pack(pilot, sampled, coded, own, "pilot", path)
     with PackedFile(path) as packed:
         sizes = sizes_of(packed.load(), path.stat().st_size)
-    ran = [(s, r) for s, r in zip(stages, pilot.records, strict=True) if s.name != Sampled.name]
-    return _Pilot(prepared, coded, own, sizes, sampled.splats.summary["n_splats"], ran, list(run.records), run.executor.n_workers)
+    stages = [(stage, record) for stage, record in ran.values() if stage.name != Sampled.name]
+    return _Pilot(prepared, coded, own, sizes, sampled.splats.summary["n_splats"], stages, list(run.records), run.executor.n_workers)
 
 
 def _sampled(pilot: Run, prepared: Prepared) -> Prepared:
@@ -267,5 +267,6 @@ def _job_for_pilot(pilot: _Pilot, learning: dict) -> tuple[float, float]:
     census = np.array(work.summary(stage.colors)["census"]) / pilot.share
     a_patch = (learning["n_atoms"] / learning["n_patches"]) / (learning["n_atoms_pilot"] / learning["n_patches_pilot"])
     job = outcome_in_job(Sorts(octave[active], learned[active], error[active], n_atoms[active]),
-                         shares(census, stage.tolerance, learning["n_wanted"]), min(1.0, a_patch), slope)
+                         shares(census, stage.tolerance, learning["n_wanted"]), min(1.0, a_patch), slope,
+                         keeps_atoms=pilot.settings.budget_bytes is not None)
     return (job.error + error[~active].sum()) / max(1e-30, error.sum()), job.n_atoms / max(1e-9, n_atoms[active].sum())

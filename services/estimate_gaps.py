@@ -5,7 +5,8 @@ much; both gaps shrink as patches an atom grow. What the pilot's two sorts of sp
 octave of contrast, for the training set prefers the higher ones.
 
 The price of an atom is set such that the splats learned from have the error that the target promises. Theirs is too good in
-the pilot by more than in the job, so the job's price is lower: fewer errors, more atoms.
+the pilot by more than in the job, so the job's price is lower: fewer errors, more atoms. With a budget in place of a target the
+price is such that atoms are as many.
 """
 
 from __future__ import annotations
@@ -42,14 +43,18 @@ class Slope:
     atoms_an_error: float | None  # d log(atoms) / d log(error), negative
 
 
-def outcome_in_job(sorts: Sorts, in_job: np.ndarray, shrink: float, slope: Slope) -> Outcome:
+def outcome_in_job(sorts: Sorts, in_job: np.ndarray, shrink: float, slope: Slope, keeps_atoms: bool = False) -> Outcome:
     """What the job's splats lose and take, scaled to as many as the pilot has. `in_job`, by octave, is the share that the job
     learns from; `shrink` what is left of the pilot's gaps."""
     learned, others = _by_octave(sorts, "error", shrink)
-    fall = 1.0 if slope.atoms_an_error is None else _learned_error(sorts) / max(1e-30, _weighted(sorts, learned))
-    error = fall * _mixed(sorts, in_job, learned, others)
-    n_atoms = _mixed(sorts, in_job, *_by_octave(sorts, "n_atoms", shrink))
-    return Outcome(error, n_atoms * fall ** (slope.atoms_an_error or 0.0))
+    error, n_atoms = _mixed(sorts, in_job, learned, others), _mixed(sorts, in_job, *_by_octave(sorts, "n_atoms", shrink))
+    if not slope.atoms_an_error:
+        return Outcome(error, n_atoms)
+    if keeps_atoms:
+        fall = (sorts.n_atoms.sum() / max(1e-30, n_atoms)) ** (1 / slope.atoms_an_error)
+    else:
+        fall = _learned_error(sorts) / max(1e-30, _weighted(sorts, learned))
+    return Outcome(fall * error, n_atoms * fall ** slope.atoms_an_error)
 
 
 def slope_at(price: float, ladder: dict, least: float) -> Slope:

@@ -20,7 +20,7 @@ from renderer.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluation_page import write_evaluation
 from renderer.held_out import HeldOut, compare_held_out
 from renderer.report import sizes_of
-from services.workflow import Coded, Prepared, Run, code, code_patches, encode, is_textured, pack, prepare, put_in_place, resample, texels_of_levels
+from services.workflow import Coded, Prepared, Run, code, code_prepared, encode, is_textured, pack, prepare, put_in_place, resample
 from storage import arrays
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile, PackedScene
@@ -120,7 +120,7 @@ def _coded_row(e: _Evaluation, key: str, coder: str, **changes) -> None:
         changes |= dict(zip(("dictionary_bits", "weight_bits"), CODED_ROWS[key]))
     settings = replace(e.settings, **changes, **({"coder": coder} if coder else {}))
     n_before = len(e.run.records)
-    coded = code_patches(e.run, e.patches, settings, most_texels=texels_of_levels(e.prepared, settings)[0])
+    coded = code_prepared(e.run, e.prepared, e.patches, settings)
     seconds = sum(record.made_seconds for record in e.run.records[n_before:])
     name = f"{key}-{coder}" if coder else key
     path = e.out / (name + SUFFIX)

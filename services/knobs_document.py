@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.knobs import KNOBS, Knob
+from pipeline.knobs import KNOBS, VIEW_KNOBS, Knob
 from pipeline.settings import DEFAULT_PRESET, PRESETS
 
 PATH = Path(__file__).resolve().parent.parent / "docs" / "KNOBS.md"
@@ -21,7 +21,8 @@ def document() -> str:
     knobs = _table(("knob", "what", "allowed", "buys", "costs", "runs again from"), map(_row, KNOBS))
     names = [knob.name for knob in KNOBS if knob.name != "seed"]
     presets = _table(("preset", *names), ((_preset_name(p), *(_shown(getattr(s, n)) for n in names)) for p, s in PRESETS.items()))
-    return f"{_HEAD}\n## The table\n\n{knobs}\n## Presets\n\n{presets}"
+    views = _table(("knob", "what", "allowed", "buys", "costs"), (_row(knob)[:-1] for knob in VIEW_KNOBS))
+    return f"{_HEAD}\n## The table\n\n{knobs}\n## Presets\n\n{presets}\n## Of a picture\n\nArguments of `splatpress render`; no file changes.\n\n{views}"
 
 
 def _row(knob: Knob) -> tuple[str, ...]:

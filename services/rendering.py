@@ -12,6 +12,7 @@ from renderer.pictures import save_picture
 from renderer.previews import make_previews, safe_names
 from renderer.renderer import Renderer
 from renderer.scene import GpuScene
+from renderer.targets import NARROW, WIDE
 from renderer.views import orbit_views, view_of
 from storage import arrays
 from storage.errors import InvalidScan
@@ -22,8 +23,10 @@ DEFAULT_SIZE = (1280, 720)
 
 
 def render_views(packed: Path, out: Path, *, camera: str | None = None, n_orbit: int | None = None,
-                 size: tuple[int, int] | None = None, max_atoms: int = MAX_ATOMS, light: Light | None = None) -> list[Path]:
-    """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`; returns their paths. With a `light`
+                 size: tuple[int, int] | None = None, max_atoms: int = MAX_ATOMS, precision: str = "auto",
+                 light: Light | None = None) -> list[Path]:
+    """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`; returns their paths. `precision` is that of
+    pipeline.knobs.VIEW_KNOBS. With a `light`
     it is lit, whether or not the file asks for it; with smoothed normals, unless it was planned without."""
     with PackedFile(packed) as opened:
         scene = opened.load()
@@ -33,6 +36,8 @@ def render_views(packed: Path, out: Path, *, camera: str | None = None, n_orbit:
         views = orbit_views(scene, n_orbit, size or DEFAULT_SIZE)
     renderer = Renderer()
     gpu_scene = GpuScene(scene, renderer.context)
+    if precision != "auto":
+        gpu_scene.accumulation, gpu_scene.watched = {"16": NARROW, "32": WIDE}[precision], False
     if light is not None and "relighting" not in gpu_scene.drawn:
         gpu_scene.drawn |= {"relighting", "normal_smoothing"}
     paths = []

@@ -18,7 +18,7 @@ from renderer.compare import BEST_DB
 from renderer.report import sizes_of
 from renderer.tradeoff_page import summarised, write_tradeoff
 from services.processes import BUDGET_S
-from services.workflow import Run, code, is_textured, pack, prepare, put_in_place
+from services.workflow import Run, code_prepared, is_textured, pack, prepare, put_in_place, resample
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile
 
@@ -110,10 +110,9 @@ def measure_ladder(run: Run, scan: Path, out: Path, settings: Settings, knobs: d
         if points and run.clock() - begun + last > budget_s:
             skipped.append({"key": step.key, "command": step.command})
             continue
-        at = run.clock()
         point, photos = _point(run, scan, step, folder)
         points.append(point)
-        last = run.clock() - at
+        last = point.pop("_own_seconds")
     pictures = _pictures(run, points, photos, out) if render else []
     document = summarised({
         "scan": {"name": scan.resolve().name, "n_cameras": points[0]["n_cameras"]},
@@ -130,7 +129,9 @@ def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
     prepared = prepare(run, scan, step.settings.radius, step.settings.effects, density=step.settings.density)
     if not is_textured(prepared):
         raise InvalidScan(str(scan), "no photograph that sees any of its points", "a scan with photographs: without, no knob trades accuracy")
-    coded = code(run, prepared, step.settings)
+    patches = resample(run, prepared)
+    n_shared = len(run.records) - first  # what most other points reuse: the next is not expected to take as long
+    coded = code_prepared(run, prepared, patches, step.settings)
     path = folder / f"{step.key.replace('/', '-')}{SUFFIX}"
     pack(run, prepared, coded, step.settings, scan.stem, path)
     with PackedFile(path) as packed:
@@ -141,7 +142,7 @@ def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
             "texture_psnr_db": _shown(quality["texture_psnr_db"]), "visible_psnr_db": _shown(quality["visible_psnr_db"]),
             "mean_atoms": quality["mean_atoms"], "gpu_bytes": sizes["gpu_bytes"], "file_bytes": sizes["file_bytes"],
             "bytes_per_splat": sizes["bytes_per_splat"], "n_dictionary": coded.n_dictionary,
-            "seconds": sum(r.made_seconds for r in records), "run_seconds": sum(r.seconds for r in records),
+            "_own_seconds": sum(r.seconds for r in records[n_shared:]), "seconds": sum(r.made_seconds for r in records), "run_seconds": sum(r.seconds for r in records),
             "peak_memory_bytes": max(r.peak_rss_bytes for r in records), "reused": [r.name for r in records if r.reused],
             "settings": asdict(step.settings), "frame_seconds": None, "_packed": path,
             "n_cameras": len(prepared.scan.summary["cameras"])}, prepared.photos

@@ -44,11 +44,12 @@ from pipeline.texture.colors import step_for
 from pipeline.texture.resample import PATCH_DIM
 from renderer.edges import draw_edges
 from renderer.report import build_report, sizes_of, write_report
+from services.budget import NO_ATOMS, Trial, check_budget, within_budget
 from services.kept_estimates import against, known_estimate
 from services.rendering import previews_of
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile
-from storage.schema import ATOM_SIZES, EXTRAS, PATCH_SIZE, Camera, Header
+from storage.schema import ATOM_SIZES, BY_NAME, EXTRAS, PATCH_SIZE, Camera, Header
 
 PATCHES_AN_ATOM = 4  # a dictionary that a scan can fill: fewer training patches an atom would only be stored
 
@@ -212,7 +213,38 @@ def is_textured(prepared: Prepared) -> bool:
 
 def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
     """Resample patches, and code them."""
-    return code_patches(run, resample(run, prepared), settings, most_texels=texels_of_levels(prepared, settings)[0])
+    return code_prepared(run, prepared, resample(run, prepared), settings)
+
+
+def code_prepared(run: Run, prepared: Prepared, patches: StageRecord, settings: Settings, n_splats: int | None = None) -> Coded:
+    """Code the patches of splats, which are all or a sample of `n_splats`, for the target or within the budget."""
+    n_sample, most_texels = prepared.splats.summary["n_splats"], texels_of_levels(prepared, settings)[0]
+    if settings.budget_bytes is None:
+        return code_patches(run, patches, settings, n_splats, most_texels)
+    share, first = n_sample / (n_splats or n_sample), []
+
+    def attempt(price: float) -> Trial:
+        def priced(ladder: dict, training: dict) -> float:
+            first.append(price_for(ladder, training))
+            return price
+
+        n_before = len(run.records)
+        coded = code_patches(run, patches, settings, n_splats, most_texels, priced)
+        known = {record.folder for record in run.records[:n_before]}
+        run.records[n_before:] = [record for record in run.records[n_before:] if record.folder not in known]
+        return Trial(price, _gpu_bytes(pack(run, prepared, coded, settings, "trial", None), share), coded)
+
+    bare = attempt(NO_ATOMS)
+    if not first:  # nothing calls for atoms, or none are allowed
+        check_budget(settings.budget_bytes, n_sample, bare.n_bytes)
+        return bare.result
+    return within_budget(settings.budget_bytes, n_sample, first[0], lambda price: bare if price == NO_ATOMS else attempt(price)).result
+
+
+def _gpu_bytes(packed: StageRecord, share: float = 1.0) -> float:
+    """Of a scan's splats, or of a sample's, to which a `share` of the dictionary is counted."""
+    counted = {"dictionary": share, "provenance": 0.0}
+    return sum(n * counted.get(BY_NAME[name].part, 1.0) for name, n in packed.summary["bytes"].items())
 
 
 def texels_of_levels(prepared: Prepared, settings: Settings) -> tuple[int, int]:
@@ -230,9 +262,10 @@ def resample(run: Run, prepared: Prepared) -> StageRecord:
 
 
 def code_patches(run: Run, patches: StageRecord, settings: Settings, n_splats: int | None = None,
-                 most_texels: int = PATCH_SIZE) -> Coded:
+                 most_texels: int = PATCH_SIZE, priced: Callable[[dict, dict], float] = price_for) -> Coded:
     """Learn a dictionary if any patch calls for one, and code all patches; with as many atoms as a scan of `n_splats` pays
-    for, where the patches are a sample of it, of `most_texels` to a side at most, where that is left to the scan."""
+    for, where the patches are a sample of it, of `most_texels` to a side at most, where that is left to the scan. `priced` makes
+    the price of an atom of the ladder of prices and the training set, which are summaries."""
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
     stop = Stop(tolerance) if settings.coder == "paper" else Stop(0.0, WHILE_LEARNING * tolerance)
     colors = run.do(Colors(patches.folder, color_step(settings)))
@@ -252,7 +285,7 @@ def code_patches(run: Run, patches: StageRecord, settings: Settings, n_splats: i
     price = 0.0
     if form is not None:
         ladder = run.do(Prices(space.folder, training.folder, quantized.folder, settings.max_atoms, tolerance)).summary
-        price = price_for(ladder, training.summary)
+        price = priced(ladder, training.summary)
     codes = encode(run, patches.folder, colors.folder, quantized, settings, price)
     return Coded(patches, colors, codes, quantized, learning, quantized.summary["n_atoms"], n_taken_back)
 
@@ -286,9 +319,11 @@ def encode(run: Run, patches: Path, colors: Path, quantized: StageRecord | None,
     """Code patches by a dictionary that is there; None gives every splat its average colour alone."""
     if settings.coder == "paper":
         tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
-        return run.do(Encode(patches, colors, quantized.folder if quantized else None, settings.max_atoms, tolerance))
+        return run.do(Encode(patches, colors, quantized.folder if quantized else None, settings.max_atoms, tolerance,
+                             search=settings.atom_search))
     form = AtomForm(quantized.summary["atom_size"], quantized.summary["n_turns"]) if quantized else None
-    return run.do(Encode(patches, colors, quantized.folder if quantized else None, settings.max_atoms, 0.0, price, form))
+    return run.do(Encode(patches, colors, quantized.folder if quantized else None, settings.max_atoms, 0.0, price, form,
+                         settings.atom_search))
 
 
 def _learn(run: Run, training: StageRecord, space: StageRecord, settings: Settings, stop: Stop,
@@ -356,8 +391,8 @@ def _stored_form(coded: Coded | None, coarsest: int) -> dict:
     return form | {"coarsest_size": min(coarsest, form["atom_size"])} if form else {}
 
 
-def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, name: str, path: Path) -> StageRecord:
-    """Write the packed file to `path`."""
+def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, name: str, path: Path | None) -> StageRecord:
+    """Write the packed file to `path`; None leaves it a folder of the work folder's."""
     scan = prepared.scan.summary
     flag_of = {extra.stream: extra.flag for extra in EXTRAS}  # an effect is named as its stream
     extras = tuple((flag_of[name], folder) for name, folder in prepared.built if name in flag_of)
@@ -378,7 +413,8 @@ def pack(run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, 
     record = run.do(Pack(header, prepared.splats.folder, coded.colors.folder if coded else None,
                          coded.codes.folder if coded else None, coded.quantized.folder if coded and coded.quantized else None,
                          extras))
-    write_packed(record.folder, path)
+    if path is not None:
+        write_packed(record.folder, path)
     return record
 
 
@@ -408,7 +444,9 @@ def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = Tru
     path = out / (name + SUFFIX)
     prepared = prepare(run, scan, settings.radius, settings.effects, density=settings.density)
     coded = code(run, prepared, settings) if is_textured(prepared) else None
-    pack(run, prepared, coded, settings, name, path)
+    packed = pack(run, prepared, coded, settings, name, path)
+    if settings.budget_bytes is not None:
+        check_budget(settings.budget_bytes, prepared.splats.summary["n_splats"], _gpu_bytes(packed))
     return finish(run, path, prepared, coded, settings, out, render)
 
 

@@ -31,6 +31,7 @@ class Encode:
     tolerance: float
     price: float = 0.0
     form: AtomForm | None = None  # None: atoms are coded with as patches, else as coefficients
+    search: str = "certified"  # of pipeline.coding.omp.SEARCHES
     name = "encode"
 
     def init(self, folder: Path) -> int:
@@ -76,11 +77,11 @@ class Encode:
 
         def encode(patches: np.ndarray) -> tuple[Pursuit, np.ndarray]:
             if self.form is None:
-                found = atoms.pursue(patches, self.max_atoms, self.tolerance, levels)
+                found = atoms.pursue(patches, self.max_atoms, self.tolerance, levels, search=self.search)
                 return found, reconstruct(found.codes, atoms.dictionary)
             size = self.form.size
             short = coefficients(patches, size)
-            found = atoms.pursue(short, self.max_atoms, self.tolerance, levels, self.price)
+            found = atoms.pursue(short, self.max_atoms, self.tolerance, levels, self.price, self.search)
             beyond = np.maximum(squared_norms(patches) - squared_norms(short), 0)  # what atoms of this size cannot show
             return found._replace(residual=found.residual + beyond), shown(texels_of(reconstruct(found.codes, atoms.dictionary), size), size)
 

@@ -7,6 +7,7 @@ import json
 import pytest
 
 from services.cli import main
+from storage.schema import MAX_ATOMS
 from tests.services.scans import photo_scan, point_scan
 
 
@@ -57,6 +58,8 @@ def test_cli__json_is_the_last_line_of_stdout(scan, tmp_path, capsys):
         (["render", "{tmp}/a.obj", "--orbit", "1", "--out", "{tmp}/o"], 3, "a.obj"),
         (["render", "{packed}", "--orbit", "1", "--size", "huge", "--out", "{tmp}/o"], 1, "'huge' is not WIDTHxHEIGHT"),
         (["render", "{packed}", "--orbit", "0", "--out", "{tmp}/o"], 1, "--orbit"),
+        (["render", "{packed}", "--orbit", "1", "--atoms", "99", "--out", "{tmp}/o"], 1, "atoms is 99; allowed: 0 to "),
+        (["render", "{packed}", "--orbit", "1", "--precision", "24", "--out", "{tmp}/o"], 1, "precision is 24; allowed: auto, 16, 32"),
         (["render", "{packed}", "--camera", "x.png", "--out", "{tmp}/o"], 3, "no camera 'x.png'; allowed: 0000.png"),
     ],
 )
@@ -101,6 +104,26 @@ def test_cli__render_writes_the_pictures_it_names(compressed, tmp_path, capsys, 
     assert code == 0 and out.split() == [str(tmp_path / "p" / "0001.png")]
     code, out, _ = run(capsys, "render", packed, "--orbit", "3", "--size", "80x60", "--max-atoms", "0", "--out", tmp_path / "q")
     assert code == 0 and len(out.split()) == 3 == len(list((tmp_path / "q").iterdir()))
+
+
+@pytest.mark.parametrize(("arguments", "n_atoms", "accumulation", "watched"), [
+    ([], MAX_ATOMS, "RGBA16F", True), (["--atoms", "2", "--precision", "32"], 2, "RGBA32F", False), (["--precision", "16"], MAX_ATOMS, "RGBA16F", False),
+])
+def test_cli__render_draws_as_many_atoms_as_precisely_as_asked(
+    compressed, tmp_path, capsys, renderer, monkeypatch, arguments, n_atoms, accumulation, watched
+):
+    from renderer.renderer import Renderer
+
+    drawn, render = [], Renderer.render
+
+    def noted(self, gpu_scene, view, most, light):
+        picture = render(self, gpu_scene, view, most, light)
+        drawn.append((most, picture.accumulation, gpu_scene.watched))
+        return picture
+
+    monkeypatch.setattr(Renderer, "render", noted)
+    code, _, _ = run(capsys, "render", compressed / "plane.splatpress", "--orbit", "1", "--size", "80x60", *arguments, "--out", tmp_path / "p")
+    assert code == 0 and drawn == [(n_atoms, accumulation, watched)]
 
 
 def test_cli__points_alone_go_through_with_previews(tmp_path, capsys, renderer):

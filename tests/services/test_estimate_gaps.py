@@ -44,6 +44,11 @@ def test_gaps__a_smaller_optimism_lowers_the_price():
     assert found.n_atoms == pytest.approx(N * 2.02 * 0.99 / 0.9)
 
 
+def test_gaps__a_budget_keeps_the_atoms():
+    found = outcome_in_job(sorts(), in_job(0.0), 0.1, slope_at(4.0, LADDER), keeps_atoms=True)
+    assert found == Outcome(pytest.approx(N * 1.01 * 1.01), pytest.approx(N * 2.0))
+
+
 def test_gaps__octaves_with_few_splats_of_a_sort_have_none():
     few = sorts(n_learned=LEAST_COMPARED - 1, inside=0.0)
     assert outcome_in_job(few, in_job(1.0), 1.0, FLAT).error == pytest.approx(few.error.sum())

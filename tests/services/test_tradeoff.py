@@ -11,7 +11,7 @@ from pipeline.knobs import BY_NAME
 from pipeline.settings import PRESETS, settings_for
 from renderer.tradeoff_page import WANTED_DB, advised, leading, pareto, summarised
 from services.cli import main
-from services.tradeoff import default_knobs, ladder, parsed_budget, parsed_knobs, tradeoff
+from services.tradeoff import default_knobs, ladder, measure_ladder, parsed_budget, parsed_knobs, tradeoff
 from services.workflow import Run, code, compress, prepare
 from storage.errors import InvalidScan
 from tests.pipeline.test_stage import Heard
@@ -149,6 +149,15 @@ def test_tradeoff__a_budget_ends_the_ladder_after_its_first_point(scan, tmp_path
     assert "The budget of" in (tmp_path / "out" / "tradeoff.html").read_text()
 
 
+def test_tradeoff__what_points_share_is_not_expected_of_the_next_one(scan, tmp_path):
+    """The first point took 100 s of the budget's 160, nearly all for splats and patches, which the next one reuses."""
+    (tmp_path / "out").mkdir()
+    times = iter([0.0, 100.0])
+    run = Run(tmp_path / "work", SerialExecutor(), Heard(), clock=lambda: next(times, 1000.0))
+    document = measure_ladder(run, scan, tmp_path / "out", SETTINGS, {"max_atoms": (1, 2)}, 160.0, render=False)
+    assert [p["key"] for p in document["points"]] == ["chosen", "draft"] and len(document["skipped"]) == len(PRESETS) + 1
+
+
 def test_tradeoff__a_scan_without_photographs_is_refused(tmp_path):
     with pytest.raises(InvalidScan, match="allowed: a scan with photographs"):
         tradeoff(point_scan(tmp_path / "ball.ply"), tmp_path / "out", SETTINGS, SerialExecutor(), Heard())
@@ -161,7 +170,8 @@ def test_tradeoff__wrong_knobs_and_budgets_are_named(scan, tmp_path, capsys):
         assert words in capsys.readouterr().err
 
 
-OTHER = {"weight_bits": 8, "max_atoms": 3, "target_psnr_db": 27.0, "training_splats": 500, "seed": 5}
+OTHER = {"weight_bits": 8, "max_atoms": 3, "target_psnr_db": 27.0, "training_splats": 500, "seed": 5, "budget_bytes": 60.0, "density": 0.5,
+         "atom_search": "exact"}
 
 
 def test_knobs__the_stage_that_a_row_names_is_the_first_to_run_again(scan, tmp_path):
@@ -169,7 +179,7 @@ def test_knobs__the_stage_that_a_row_names_is_the_first_to_run_again(scan, tmp_p
     def ran(changes: dict) -> list[str]:
         run = Run(tmp_path / "work", SerialExecutor(), Heard())
         settings = settings_for("draft", **{"target_psnr_db": 28.0, "training_splats": 600, "iterations": 1} | changes)
-        code(run, prepare(run, scan, settings.radius, settings.effects), settings)
+        code(run, prepare(run, scan, settings.radius, settings.effects, density=settings.density), settings)
         return [r.name for r in run.records if not r.reused]
 
     assert ran({})[0] == "ingest"
