@@ -114,7 +114,7 @@ class PhotoSplats:
             photo.use(0)
             matrix = view_to_photo(view, self._cameras[camera])
             drawing.program["photo"].write(matrix.T.astype(np.float32).tobytes())
-        draws = draws_of(number, 3 if ellipsoid else 6)
+        draws = draws_of(number)
         self._draws.write(draws.tobytes())
         drawing.render_indirect(self._draws, moderngl.TRIANGLES, len(draws))
         if photo is not None and camera not in self._kept:
@@ -147,11 +147,11 @@ class PhotoSplats:
         return texture, pixels.nbytes * 4 // 3
 
 
-def draws_of(n_splats: int, n_indices: int = 6) -> np.ndarray:
-    """Indirect draws of consecutive splats, GROUP at most in each, of `n_indices` vertices a splat: (n, 5) uint32 as in cull.comp.glsl."""
+def draws_of(n_splats: int) -> np.ndarray:
+    """Indirect draws of consecutive splats, GROUP at most in each: (n, 5) uint32 as in cull.comp.glsl."""
     first = np.arange(0, n_splats, GROUP)
     draws = np.zeros((len(first), 5), np.uint32)
-    draws[:, 0] = n_indices * np.minimum(GROUP, n_splats - first)
+    draws[:, 0] = 3 * np.minimum(GROUP, n_splats - first)
     draws[:, 1] = 1
     draws[:, 3] = 4 * first
     return draws

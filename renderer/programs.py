@@ -6,7 +6,7 @@ import moderngl
 import numpy as np
 
 from renderer.glsl import shader_source
-from renderer.scene import indices_of_quads, indices_of_triangles
+from renderer.scene import indices_of_triangles
 from storage.schema import GROUP
 
 
@@ -16,8 +16,7 @@ class Programs:
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._compiled: dict[str, moderngl.VertexArray | moderngl.ComputeShader] = {}
-        self._quads = context.buffer(indices_of_quads(GROUP))
-        self._triangles: moderngl.Buffer | None = None  # made when a scene first has ellipsoids
+        self._triangles = context.buffer(indices_of_triangles(GROUP))
 
     def compute(self, name: str, **defines: int) -> tuple[str, moderngl.ComputeShader]:
         full_name = variant_name(name, defines)
@@ -26,7 +25,7 @@ class Programs:
         return full_name, self._compiled[full_name]
 
     def drawing(self, name: str, **defines: int) -> tuple[str, moderngl.VertexArray]:
-        """The name of a pass's variant, and its program with the index list of quads, or of an ellipsoid's triangles."""
+        """The name of a pass's variant, and its program with the index list of a group's triangles."""
         full_name = variant_name(name, defines)
         if full_name not in self._compiled:
             program = self._context.program(
@@ -34,17 +33,9 @@ class Programs:
                 fragment_shader=shader_source(f"{name}.frag.glsl", **defines),
             )
             self._compiled[full_name] = self._context.vertex_array(
-                program, [], self._indices(defines), index_element_size=np.dtype(np.uint16).itemsize
+                program, [], self._triangles, index_element_size=np.dtype(np.uint16).itemsize
             )
         return full_name, self._compiled[full_name]
-
-
-    def _indices(self, defines: dict[str, int]) -> moderngl.Buffer:
-        if not defines.get("ELLIPSOID"):
-            return self._quads
-        if self._triangles is None:
-            self._triangles = self._context.buffer(indices_of_triangles(GROUP))
-        return self._triangles
 
 
 def variant_name(name: str, defines: dict[str, int]) -> str:

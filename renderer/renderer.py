@@ -3,7 +3,7 @@
 Paper: HPG 2021, section 3.6, after Botsch et al. 2005: cull groups into indirect draws, draw depth pushed back by a
 margin, add up weighted colours of all splats within the margin, divide.
 
-A draw is one batch of one group: its splats' quads, by an index list that all groups share. One indirect call draws
+A draw is one batch of one group: its splats' triangles, by an index list that all groups share. One indirect call draws
 a batch in all groups; the base vertex of a draw names its group.
 """
 
@@ -115,10 +115,8 @@ class Renderer:
         self._view.bind_to_uniform_block(0)
         gpu_scene.bind()
         with self._pass(frame, "cull"):
-            name, program = self._programs.compute("cull", ELLIPSOIDS=int(gpu_scene.has_ellipsoids))
+            name, program = self._programs.compute("cull")
             frame.programs.append(name)
-            if gpu_scene.has_ellipsoids:
-                program["ellipsoid_batches"].value = gpu_scene.ellipsoid_batches
             program.run(-(-gpu_scene.scene.header.n_groups // _INVOCATIONS))
             self.context.memory_barrier(moderngl.Context.COMMAND_BARRIER_BIT)
         return frame
@@ -128,20 +126,22 @@ class Renderer:
         frame.targets.visibility.clear(depth=0.0)
         self.context.enable_only(moderngl.DEPTH_TEST)
         self.context.depth_func = ">"
-        if gpu_scene.has_cliplines or gpu_scene.has_ellipsoids:
-            for batch, kind in enumerate(gpu_scene.scene.header.batches):
-                self._draw_batch(frame, gpu_scene, batch, "visibility", **defines_of("visibility", gpu_scene.drawn, kind), **gpu_scene.defines)
-        else:
-            name, drawing = self._programs.drawing("visibility", **gpu_scene.defines)
-            self._draw_groups(gpu_scene, drawing, len(gpu_scene.scene.header.batches))
+        batches, n_leading = gpu_scene.scene.header.batches, gpu_scene.n_leading
+        if n_leading:  # atoms do not matter here: all at once
+            name, drawing = self._programs.drawing("visibility", LEADING=int(n_leading < len(batches)), **gpu_scene.defines)
+            set_uniforms(drawing, n_leading=n_leading)
+            self._draw_groups(gpu_scene, drawing, len(batches))
             frame.programs.append(name)
+        for batch in range(n_leading, len(batches)):
+            self._draw_batch(frame, gpu_scene, batch, "visibility", **defines_of("visibility", gpu_scene.drawn, batches[batch]),
+                             **gpu_scene.defines)
 
     def _draw_attributes(self, frame: _Frame, gpu_scene: GpuScene, max_atoms: int) -> None:
         self._begin_attributes(frame)
         for batch, kind in enumerate(gpu_scene.scene.header.batches):
             n_atoms = min(kind.n_atoms, max_atoms)
             turned = int(gpu_scene.scene.header.n_turns > 1 and n_atoms > 0)
-            of_atoms = gpu_scene.drawn if n_atoms else gpu_scene.drawn - {"mip_levels"}
+            of_atoms = gpu_scene.drawn if n_atoms else gpu_scene.drawn - {"mip_levels", "level_blending"}
             self._draw_batch(frame, gpu_scene, batch, "attribute", N_ATOMS=n_atoms,
                              **defines_of("attribute", of_atoms, kind), TURNED=turned, **gpu_scene.defines)
 
@@ -176,9 +176,10 @@ class Renderer:
 
     def _draw_batch(self, frame: _Frame, gpu_scene: GpuScene, batch: int, name: str, **defines: int) -> None:
         batches = gpu_scene.scene.header.batches
-        name, drawing = self._programs.drawing(name, **defines, BY_BATCH=int(len(batches) > 1))
-        set_uniforms(drawing, batch=batch, atoms_stored=batches[batch].n_atoms, **_lamp_of(frame))
-        self._draw_groups(gpu_scene, drawing, batch)
+        leads = batch == 0 and gpu_scene.n_leading == 1  # so no splat needs to be looked for
+        name, drawing = self._programs.drawing(name, **defines, BY_BATCH=int(not leads), LEADING=int(leads and len(batches) > 1))
+        set_uniforms(drawing, batch=batch, n_leading=1, atoms_stored=batches[batch].n_atoms, **_lamp_of(frame))
+        self._draw_groups(gpu_scene, drawing, len(batches) if leads else batch)
         frame.programs.append(name)
 
     @staticmethod

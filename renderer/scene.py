@@ -25,7 +25,6 @@ from storage.schema import GROUP, MIP_SIZES, color_bits
 # Bindings of the shader storage blocks; the shaders say the same numbers.
 SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS, ELLIPSOIDS, COLORS = range(11)
 DRAW_BYTES = 20
-CORNERS = np.array([0, 1, 2, 2, 1, 3], np.uint16)  # two triangles of a quad
 
 
 # --- what is uploaded, as numpy arrays -----------------------------------------------------------------------------
@@ -111,12 +110,8 @@ def weight_table(arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def indices_of_triangles(n_splats: int) -> np.ndarray:
-    """One triangle a splat, its vertices numbered as the first three of a quad."""
+    """One triangle a splat; four numbers each, so that a shader has the splat and its corner by a shift and a mask."""
     return (4 * np.arange(n_splats, dtype=np.uint16)[:, None] + np.arange(3, dtype=np.uint16)).ravel()
-
-
-def indices_of_quads(n_quads: int) -> np.ndarray:
-    return (4 * np.arange(n_quads, dtype=np.uint16)[:, None] + CORNERS).ravel()
 
 
 # --- upload ----------------------------------------------------------------------------------------------------------
@@ -143,6 +138,8 @@ class GpuScene:
     def __post_init__(self) -> None:
         header, arrays = self.scene.header, self.scene.arrays
         self.drawn = frozenset(header.effects) - {"mip_levels"}
+        if header.n_dictionary == 0 or header.coarsest_size == header.atom_size:
+            self.drawn -= {"level_blending"}
         if "relighting" not in self.drawn:
             self.drawn -= {"normal_smoothing"}
         if header.n_dictionary and header.coarsest_size < header.atom_size:
@@ -184,15 +181,15 @@ class GpuScene:
         return ELLIPSOIDS in self.buffers
 
     @property
-    def ellipsoid_batches(self) -> tuple[int, int]:
-        """A bit for each batch of ellipsoids, in two words; 17 atom counts of 3 kinds fit them."""
-        bits = sum(batch.ellipsoid << i for i, batch in enumerate(self.scene.header.batches))
-        return bits & 0xFFFFFFFF, bits >> 32
-
-    @property
     def defines(self) -> dict[str, int]:
         """What the programs that decode its splats are compiled with."""
         return {"COLOR_BOXES": int(COLORS in self.buffers)}
+
+    @property
+    def n_leading(self) -> int:
+        """How many batches come before the first one with a clipline or with ellipsoids."""
+        batches = self.scene.header.batches
+        return next((i for i, batch in enumerate(batches) if batch.clipline or batch.ellipsoid), len(batches))
 
     def bind(self) -> None:
         """Make this the scene that the next passes draw."""

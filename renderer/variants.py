@@ -21,7 +21,7 @@ from storage.packed import PackedFile
 from storage.schema import Camera
 
 N_VIEWS, MAX_SIDE_PX, ORBIT_PX = 4, 1024, (960, 720)
-ROUNDS = 3  # every variant is drawn once a round, so that a machine's mood falls on all alike
+ROUNDS = 5  # every variant is drawn once a round, so that a machine's mood falls on all alike
 WARM_UP_PX = (64, 48)
 SPOT_PX, ENLARGED = 120, 4
 
@@ -36,7 +36,8 @@ class Variant:
 
 
 def compare_variants(variants: Sequence[Variant], folder: Path | None = None) -> list[dict]:
-    """A row a variant: `frame_s` (median over views of the best of ROUNDS), `gpu_bytes`, `file_bytes`, `psnr_vs_photos_db`
+    """A row a variant: `frame_s` (median over views of the best of ROUNDS), `frame_ratio` (median over views and rounds of a
+    frame's time against the first variant's of the same round), `gpu_bytes`, `file_bytes`, `psnr_vs_photos_db`
     (mean over views, over the pixels that all variants cover; each against the photographs as it was textured from them),
     `psnr_vs_first_db` (against the first variant's picture) and the `programs` that drew it. None without photographs.
     With a `folder` each variant but the first has NAME.png there: where it differs most from the first one, itself, the first
@@ -49,28 +50,30 @@ def compare_variants(variants: Sequence[Variant], folder: Path | None = None) ->
     cameras = scenes[0].scene.header.cameras
     chosen = even_choice(len(cameras), N_VIEWS)
     views = [limited_view(cameras[i], MAX_SIDE_PX) for i in chosen] or orbit_views(scenes[0].scene, N_VIEWS, ORBIT_PX)
-    seconds = [[] for _ in variants]
+    seconds, ratios = [[] for _ in variants], [[] for _ in variants]
     spots = [(-1.0, None)] * len(variants)
     figures = [{"psnr_vs_photos_db": [], "psnr_vs_first_db": []} for _ in variants]
     programs = [set() for _ in variants]
     for scene in scenes:
         renderer.render(scene, view_of(views[0], WARM_UP_PX))  # compiles
     for i, view in enumerate(views):
-        pictures, best = _rounds(renderer, scenes, view)
+        pictures, taken = _rounds(renderer, scenes, view)
         covered = np.logical_and.reduce([picture.coverage for picture in pictures])
         for k, picture in enumerate(pictures):
             off, row, column = fullest_square(difference(picture.rgb, pictures[0].rgb, covered), SPOT_PX)
             at = slice(row, row + SPOT_PX), slice(column, column + SPOT_PX)
             spots[k] = max(spots[k], (off, (i, at)), key=lambda spot: spot[0])
-            seconds[k].append(best[k])
+            seconds[k].append(min(taken[k]))
+            ratios[k] += [here / first for here, first in zip(taken[k], taken[0], strict=True)]
             programs[k] |= set(picture.programs)
             figures[k]["psnr_vs_first_db"].append(psnr_db(picture.rgb, pictures[0].rgb, covered))
             if chosen:
                 photo = resized(arrays.read(variants[k].photos, f"photo_{chosen[i]}"), view.width_px, view.height_px)
                 figures[k]["psnr_vs_photos_db"].append(psnr_db(picture.rgb, photo, covered))
     rows = [{
-        "variant": variant.name, "frame_s": median(seconds[k]), "file_bytes": variant.packed.stat().st_size,
-        "gpu_bytes": sizes_of(scenes[k].scene, 0)["gpu_bytes"], **{name: _mean(values) for name, values in figures[k].items()},
+        "variant": variant.name, "frame_s": median(seconds[k]), "frame_ratio": median(ratios[k]),
+        "file_bytes": variant.packed.stat().st_size, "gpu_bytes": sizes_of(scenes[k].scene, 0)["gpu_bytes"],
+        **{name: _mean(values) for name, values in figures[k].items()},
         "programs": sorted(programs[k]),
     } for k, variant in enumerate(variants)]
     for k in range(1, len(variants) if folder else 0):
@@ -89,15 +92,15 @@ def _enlarged(pictures: list[np.ndarray], at: tuple[slice, slice]) -> np.ndarray
     return np.concatenate([np.repeat(np.repeat(rgb[at], ENLARGED, axis=0), ENLARGED, axis=1) for rgb in pictures], axis=1)
 
 
-def _rounds(renderer: Renderer, scenes: list[GpuScene], view: Camera) -> tuple[list[Picture], list[float]]:
-    """The picture of each scene, and the seconds of the quickest of its frames."""
-    best = [float("inf")] * len(scenes)
+def _rounds(renderer: Renderer, scenes: list[GpuScene], view: Camera) -> tuple[list[Picture], list[list[float]]]:
+    """The picture of each scene, and the seconds of its frames, round by round."""
+    taken: list[list[float]] = [[] for _ in scenes]
     pictures: list[Picture | None] = [None] * len(scenes)
     for _ in range(ROUNDS):
         for k, scene in enumerate(scenes):
             pictures[k] = renderer.render(scene, view)
-            best[k] = min(best[k], sum(pictures[k].pass_seconds.values()))
-    return pictures, best
+            taken[k].append(sum(pictures[k].pass_seconds.values()))
+    return pictures, taken
 
 
 def _mean(values: list[float | None]) -> float | None:

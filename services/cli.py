@@ -112,10 +112,10 @@ def _effects(options: argparse.Namespace) -> int:
 
 
 def _variant_lines(variants: list[dict]) -> str:
-    lines = [f"{'variant':<24} {'frame ms':>9} {'GPU bytes':>12} {'file bytes':>12} {'photos dB':>9} {'plan dB':>8}"]
+    lines = [f"{'variant':<24} {'frame ms':>9} {'of plan':>8} {'GPU bytes':>12} {'file bytes':>12} {'photos dB':>9} {'plan dB':>8}"]
     for v in variants:
         decibels = [f"{v[k]:.2f}" if v[k] is not None else "-" for k in ("psnr_vs_photos_db", "psnr_vs_first_db")]
-        lines.append(f"{v['variant']:<24} {1000 * v['frame_s']:>9.1f} {v['gpu_bytes']:>12,} {v['file_bytes']:>12,} "
+        lines.append(f"{v['variant']:<24} {1000 * v['frame_s']:>9.1f} {v['frame_ratio']:>8.3f} {v['gpu_bytes']:>12,} {v['file_bytes']:>12,} "
                      f"{decibels[0]:>9} {decibels[1]:>8}")
     return "\n".join(lines)
 

@@ -1,6 +1,7 @@
 """Mip levels of the dictionary: only those that views of the scan reach.
 
-A splat is drawn from the level that its size on the screen asks for and the next coarser one (renderer/shaders/attribute.vert.glsl).
+A splat is drawn from the level that its size on the screen asks for (renderer/shaders/attribute.vert.glsl), or from the two about it
+(level_blending.py).
 So the pixels that splats cover in the photographs, in those scaled down, and in a picture of the whole scan, tell which levels
 are ever looked up. A job may declare a farther viewer (`--view-distance`), or ask for all levels (`mip_levels=on`).
 """

@@ -5,8 +5,10 @@
 
 layout(binding = 0) uniform sampler2D atlas;
 #ifdef LEVELS
+flat in float level;  // a whole one, but where BLENDED
+#endif
+#ifdef BLENDED
 flat in uvec3 atoms[N_ATOMS];  // weight, corner, corner of the coarser level: see splat_codes.glsl
-flat in float level;
 #else
 flat in uvec2 atoms[N_ATOMS];
 #endif
@@ -33,7 +35,7 @@ vec2 inside_atom(vec2 on_disc, float size) {
 
 vec3 sum_of_atoms(vec2 on_disc) {
 #ifdef LEVELS
-    float finer = floor(level), blend = level - finer;
+    float finer = floor(level);
 #else
     float finer = float(scene.finest_level);
 #endif
@@ -41,7 +43,8 @@ vec3 sum_of_atoms(vec2 on_disc) {
     vec3 sum = vec3(0.0);
     for (int rank = 0; rank < N_ATOMS; ++rank)
         sum += uintBitsToFloat(atoms[rank].x) * atlas_color(corner_of(atoms[rank].y) + inside_atom(turned(on_disc, rank), size));
-#ifdef LEVELS
+#ifdef BLENDED
+    float blend = level - finer;
     if (blend > 0.0) {
         vec3 coarser_sum = vec3(0.0);
         for (int rank = 0; rank < N_ATOMS; ++rank)

@@ -31,6 +31,10 @@ flat out vec3 average;  // in linear light where there are no atoms, else sRGB
 void main() {
     uint group = drawn_group(), row = drawn_row();
     uint splat = splat_of_row(group, row);
+    if (!is_drawn(splat)) {
+        gl_Position = vec4(2.0, 2.0, 2.0, 1.0);  // outside the picture
+        return;
+    }
 #ifdef ELLIPSOID
     Disc disc = outline_of(decode_ellipsoid(splat, ellipsoids[first_ellipsoid(group) + row]));
 #else
@@ -44,6 +48,9 @@ void main() {
     average = decode_color(splat);
 #ifdef LEVELS
     level = clamp(mip_level(ATOM_AREA, quad.area_px), float(scene.finest_level), float(scene.coarsest_level));
+#ifndef BLENDED
+    level = floor(level + 0.5);
+#endif
 #endif
     read_atoms(group, row);
 #else

@@ -10,13 +10,6 @@ struct Draw { uint n_indices, n_instances, first_index, base_vertex, base_instan
 layout(std430, binding = 7) readonly buffer GroupBoxes { float group_boxes[]; };  // low, high; grown by the radius
 layout(std430, binding = 8) writeonly buffer Draws { Draw draws[]; };             // batch by batch, then whole groups
 
-#ifdef ELLIPSOIDS
-uniform uvec2 ellipsoid_batches;  // a bit each: their splats are triangles
-uint indices_of(uint batch) { return (ellipsoid_batches[batch >> 5] >> (batch & 31u) & 1u) == 1u ? 3u : 6u; }
-#else
-uint indices_of(uint batch) { return 6u; }
-#endif
-
 const float SPARE_PX = 1.0;  // what the low-pass filter reaches beyond a disc
 
 bool reaches_inside(vec3 low, vec3 high, vec3 plane) {
@@ -42,6 +35,6 @@ void main() {
     uint chunk = last_chunk(group);
     for (uint batch = 0u; batch <= scene.n_batches; ++batch) {
         uint n_splats = batch < scene.n_batches ? counted_of(chunk, batch) : counted(chunk, scene.n_batches);
-        draws[batch * scene.n_groups + group] = Draw(visible ? indices_of(batch) * n_splats : 0u, 1u, 0u, group * 4u * GROUP, 0u);
+        draws[batch * scene.n_groups + group] = Draw(visible ? 3u * n_splats : 0u, 1u, 0u, group * 4u * GROUP, 0u);
     }
 }

@@ -24,5 +24,19 @@ const uint batch = 0u;
 uint splat_of_row(uint group, uint row) { return group * GROUP + row; }
 #endif
 
+#ifdef LEADING
+// Of rows that are the splats of a group: those in the batches below `n_leading`, which come first in each chunk.
+#include "running_counts.glsl"
+uniform uint n_leading;
+
+bool is_drawn(uint splat) {
+    uint chunk = splat / CHUNK;
+    uint before = chunk % CHUNKS_PER_GROUP == 0u ? 0u : counted(chunk - 1u, n_leading);
+    return splat % CHUNK < counted(chunk, n_leading) - before;
+}
+#else
+#define is_drawn(splat) true
+#endif
+
 uint drawn_group() { return uint(gl_VertexID) / (4u * GROUP); }
 uint drawn_row() { return uint(gl_VertexID) / 4u % GROUP; }

@@ -17,10 +17,14 @@ out vec4 color;  // sRGB, and 1 where the picture is covered, 0.5 where it is ov
 
 void main() {
     vec4 sum = texelFetch(sums, ivec2(gl_FragCoord.xy), 0);
+    if (!(sum.a >= LEAST_WEIGHT)) {
+        color = vec4(0.0);
+        return;
+    }
 #ifdef WATCHED
     float covered = sum.a <= OVERDRAWN ? 1.0 : 0.5;
 #else
     const float covered = 1.0;
 #endif
-    color = sum.a >= LEAST_WEIGHT ? vec4(to_srgb(clamp(lit(sum.rgb / sum.a), 0.0, 1.0)), covered) : vec4(0.0);
+    color = vec4(to_srgb(clamp(lit(sum.rgb / sum.a), 0.0, 1.0)), covered);
 }

@@ -4,13 +4,15 @@ layout(std430, binding = 4) readonly buffer Codes { uint codes[]; };
 layout(std430, binding = 6) readonly buffer Weights { float weights[]; };  // weight_levels (n_ranks, levels), then atom_scale
 
 uniform uint atoms_stored;  // of each code of this batch; N_ATOMS of them are drawn
-// Of each atom the weight of a texel of 1.0, its corner in the atlas at the finer level and at the one after that: 16 atoms
-// are 16 of the 31 vectors that common drivers pass on.
-#ifdef LEVELS
+// Of each atom the weight of a texel of 1.0, its corner in the atlas at its level (of two the finer), and at the one after that: 16
+// atoms are 16 of the 31 vectors that common drivers pass on.
+#ifdef BLENDED
 flat out uvec3 atoms[N_ATOMS];
-flat out float level;
 #else
 flat out uvec2 atoms[N_ATOMS];
+#endif
+#ifdef LEVELS
+flat out float level;
 #endif
 #ifdef TURNED
 flat out uvec2 turns;  // 3 bits a rank, 8 ranks in each
@@ -46,7 +48,7 @@ void read_atoms(uint group, uint row) {
 #endif
         float weight = weights[rank * n_levels + (entry >> scene.dictionary_bits)] * weights[scene.n_ranks * n_levels + atom];
         atoms[rank].xy = uvec2(floatBitsToUint(127.0 * weight), atom_corner(atom, finer));
-#ifdef LEVELS
+#ifdef BLENDED
         atoms[rank].z = atom_corner(atom, min(finer + 1u, scene.coarsest_level));
 #endif
     }

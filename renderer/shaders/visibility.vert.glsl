@@ -20,6 +20,10 @@ out vec4 place;
 
 void main() {
     uint splat = splat_of_row(drawn_group(), drawn_row());
+    if (!is_drawn(splat)) {
+        gl_Position = vec4(2.0, 2.0, 2.0, 1.0);  // outside the picture
+        return;
+    }
 #ifdef ELLIPSOID
     Quad quad = splat_quad(outline_of(decode_ellipsoid(splat, ellipsoids[first_ellipsoid(drawn_group()) + drawn_row()])));
 #else

@@ -95,7 +95,7 @@ def with_levels(scene, coarsest: int):
     return type(scene)(header, kept)
 
 
-@pytest.mark.parametrize("distance, coarsest", [(0.6, 32), (2.4, 8), (6.0, 4)])
+@pytest.mark.parametrize("distance, coarsest", [(0.6, 32), (3.0, 8), (6.0, 4)])
 def test_mip_levels__that_no_splat_reaches_change_no_pixel(renderer, distance, coarsest):
     rng = np.random.default_rng(3)
     scene = build_scene(sheet(rng, 150, tilt=0.05, half_width=0.1, **coded(rng, 150)), Settings(), random_dictionary(rng))

@@ -1,7 +1,9 @@
 """Shader sources: includes, variants, and what a variant must not hold."""
 
+import re
 from importlib.resources import files
 
+import numpy as np
 import pytest
 
 from renderer.glsl import shader_source
@@ -42,3 +44,12 @@ def test_shaders__without_cliplines_have_no_clip_test(renderer, name):
             )
             assert bool({"Cliplines", "Lines"} & set(program)) == bool(clipline)
             program.release()
+
+
+def test_linear_light__of_the_shader_is_that_of_srgb_to_a_fiftieth_of_a_level():
+    """The polynomial as the shader's text has it, against the power of the standard, both back in levels of 255."""
+    numbers = re.search(r"vec3 power = (.*);", shader_source("srgb.glsl"))[1]
+    srgb = np.linspace(0.04045, 1, 10_001)
+    found, exact = eval(numbers, {"srgb": srgb}), ((srgb + 0.055) / 1.055) ** 2.4
+    encoded = [1.055 * linear ** (1 / 2.4) - 0.055 for linear in (found, exact)]
+    assert 255 * np.abs(encoded[0] - encoded[1]).max() <= 0.02

@@ -54,12 +54,15 @@ def test_renderer__reads_codes_of_every_width(renderer, bits, n_dictionary, weig
     assert_agrees(renderer, scene, camera_looking((0, -1, 0.2), (0, 0, 0)))
 
 
+@pytest.mark.parametrize("blended", [False, True])
 @pytest.mark.parametrize("distance", [0.5, 1.5, 3.0, 8.0, 25.0])
-def test_renderer__draws_every_mip_level(renderer, distance):
+def test_renderer__draws_every_mip_level(renderer, distance, blended):
     rng = np.random.default_rng(3)
     scene = build_scene(sheet(rng, 120, **coded(rng, 120)), Settings(radius=0.15), random_dictionary(rng))
+    scene = replace(scene, header=replace(scene.header, effects={"level_blending": {}} if blended else {}))
     view = camera_looking((0.1 * distance, -distance, 0), (0, 0, 0), (64, 48), (50 * distance**0.7, 45 * distance**0.7))
-    assert_agrees(renderer, scene, view)
+    picture = assert_agrees(renderer, scene, view)
+    assert any("blended" in name.split() for name in picture.programs) == blended
 
 
 @pytest.mark.parametrize(("size", "distance"), [(8, 0.5), (8, 8.0), (16, 1.0), (16, 3.0), (32, 0.5)])
@@ -179,7 +182,7 @@ def test_renderer__culls_groups_out_of_view_and_no_others(renderer):
     with renderer.context:
         draws = np.frombuffer(gpu_scene.buffers[DRAWS].read(), np.uint32).reshape(2, scene.header.n_groups, 5)
     gpu_scene.release()
-    assert sorted(draws[0, :, 0]) == [0, 6 * GROUP]
+    assert sorted(draws[0, :, 0]) == [0, 3 * GROUP]
     expected, _ = render(scene, view)
     assert psnr_db(picture.rgb / 255, expected) >= 45
 

@@ -28,7 +28,7 @@ def test_effects__measure_has_the_plan_all_on_and_each_alone_off(measured):
     assert "cliplines" in on
     assert [v["variant"] for v in measured["variants"]] == ["plan", "all on", *(f"without {e}" for e in on)]
     for v in measured["variants"]:
-        assert v["frame_s"] > 0 and v["gpu_bytes"] > 0 and v["file_bytes"] > 0 and v["psnr_vs_photos_db"] > 10
+        assert v["frame_s"] > 0 and v["frame_ratio"] > 0 and v["gpu_bytes"] > 0 and v["file_bytes"] > 0 and v["psnr_vs_photos_db"] > 10
     found = json.loads((measured["out"] / "effects.json").read_text())
     assert found["variants"] == json.loads(json.dumps(measured["variants"], allow_nan=False))
     pictures = {path.name for path in measured["out"].glob("*.png")}

@@ -38,6 +38,7 @@ TRACES = {
     "depth_margin": Traces(),
     "accumulation": Traces(),
     "mip_levels": Traces(arrays=("atoms_4", "atoms_2", "atoms_1"), words=("levels",), define="LEVELS"),
+    "level_blending": Traces(words=("blended",), define="BLENDED"),
     "antialiasing": Traces(),
     "relighting": Traces(words=("lit",), define="LIT"),
     "normal_smoothing": Traces(words=("smooth",), define="SMOOTH"),
