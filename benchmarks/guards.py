@@ -1,26 +1,35 @@
 """What do the guards of hard cases cost on ordinary scans?
 
-    python -m benchmarks.guards SCAN [--atoms 256] [--patches 2048] [--rounds 9] [--json]
+    python -m benchmarks.guards SCAN [--packed FILE] [--atoms 256] [--patches 2048] [--rounds 9] [--json]
 
 Each piece of work runs in turns with a copy of itself that has its guards taken out (docs/NUMERICS.md says what they
-are for); what is printed are medians and their ratios. The copies code ordinary patches to the very same atoms.
+are for); what is printed are medians of processor seconds, of all threads, and the median of the ratios of pairs. The copies
+code ordinary patches to the very same atoms. With --packed, frames of that file too.
 """
 
 from __future__ import annotations
 
 import json
 import sys
+import time
 import types
+from pathlib import Path
 
 import numpy as np
 
-from benchmarks.patches import arguments, in_turns, learned_dictionary, textured_patches
+from benchmarks.patches import arguments, learned_dictionary, textured_patches
 from pipeline.coding import ksvd, omp, omp_kernels
 from pipeline.texture import patches as texture_patches
 from pipeline.texture.patches import make_patches
+from pipeline.threads import one_blas_thread
+from renderer.renderer import Renderer
+from renderer.scene import GpuScene
+from renderer.targets import NARROW
+from storage.packed import PackedFile
 from storage.schema import Camera
 
 N_ATOMS = 8
+REPEATS = 200  # of a pursuit, which takes a microsecond a patch
 TOLERANCE = 3072 * 10**-4.0  # 40 dB
 PHOTO = np.random.default_rng(0).integers(0, 256, (1024, 1536, 3)).astype(np.uint8)
 
@@ -51,8 +60,9 @@ def pursuits(patches: np.ndarray, dictionary: np.ndarray) -> dict:
     def run(kernels: types.ModuleType) -> None:
         n = len(y)
         atom, weight, code = np.zeros((n, N_ATOMS), np.int32), np.zeros((n, N_ATOMS)), np.zeros((n, N_ATOMS), np.int32)
-        kernels.pursue(initial, energy, gram, np.full(n, TOLERANCE), 0.0, np.empty((N_ATOMS, 0)), atom, weight, code,
-                       np.zeros(n, np.int32), np.zeros(n))
+        for _ in range(REPEATS):
+            kernels.pursue(initial, energy, gram, np.full(n, TOLERANCE), 0.0, np.empty((N_ATOMS, 0)), atom, weight, code,
+                           np.zeros(n, np.int32), np.zeros(n))
         found[kernels.__name__] = atom
 
     works = {"guarded": lambda: run(omp_kernels), "plain": lambda: run(plain)}
@@ -89,8 +99,11 @@ def learning(patches: np.ndarray, n_atoms: int) -> dict:
     plain = without(ksvd, ("return sums.error <= (1 + TOLERATED_RISE) * best.sums.error", "return True"),
                     ("    if best is None or sums.error <= best.sums.error:\n        return", "    if True:\n        return"))
     own = {"max_atoms": N_ATOMS, "tolerance": TOLERANCE, "iterations": 4}
-    return {"guarded": lambda: ksvd.learn_dictionary(patches, n_atoms, **own),
-            "plain": lambda: plain.learn_dictionary(patches, n_atoms, **own)}
+    works = {"guarded": lambda: ksvd.learn_dictionary(patches, n_atoms, **own),
+             "plain": lambda: plain.learn_dictionary(patches, n_atoms, **own)}
+    first, second = (work() for work in works.values())
+    assert (first == second).all(), "ordinary patches are learned differently without guards"
+    return works
 
 
 def checks(patches: np.ndarray, dictionary: np.ndarray) -> dict:
@@ -100,29 +113,62 @@ def checks(patches: np.ndarray, dictionary: np.ndarray) -> dict:
     def run(checked) -> None:
         omp._checked = checked
         try:
-            omp.sparse_encode(patches, dictionary, max_atoms=N_ATOMS, tolerance=TOLERANCE)
+            omp.sparse_encode(patches, dictionary, max_atoms=N_ATOMS, tolerance=TOLERANCE, n_threads=1)
         finally:
             omp._checked = own
 
     return {"guarded": lambda: run(own), "plain": lambda: run(lambda patches, dictionary, max_atoms: (patches, dictionary))}
 
 
+def frames(packed: Path) -> dict:
+    """Three frames, and loading the scene, with and without looking for overdraw and for stacks of copies."""
+    with PackedFile(packed) as file:
+        scene = file.load()
+    renderer = Renderer()
+    views = scene.header.cameras[:: max(1, len(scene.header.cameras) // 3)][:3]
+
+    def run(watched: bool) -> None:
+        scene.header.settings["effects"] = "" if watched else "accumulation=off"
+        gpu_scene = GpuScene(scene, renderer.context)
+        assert {renderer.render(gpu_scene, view).accumulation for view in views} == {NARROW}, "this is no ordinary scan"
+        gpu_scene.release()
+
+    return {"guarded": lambda: run(True), "plain": lambda: run(False)}
+
+
+def pairs_of(works: dict, rounds: int) -> dict:
+    """Median processor seconds of both, and the median and the quartiles of the ratios of pairs, the order taking turns."""
+    taken = {name: [] for name in works}
+    for round_ in range(rounds + 1):
+        for name in list(works)[:: 1 if round_ % 2 else -1]:
+            begun = time.process_time()
+            works[name]()
+            taken[name].append(time.process_time() - begun)
+    guarded, plain = (np.array(taken[name][1:]) for name in ("guarded", "plain"))
+    low, ratio, high = np.quantile(guarded / plain, (0.25, 0.5, 0.75))
+    return {"guarded_s": float(np.median(guarded)), "plain_s": float(np.median(plain)), "ratio": float(ratio),
+            "quartiles": [float(low), float(high)]}
+
+
 def main() -> None:
-    options = arguments(__doc__).parse_args()
+    parser = arguments(__doc__)
+    parser.add_argument("--packed", type=Path)
+    options = parser.parse_args()
     patches = textured_patches(options.scan, options.patches)
     n_atoms = options.atoms[0]
     dictionary = learned_dictionary(patches, n_atoms)[0]
     pairs = {"pursuit": pursuits(patches, dictionary), "projection": projections(), "learning": learning(patches, n_atoms),
              "checks of inputs": checks(patches, dictionary)}
-    found = {}
-    for name, works in pairs.items():
-        taken = in_turns(works, options.rounds)
-        found[name] = {"seconds": taken, "ratio": taken["guarded"] / taken["plain"]}
+    if options.packed:
+        pairs["frames"] = frames(options.packed)
+    with one_blas_thread():
+        found = {name: pairs_of(works, options.rounds) for name, works in pairs.items()}
     if options.json:
         print(json.dumps({"atoms": n_atoms, "patches": len(patches), "guards": found}))
         return
     for name, row in found.items():
-        print(f"{name:18} guarded {row['seconds']['guarded']:.4f} s, plain {row['seconds']['plain']:.4f} s, ratio {row['ratio']:.3f}")
+        print(f"{name:18} guarded {row['guarded_s']:.4f} s, plain {row['plain_s']:.4f} s, ratio {row['ratio']:.3f} "
+              f"({row['quartiles'][0]:.3f} to {row['quartiles'][1]:.3f})")
 
 
 if __name__ == "__main__":

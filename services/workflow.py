@@ -512,7 +512,7 @@ def _scan_record(prepared: Prepared) -> dict:
     warnings = list(scan["warnings"])
     n_bad = prepared.neighbours.summary["n_degenerate"]
     if n_bad:
-        warnings.append(f"{n_bad} of {scan['n_points']} splats have no normal, neither of the scan's nor one that their neighbourhood defines")
+        warnings.append(f"{n_bad} of {scan['n_points']} splats have no normal of the scan's, and none that their neighbourhood defines")
     if not (scan["has_colors"] or scan["cameras"]):
         warnings.append("the scan has neither colours nor intensity nor photographs; its splats are grey, shaded by their normals")
     n_blind = prepared.splats.summary["n_without_camera"]

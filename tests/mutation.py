@@ -1,10 +1,11 @@
 """A mutation run: break one comparison, sign, constant or guard at a time and see whether a test notices.
 
-    python tests/mutation.py [--only omp] [--each 40] [--seconds 600] [--seed 0]
+    python tests/mutation.py [--only omp] [--each 40] [--seconds 600] [--seed 0] [--at 81:37 166:26]
 
 Changes no file; prints every survivor with its line and column, and the share that was killed. Not part of the tests.
 Tests are collected once, timed once, and run fastest first in a fork of the process that holds the mutant; those that
-never enter the function that was changed are left out.
+never enter the function that was changed are left out. Kernels run as plain Python, for to compile a mutant takes longer
+than to run it: tests that take more than SECONDS_AS_PYTHON that way, or fail, are left out too.
 """
 
 from __future__ import annotations
@@ -23,13 +24,15 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+import numba
 import pytest
 from _pytest.runner import runtestprotocol
 from scipy.stats import beta
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
-PURSUIT = ["tests/pipeline/coding/test_omp.py", "tests/pipeline/coding/test_certified.py", "tests/hard_cases/test_coding.py"]
+PURSUIT = ["tests/pipeline/coding/test_omp.py", "tests/pipeline/coding/test_certified.py", "tests/hard_cases/test_coding.py",
+           "tests/pipeline/stages/test_price.py"]
 LEARNING = ["tests/pipeline/coding/test_ksvd.py", "tests/hard_cases/test_learning.py"]
 GEOMETRY = ["tests/pipeline/geometry", "tests/hard_cases/test_geometry.py"]
 TARGETS = {  # file: tests that ought to notice
@@ -43,6 +46,7 @@ LEFT_OUT = "not jit_off and not million"  # a process of its own, which imports 
 FLIPPED = {ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
            ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult,
            ast.And: ast.Or, ast.Or: ast.And, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd}
+SECONDS, SECONDS_AS_PYTHON = 120, 15  # of processor time, of a test that takes part
 CPU_SECONDS = 8  # of one mutant, beside twice what its tests take when watched: who takes longer does not end
 MEMORY_BYTES = 8 << 30
 
@@ -100,7 +104,9 @@ def _put_in_place(module, node: ast.AST, mutant: ast.Module) -> None:
     Kernels of other files that were compiled with a changed kernel of this one keep the old one inside.
     """
     old = dict(vars(module))
-    body = _reached(mutant, node.lineno)
+    as_python = _holds_kernels(module.__file__)
+    body = mutant.body[1:] if as_python else _reached(mutant, node.lineno)
+    numba.config.DISABLE_JIT = as_python
     for statement in body:
         for decorator in getattr(statement, "decorator_list", []):  # numba's cache does not tell constants apart
             if isinstance(decorator, ast.Call):
@@ -111,6 +117,14 @@ def _put_in_place(module, node: ast.AST, mutant: ast.Module) -> None:
         for name, value in list(vars(user).items()):
             if id(value) in changed and not isinstance(value, (int, float)):
                 setattr(user, name, changed[id(value)])
+
+
+def _holds_kernels(file: str) -> bool:
+    return file.endswith("_kernels.py")
+
+
+def _module_of(file: str):
+    return importlib.import_module(file.removesuffix(".py").replace("/", "."))
 
 
 def _reached(tree: ast.Module, line: int) -> list[ast.stmt]:
@@ -179,9 +193,22 @@ def in_a_fork(work, cpu_seconds: float) -> tuple[int, str]:
     return os.waitpid(child, 0)[1], told
 
 
-def timed(items) -> str:
-    """JSON of each test: seconds, and the functions of the project that it entered."""
-    return json.dumps([_entered(item) for item in items])
+def timed(items, files: list[str]) -> list[tuple]:
+    """The tests that take part, fastest first: (seconds, passed, functions of the project entered), test."""
+    def work(item):
+        for file in filter(_holds_kernels, files):
+            tree = ast.parse((ROOT / file).read_text())
+            _put_in_place(_module_of(file), tree.body[1], tree)
+        return json.dumps(_entered(item))
+
+    as_python = any(map(_holds_kernels, files))
+    limit = SECONDS_AS_PYTHON if as_python else SECONDS
+    found = [(in_a_fork(lambda item=item: work(item), limit), item) for item in items]
+    taking_part = [(json.loads(told), item) for (status, told), item in found if status == 0]
+    if as_python:  # sums in another order may pick another of two atoms as good
+        taking_part = [(told, item) for told, item in taking_part if told[1]]
+    print(f"{len(taking_part)} of {len(items)} tests take part: the others take more than {limit} s, or need numba", flush=True)
+    return sorted(taking_part, key=lambda pair: pair[0][0])
 
 
 def _entered(item) -> tuple[float, bool, list[str]]:
@@ -227,9 +254,7 @@ def run_group(files: list[str], tests: list[str], options, deadline: float) -> l
     outcomes = []
 
     def work(items):
-        status, told = in_a_fork(lambda: timed(items), 1200)
-        assert status == 0, "the tests could not be timed"
-        order = sorted(zip(json.loads(told), items, strict=True), key=lambda pair: pair[0][0])
+        order = timed(items, files)
         failing = [item.nodeid for (_, passed, _), item in order if not passed]
         assert not failing, f"tests fail as the code is: {failing}"
         for file in files:  # else what kills the mutants may be the way they are put in place
@@ -249,7 +274,7 @@ def run_group(files: list[str], tests: list[str], options, deadline: float) -> l
 
 def _outcome(file, node, mutant, tests) -> str:
     def work():
-        _put_in_place(importlib.import_module(file.removesuffix(".py").replace("/", ".")), node, mutant)
+        _put_in_place(_module_of(file), node, mutant)
         return json.dumps(first_that_fails([item for _, item in tests]))
 
     status, told = in_a_fork(work, CPU_SECONDS + 2 * sum(seconds for (seconds, *_), _ in tests))
@@ -259,7 +284,8 @@ def _outcome(file, node, mutant, tests) -> str:
 def _that_enter(order, file, node, mutant) -> list:
     """The tests that enter the function which holds the change; all of them where that cannot be seen from outside."""
     inside = [s for s in mutant.body if _first_line(s) <= node.lineno <= s.end_lineno]
-    if not inside or not isinstance(inside[0], ast.FunctionDef) or inside[0].decorator_list or "kernels" in file:
+    compiled = inside and getattr(inside[0], "decorator_list", None) and not _holds_kernels(file)
+    if compiled or not inside or not isinstance(inside[0], ast.FunctionDef):
         return order
     name = f"{ROOT / file}:{inside[0].name}"
     return [pair for pair in order if name in pair[0][2]]
@@ -269,7 +295,7 @@ def chosen(files: list[str], options) -> list:
     """All mutants of the files, or as many of each, by chance, as asked for; in an order by chance."""
     rng, plan = random.Random(options.seed), []
     for file in files:
-        every = [(file, *m) for m in mutants(ast.parse((ROOT / file).read_text()))]
+        every = [(file, *m) for m in mutants(ast.parse((ROOT / file).read_text())) if m[1].startswith(tuple(options.at))]
         plan += rng.sample(every, min(options.each or len(every), len(every)))
     rng.shuffle(plan)
     return plan
@@ -281,10 +307,11 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=1e9)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="part of a file's name")
+    parser.add_argument("--at", nargs="+", default=[""], help="only mutants at these places, as LINE:COLUMN")
     options = parser.parse_args()
     deadline, outcomes = time.monotonic() + options.seconds, []
-    groups = {tuple(tests): [f for f, t in TARGETS.items() if t == tests and options.only in f] for tests in TARGETS.values()}
-    for tests, files in groups.items():
+    for tests, as_python in dict.fromkeys((tuple(tests), _holds_kernels(file)) for file, tests in TARGETS.items()):
+        files = [f for f, t in TARGETS.items() if t == list(tests) and _holds_kernels(f) == as_python and options.only in f]
         if files:
             outcomes += run_group(files, list(tests), options, deadline)
     _print_result(outcomes)

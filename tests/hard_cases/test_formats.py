@@ -143,7 +143,8 @@ CASES = {  # name: what makes it, exit code of compress
     "laz 1.4 of format 8": (lambda f: las(f, sheet() + UTM, UTM, 8, ".laz"), 0),
     "e57 of two stations": (lambda f: e57(f, cartesian(sheet()), cartesian(sheet())), 0),
     "e57 of invalid points": (lambda f: e57(f, cartesian(sheet(), cartesianInvalidState=(np.arange(200) % 2 * 2).astype(np.int8))), 0),
-    "fisheye cameras in text": (lambda f: workspace(f, model="OPENCV_FISHEYE", params=(60, 60, 32, 24, 0.01, 0.001, 0, 0), ending=".txt"), 0),
+    "fisheye cameras in text": (
+        lambda f: workspace(f, model="OPENCV_FISHEYE", params=(60, 60, 32, 24, 0.01, 0.001, 0, 0), ending=".txt"), 0),
     "distorted cameras": (lambda f: workspace(f, model="OPENCV", params=(60, 60, 32, 24, 0.1, 0.01, 1e-3, 1e-3)), 0),
     "wild distortion": (lambda f: workspace(f, model="RADIAL", params=(60, 32, 24, 5.0, -9.0)), 0),
     "names of all kinds": (lambda f: renamed(f, NAMES, ".bin"), 0),
@@ -192,7 +193,8 @@ def test_formats__a_normal_of_zero_is_that_of_its_neighbours(tmp_path, capsys):
     position = np.column_stack([np.zeros(400), rng().uniform(-1, 1, (400, 2))])
     normal = np.tile(np.float32([1, 0, 0]), (400, 1))
     normal[::7] = 0
-    main(["compress", str(write_points(tmp_path / "wall.ply", position, normal)), "--out", str(tmp_path / "out"), "--executor", "serial", "--no-render"])
+    scan = write_points(tmp_path / "wall.ply", position, normal)
+    assert main(["compress", str(scan), "--out", str(tmp_path / "out"), "--executor", "serial", "--no-render"]) == 0
     assert np.array_equal(np.abs(arrays_of_packed(tmp_path / "out" / "wall.splatpress")["normal"]), np.tile([127, 0], (400, 1)))
     numerics = json.loads((tmp_path / "out" / "report.json").read_text())["numerics"]
     assert numerics["degenerate_normals"] == 0
