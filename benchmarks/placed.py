@@ -49,7 +49,8 @@ def write_placed(workspace: Path, target: Path, placed: Placed) -> Path:
         rotation = np.array(camera.rotation) @ placed.turn.T
         x, y, z, w = Rotation.from_matrix(rotation).as_quat()
         shift = -rotation @ placed.points(np.array([camera.centre]))[0]
-        cameras.append(f"{i} PINHOLE {camera.width_px} {camera.height_px} {camera.fx_px!r} {camera.fy_px!r} {camera.cx_px!r} {camera.cy_px!r}")
+        lens = camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
+        cameras.append(f"{i} PINHOLE {camera.width_px} {camera.height_px} {' '.join(map(repr, lens))}")
         images.append(f"{i} {' '.join(repr(float(v)) for v in (w, x, y, z, *shift))} {i} {camera.name}\n")
     (target / "sparse" / "cameras.txt").write_text("\n".join(cameras) + "\n")
     (target / "sparse" / "images.txt").write_text("\n".join(images) + "\n")
@@ -81,7 +82,8 @@ def main() -> None:
         found[name] = measured(options.workspace, placed, seed, options.preset)
         if not options.json:
             still = found["as it is"]
-            print(f"{name:20} " + ", ".join(f"{figure} {value:.3f} ({value - still[figure]:+.3f})" for figure, value in found[name].items()), flush=True)
+            said = (f"{figure} {value:.3f} ({value - still[figure]:+.3f})" for figure, value in found[name].items())
+            print(f"{name:20} {', '.join(said)}", flush=True)
     if options.json:
         print(json.dumps(found))
 
