@@ -84,5 +84,7 @@ class VariantErrors:
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         n, squared, weighted = (sum(r[k] for r in results) for k in ("n_splats", "squared_error", "weighted_error"))
+        if not squared:  # the photographs as they are: there is nothing to state
+            return dict.fromkeys(("texture_psnr_db", "visible_psnr_db"))
         return {"texture_psnr_db": psnr_db(squared, n * PATCH_DIM),
                 "visible_psnr_db": psnr_db(weighted, n * float(np.sum(disc_weights())))}
