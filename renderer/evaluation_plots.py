@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bokeh.models import FixedTicker, HoverTool, LabelSet
+from bokeh.models import FixedTicker, HoverTool
 from bokeh.palettes import Blues9
 from bokeh.plotting import figure
 
@@ -19,14 +19,29 @@ def bytes_and_psnr(rows: list[dict]) -> figure:
         shown = [row for row in rows if row["kind"] == kind and row["texture_psnr_db"] is not None]
         if not shown:
             continue
+        shown.sort(key=lambda row: row["bytes_per_splat"])
         source = source_of({"x": [r["bytes_per_splat"] for r in shown], "y": [r["texture_psnr_db"] for r in shown],
-                            "name": [r["name"] for r in shown]})
+                            "name": [_name(r) for r in shown], **_places(shown, rows)})
         dots = plot.scatter("x", "y", source=source, color=color, size=10, marker="circle" if kind == "ours" else "square")
-        plot.add_layout(LabelSet(x="x", y="y", text="name", source=source, x_offset=8, y_offset=-6, text_font_size="12px",
-                                 text_color=color))
+        plot.text("x", "y", text="name", source=source, x_offset="right", y_offset="down", text_align="align", text_font_size="12px",
+                  text_color=color)
         plot.add_tools(HoverTool(renderers=[dots], tooltips=[("", "@name"), ("bytes a splat", "@x{0.00}"), ("PSNR", "@y{0.00} dB")]))
     plot.x_range.range_padding = 0.25
     return plot
+
+
+def _name(row: dict) -> str:
+    return f"{row['name']} {row['coder']}" if row["kind"] == "ours" and row["n_dictionary"] else row["name"]
+
+
+def _places(shown: list[dict], rows: list[dict]) -> dict[str, list]:
+    """Where names stand: into the plot on its right side, whose edge would cut them; ours by turns above and below their dots, of
+    others the best one above."""
+    most = max(row["bytes_per_splat"] for row in rows if row["texture_psnr_db"] is not None)
+    best = max(row["texture_psnr_db"] for row in shown)
+    left = [row["bytes_per_splat"] > most / 1.6 for row in shown]
+    return {"align": ["right" if at else "left" for at in left], "right": [-8 if at else 8 for at in left],
+            "down": [-2 if (i % 2 if row["kind"] == "ours" else row["texture_psnr_db"] == best) else 14 for i, row in enumerate(shown)]}
 
 
 def learning_curves(rows: list[dict]) -> figure | None:

@@ -159,9 +159,11 @@ def _dots(plot: figure, points: list[dict], x: list[float], y: list[float], axis
         "x": x, "y": y, "label": [p["label"] for p in points], "number": [p["number"] for p in points],
         "color": [BLUE if p["preset"] else MUTED for p in points], "size": [13 if p["preset"] else 8 for p in points]})
     dots = plot.scatter("x", "y", source=source, color="color", size="size", nonselection_alpha=1.0)
-    plot.text("x", "y", text="label", source=source_of({
-        "x": [v for v, p in zip(x, points) if p["preset"]], "y": [v for v, p in zip(y, points) if p["preset"]],
-        "label": [p["label"] for p in points if p["preset"]]}), x_offset=10, y_offset=5, text_font_size="13px", text_color=BLUE)
+    named = [(v, w, p["label"], v > (min(x) + max(x)) / 2) for v, w, p in zip(x, y, points) if p["preset"]]
+    plot.text("x", "y", text="label", x_offset="off", text_align="align", source=source_of({
+        "x": [v for v, *_ in named], "y": [w for _, w, *_ in named], "label": [label for _, _, label, _ in named],
+        "off": [-10 if right else 10 for *_, right in named],  # into the plot, whose edge would cut it
+        "align": ["right" if right else "left" for *_, right in named]}), y_offset=5, text_font_size="13px", text_color=BLUE)
     plot.add_tools(HoverTool(renderers=[dots], tooltips=[("", "@label"), (axis, "@x{0.00}"), ("", "@y{0.00}")]))
     plot.add_tools(TapTool(renderers=[dots], callback=CustomJS(args={"source": source}, code="""
         const at = source.selected.indices[0];

@@ -63,7 +63,9 @@ def asdict_key(settings: Settings) -> tuple:
 
 
 def default_knobs() -> dict[str, tuple]:
-    return {knob.name: knob.ladder for knob in KNOBS if knob.ladder}
+    """Those that have a ladder; the target first, as what the next decibels cost is what is asked first."""
+    known = {knob.name: knob.ladder for knob in KNOBS if knob.ladder}
+    return {"target_psnr_db": known.pop("target_psnr_db")} | known
 
 
 def parsed_knobs(texts: Sequence[str]) -> dict[str, tuple]:

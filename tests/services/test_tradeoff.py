@@ -143,6 +143,11 @@ def test_tradeoff__the_page_has_a_panel_for_every_point_and_asks_no_other_host(m
     assert not {"nan", "None", "inf"} & set("".join(elements.text).split())
 
 
+def test_ladder__tries_the_next_decibels_first():
+    steps = ladder(settings_for("balanced"), default_knobs())
+    assert steps[len(PRESETS)].key == "target_psnr_db=42.0"
+
+
 def test_tradeoff__a_budget_ends_the_ladder_after_its_first_point(scan, tmp_path):
     document = tradeoff(scan, tmp_path / "out", SETTINGS, SerialExecutor(), Heard(), knobs={}, budget_s=1e-3, render=False)
     assert [p["key"] for p in document["points"]] == ["chosen"] and [s["key"] for s in document["skipped"]] == list(PRESETS)
