@@ -15,14 +15,13 @@ from renderer.previews import even_choice, limited_view, safe_names
 from renderer.renderer import Picture, Renderer
 from renderer.report import sizes_of
 from renderer.scene import GpuScene
-from renderer.views import orbit_views, view_of
+from renderer.views import orbit_views
 from storage import arrays
 from storage.packed import PackedFile
 from storage.schema import Camera
 
 N_VIEWS, MAX_SIDE_PX, ORBIT_PX = 4, 1024, (960, 720)
 ROUNDS = 5  # every variant is drawn once a round, so that a machine's mood falls on all alike
-WARM_UP_PX = (64, 48)
 SPOT_PX, ENLARGED = 120, 4
 
 
@@ -55,7 +54,7 @@ def compare_variants(variants: Sequence[Variant], folder: Path | None = None) ->
     figures = [{"psnr_vs_photos_db": [], "psnr_vs_first_db": []} for _ in variants]
     programs = [set() for _ in variants]
     for scene in scenes:
-        renderer.render(scene, view_of(views[0], WARM_UP_PX))  # compiles
+        renderer.render(scene, views[0])  # compiles; at no other size, or splats that are small there would call for wide sums
     for i, view in enumerate(views):
         pictures, taken = _rounds(renderer, scenes, view)
         covered = np.logical_and.reduce([picture.coverage for picture in pictures])

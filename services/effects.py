@@ -26,8 +26,8 @@ def effects_of(scan: Path, settings: Settings, executor: Executor, progress: Pro
 def worth_of_effects(
     scan: Path, settings: Settings, executor: Executor, progress: Progress, work: Path | None = None, out: Path | None = None
 ) -> dict:
-    """`rows`, the plan, and `variants`: the scan packed and drawn as planned, with all effects on, and with each that is on
-    alone off; what renderer.variants measures of each, with the seconds that its stages took.
+    """`rows`, the plan, and `variants`: the scan packed and drawn as planned, with all effects on, with none, and with each that
+    is on alone off; what renderer.variants measures of each, with the seconds that its stages took.
     With `out` there are pictures of where each differs most from the plan, and all of it as effects.json."""
     with _run(executor, progress, work) as run, tempfile.TemporaryDirectory(prefix="splatpress-variants-") as folder:
         plan, variants, seconds = None, [], []
@@ -44,7 +44,7 @@ def worth_of_effects(
             seconds.append(sum(record.made_seconds for record in run.records[before:]))
             if plan is None:
                 plan = prepared.effects
-                requests["all on"] = "all=on"
+                requests |= {"all on": "all=on", "all off": "all=off"}
                 requests |= {f"without {e}": f"{settings.effects},{e}=off" for e in plan.enabled}
         rows = compare_variants(variants, out)
         found = {"rows": plan.to_json(), "variants": [row | {"stage_s": s} for row, s in zip(rows, seconds, strict=True)]}

@@ -251,7 +251,7 @@ def texels_of_levels(prepared: Prepared, settings: Settings) -> tuple[int, int]:
     """Texels to a side of the finest and of the coarsest mip level that atoms need."""
     plan = prepared.effects
     asked_for = parse_request(settings.effects)["mip_levels"] == ON
-    return stored_sizes(plan.measured.get("mip_levels"), asked_for, settings.view_distance)
+    return stored_sizes(plan.measured.get("mip_levels"), asked_for, settings.view_distance, "level_blending" in plan.enabled)
 
 
 def resample(run: Run, prepared: Prepared) -> StageRecord:

@@ -26,13 +26,13 @@ def measured(tmp_path_factory, renderer) -> dict:
 def test_effects__measure_has_the_plan_all_on_and_each_alone_off(measured):
     on = [row["effect"] for row in measured["rows"] if row["enabled"]]
     assert "cliplines" in on
-    assert [v["variant"] for v in measured["variants"]] == ["plan", "all on", *(f"without {e}" for e in on)]
+    assert [v["variant"] for v in measured["variants"]] == ["plan", "all on", "all off", *(f"without {e}" for e in on)]
     for v in measured["variants"]:
         assert v["frame_s"] > 0 and v["frame_ratio"] > 0 and v["gpu_bytes"] > 0 and v["file_bytes"] > 0 and v["psnr_vs_photos_db"] > 10
     found = json.loads((measured["out"] / "effects.json").read_text())
     assert found["variants"] == json.loads(json.dumps(measured["variants"], allow_nan=False))
     pictures = {path.name for path in measured["out"].glob("*.png")}
-    assert pictures == {"all_on.png", *(f"without_{e}.png" for e in on)}
+    assert pictures == {"all_on.png", "all_off.png", *(f"without_{e}.png" for e in on)}
 
 
 def test_effects__off_takes_its_bytes_and_its_shader_code_along(measured):

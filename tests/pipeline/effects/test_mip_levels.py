@@ -52,10 +52,18 @@ def test_needed__leaves_out_no_more_than_what_is_rare_on_either_side():
 @pytest.mark.parametrize("finest, coarsest", [(0.0, 0.4), (0.2, 1.7), (1.3, 2.0), (2.9, 4.8), (4.2, 4.3)])
 def test_stored__sizes_hold_every_level_that_views_reach(finest, coarsest):
     found = {"finest": finest, "coarsest": coarsest, "farthest": 3.0}
-    largest, smallest = stored_sizes(found, False, None)
-    assert largest in ATOM_SIZES and smallest in MIP_SIZES and smallest <= largest
-    assert MIP_SIZES.index(largest) <= finest and MIP_SIZES.index(smallest) >= min(coarsest, DEEPEST)
-    assert stored_sizes(found, False, 300.0)[1] <= smallest
+    for blended in (False, True):
+        largest, smallest = stored_sizes(found, False, None, blended)
+        assert largest in ATOM_SIZES and smallest in MIP_SIZES and smallest <= largest
+        looked_up = (finest, coarsest) if blended else np.floor(np.array([finest, coarsest]) + 0.5)
+        assert MIP_SIZES.index(largest) <= max(looked_up[0], MIP_SIZES.index(ATOM_SIZES[-1])) or coarsest - finest < 1
+        assert MIP_SIZES.index(smallest) >= min(looked_up[1], DEEPEST) or coarsest - finest < 1
+        assert stored_sizes(found, False, 300.0, blended)[1] <= smallest
+
+
+@pytest.mark.parametrize("finest, coarsest, size", [(0.0, 0.4, 32), (0.7, 1.2, 16), (1.4, 1.9, 8)])
+def test_stored__one_level_where_views_span_less_than_one(finest, coarsest, size):
+    assert stored_sizes({"finest": finest, "coarsest": coarsest, "farthest": 3.0}, False, None) == (size, size)
 
 
 def test_stored__off_by_request_is_one_level_and_on_by_request_all():
