@@ -49,7 +49,7 @@ EFFECT = Effect(
     measures="degrees between the normals of splats that overlap, median",
     threshold=LEAST_DEGREES,
     reason="a turn of less changes what a lamp lights by less than a level of 255, where it changes most",
-    worth=Worth("not measured"),
+    worth=Worth("fountain_p11, draft, 4 views of 1,024 px, llvmpipe", frame_share=0.06),
     measure_block=_measure_block,
     conclude=_conclude,
     needs="relighting",

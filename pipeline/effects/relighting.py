@@ -16,7 +16,7 @@ EFFECT = Effect(
     measures="1 for every scan: all splats have normals",
     threshold=1.0,
     reason="photographs have their light in them; another is a wish, not a need of the scan",
-    worth=Worth("not measured"),
+    worth=Worth("fountain_p11, draft, 4 views of 1,024 px, llvmpipe", frame_share=0.04),
     conclude=_conclude,
     by_request=True,
     order=80,
