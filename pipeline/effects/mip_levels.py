@@ -18,6 +18,7 @@ from storage import work
 from storage.schema import ATOM_SIZES, MIP_SIZES, Camera
 
 ATOM_AREA = 128.0  # texels of the square one radius wide that a pixel each is level 0: that of attribute.vert.glsl
+TO_COARSER = 0.45  # added to a level before it is rounded down, as there
 LEAST_AREA_PX = 0.25  # of that square: the smallest of which splat_quad.glsl tells the level
 SMALLEST_VIEW_PX = 1024  # longer side of the smallest pictures of a photograph's view that reports and measurements draw
 ORBIT_FOCAL_PX, ORBIT_DISTANCE = 869.0, 1.31  # of pictures of the whole scan (renderer/views.py), 720 px high; times its diagonal
@@ -73,7 +74,7 @@ def stored_sizes(outcome: dict | None, asked_for: bool, view_distance: float | N
 
 def _nearest(level: float) -> int:
     """As the renderer rounds."""
-    return math.floor(level + 0.5)
+    return math.floor(level + TO_COARSER)
 
 
 def _measure_block(block: Block) -> dict:

@@ -64,7 +64,7 @@ def render(scene: PackedScene, view: Camera, max_atoms: int = 16) -> tuple[np.nd
     def color(splat: int, fragments: Fragments) -> np.ndarray:
         level = mip_level(ATOM_AREA, fragments.area_px, 5)
         if "level_blending" not in header.effects:
-            level = float(np.floor(level + 0.5))
+            level = float(np.floor(level + 0.45))
         total = np.tile(average[splat], (len(fragments.x), 1))
         for rank in range(min(max_atoms, scene.n_atoms[splat])):
             index, turn = divmod(atom[splat, rank], header.n_turns)

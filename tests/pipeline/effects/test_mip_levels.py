@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.effects.mip_levels import ATOM_AREA, BINS_A_LEVEL, DEEPEST, RARE, levels_seen, needed, stored_sizes
+from pipeline.effects.mip_levels import ATOM_AREA, BINS_A_LEVEL, DEEPEST, RARE, TO_COARSER, levels_seen, needed, stored_sizes
 from renderer.glsl import shader_source
 from storage.schema import ATOM_SIZES, MIP_SIZES
 from tests.scenes import camera_looking
@@ -32,7 +32,9 @@ def test_levels__are_those_of_the_image_of_the_tangent_square():
 
 
 def test_levels__use_the_constant_of_the_shader():
-    assert "const float ATOM_AREA = 0.5 * 16.0 * 16.0;" in shader_source("attribute.vert.glsl") and ATOM_AREA == 0.5 * 16 * 16
+    source = shader_source("attribute.vert.glsl")
+    assert "const float ATOM_AREA = 0.5 * 16.0 * 16.0;" in source and ATOM_AREA == 0.5 * 16 * 16
+    assert f"const float TO_COARSER = {TO_COARSER};" in source
 
 
 def test_levels__of_what_lies_behind_are_not_known():
