@@ -18,9 +18,10 @@ from pipeline.hashing import uniform_hash
 from pipeline.stages.strata import octave_of, shares
 from pipeline.texture.patches import centred
 from storage import arrays, work
-from storage.schema import ATOM_SIZES
+from storage.schema import ATOM_SIZES, PATCH_SIZE
 
 ROWS = 1024  # patches in float32 at a time: 12 MiB
+SHOWN = 512  # of a task's patches, chosen by chance: what tells how much atoms of a size leave of them
 
 
 class TrainingPart(NamedTuple):
@@ -67,8 +68,8 @@ class TrainingSet:
             arrays.store(folder, f"{name}_{index}", rows, rows.shape)
         luck = (draw / np.maximum(share[octave_of(energy)], 1e-300))[chosen][order]
         arrays.store(folder, f"luck_{index}", luck, luck.shape)
-        shown = _patches(folder, index, slice(ROWS))
-        beyond = [float((squared_norms(shown) - squared_norms(coefficients(shown, s))).sum()) for s in ATOM_SIZES]
+        shown = _patches(folder, index, slice(SHOWN))
+        beyond = [0.0 if s == PATCH_SIZE else float((squared_norms(shown) - squared_norms(coefficients(shown, s))).sum()) for s in ATOM_SIZES]
         cut = float(np.minimum(energy, self.cutoff).sum(dtype=np.float64))
         return {"n_splats": len(chosen), "n_active": int(active.sum()), "cutoff_error": cut, "n_shown": len(shown), "beyond": beyond,
                 "settled_energy": float(energy[~active].sum(dtype=np.float64))}

@@ -156,9 +156,9 @@ def test_coding__hard_patches_are_no_worse_than_their_average(name):
 
     rng, dim = np.random.default_rng(7), 3072
     texel = np.round(hard_patches()[name] * 255).astype(np.uint8).reshape(1, -1)
-    average, energy = np.empty((1, 3), np.uint8), np.empty(1, np.float32)
+    average, energy = np.empty((1, 3), np.float32), np.empty(1, np.float32)
     _measure(texel.reshape(1, -1, 3), average, energy)
-    patch = centred(texel, average)
+    patch = centred(texel, np.round(average))
     atoms = np.concatenate([unit_rows(rng, 60, dim), unit_rows(rng, 4, 4).repeat(dim // 4, axis=1) / np.sqrt(dim // 4)])
     levels = np.tile(np.linspace(-20, 20, 16), (8, 1))
     deviation = texel.reshape(-1, 3) / 255.0 - (texel.reshape(-1, 3) / 255.0).mean(axis=0)

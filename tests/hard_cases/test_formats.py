@@ -201,8 +201,9 @@ def test_formats__a_normal_of_zero_is_that_of_its_neighbours(tmp_path, capsys):
 
 
 def test_formats__photographs_of_one_colour_are_kept_exactly_and_the_words_say_so(tmp_path, capsys):
+    """In whole bytes; in boxes, points that no photograph shows have colours of their own, and cells are as wide as they ask."""
     scan = photos_of(tmp_path, np.full((48, 64, 3), 77, np.uint8))
-    assert main(["compress", str(scan), "--out", str(tmp_path / "out"), "--preset", "draft", "--executor", "serial", "--no-render"]) == 0
+    assert main(["compress", str(scan), "--out", str(tmp_path / "out"), "--preset", "draft", "--coder", "paper", "--executor", "serial", "--no-render"]) == 0
     assert "resampling identical" in capsys.readouterr().out
     quality = json.loads((tmp_path / "out" / "report.json").read_text())["quality"]
     assert quality["texture_psnr_db"] == quality["resampling_psnr_db"] == 100.0

@@ -48,6 +48,7 @@ class Composed:
     def environment(self, name: str) -> dict[str, str]:
         given = {key: self.here(str(value)) for key, value in COMPOSE["services"][name]["environment"].items()}
         kept = {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+        kept |= {key: value for key, value in os.environ.items() if key.startswith("OPENBLAS_")}  # the same kernels, the same bytes
         return {**kept, **given}
 
     def _keep_running(self, place: str) -> None:

@@ -61,7 +61,7 @@ def scan(tmp_path_factory):
     return photo_scan(tmp_path_factory.mktemp("scan") / "wavy plane", n_side=60)
 
 
-@pytest.mark.parametrize("budget", [18.5, 22.0])
+@pytest.mark.parametrize("budget", [15.5, 17.0])
 def test_budget__files_keep_it(scan, tmp_path, budget):
     settings = settings_for("draft", budget_bytes=budget, training_splats=2000, iterations=1)
     report = compress(scan, tmp_path / "out", settings, SerialExecutor(), Heard(), render=False)

@@ -45,7 +45,7 @@ def test_gaps__a_smaller_optimism_lowers_the_price():
 
 
 def test_gaps__a_budget_keeps_the_atoms():
-    found = outcome_in_job(sorts(), in_job(0.0), 0.1, slope_at(4.0, LADDER), keeps_atoms=True)
+    found = outcome_in_job(sorts(), in_job(0.0), 0.1, slope_at(4.0, LADDER, 2.0), keeps_atoms=True)
     assert found == Outcome(pytest.approx(N * 1.01 * 1.01), pytest.approx(N * 2.0))
 
 

@@ -85,4 +85,5 @@ def test_thin__textures_of_ellipsoids_are_sampled_where_the_packed_file_puts_the
     assert len(scene.ellipsoids[0]) == 720
     again = report(packed, path, tmp_path / "again", SerialExecutor(), Heard(), render=False)
     for name in ("texture_psnr_db", "visible_psnr_db"):
-        assert again["quality"][name] == pytest.approx(made["quality"][name], abs=1e-6)
+        # But for what splats without a photograph lose to cells of colours: a report does not know what they were.
+        assert again["quality"][name] == pytest.approx(made["quality"][name], abs=0.02)

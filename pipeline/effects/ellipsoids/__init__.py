@@ -46,8 +46,8 @@ EFFECT = Effect(
     title="Splats on what is thinner or rounder than a disc are ellipsoids",
     measures="share of splats that are slender or small, and that no plane with a clipline explains",
     threshold=0.02,
-    reason="surfaces have less from noise and gaps alone: stanford_dragon 1.6 %; fountain_p11 would gain 0.1 dB from 1.9 %, for a third of "
-           "the time of a job",
+    reason="surfaces have less from noise and gaps alone: stanford_dragon 1.6 %, fountain_p11 1.9 %, which would gain 0.1 dB for a third of the "
+           "time of a job",
     worth=Worth("fountain_p11 (draft, 4 views of 1,024 px) for dB; pump_e57, 6 % of its splats, for frame time", bytes_a_splat=4.0,
                 frame_share=0.07, gain_db=0.09),
     measure_block=_measure_block,

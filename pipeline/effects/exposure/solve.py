@@ -73,13 +73,28 @@ def spread(seen: Observations, fields: np.ndarray | None = None) -> float:
     return float(np.median(np.sqrt(square).mean(axis=1)))
 
 
-def _fitted(basis: np.ndarray, wanted: np.ndarray, field: np.ndarray) -> np.ndarray:
+@numba.njit(cache=True, nogil=True)
+def _fitted(basis, wanted, field):
     """The field (N_TERMS,) that explains what its photograph's splats want, starting from the last one."""
-    residual = np.abs(wanted - basis @ field)
-    scale = HUBER * np.median(residual) + 1e-9 if len(residual) else 1.0
-    weight = 1 / np.maximum(1, residual / scale)
-    weighted = basis * weight[:, None]
-    return np.linalg.solve(weighted.T @ basis + np.diag(PRIOR), weighted.T @ wanted)
+    residual = np.empty(len(wanted))
+    for i in range(len(wanted)):
+        explained = 0.0
+        for t in range(N_TERMS):
+            explained += basis[i, t] * field[t]
+        residual[i] = abs(wanted[i] - explained)
+    scale = HUBER * np.median(residual) + 1e-9 if len(wanted) else 1.0
+    normal, right = np.diag(PRIOR), np.zeros(N_TERMS)
+    for i in range(len(wanted)):
+        weight = 1.0 / max(1.0, residual[i] / scale)
+        for t in range(N_TERMS):
+            weighted = weight * basis[i, t]
+            right[t] += weighted * wanted[i]
+            for u in range(t + 1):
+                normal[t, u] += weighted * basis[i, u]
+    for t in range(N_TERMS):
+        for u in range(t):
+            normal[u, t] = normal[t, u]
+    return np.linalg.solve(normal, right)
 
 
 def _by_splat(splat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
