@@ -6,7 +6,8 @@
     python -m benchmarks.fit_costs others.jsonl --check [--json]
 
 Rows with different numbers of indices tell what each costs. Tasks cost the processor seconds they took: a busy machine leaves those almost as they are. What a stage does besides is
-what its seconds exceed those of its tasks by, and means something only where the machine was quiet.
+what its seconds exceed those of its tasks by, kernels that each worker loads once among it, and means something only where the
+machine was quiet.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.costs import (
-    BY_ATOMS, COSTS, KILO, PHOTOS, SAMPLE, SAMPLED, SEED, TASKS, TRAINING, Job, StageCost, known_costs, known_probe_s, plan_job,
+    BY_ATOMS, COSTS, PHOTOS, SAMPLE, SAMPLED, SEED, TASKS, TRAINING, Job, StageCost, kilos_of, known_costs, known_probe_s,
+    plan_job,
 )
 from storage.arrays import BLOCK
 
@@ -82,13 +84,14 @@ def _stage_of(name: str) -> str:
 
 def _measured(name: str, row: dict) -> dict:
     tasks = row["tasks"][_stage_of(name)]
-    processor, splats, wall = (np.array(tasks[k]) for k in ("processor_seconds", "splats", "seconds"))
+    processor, splats, wall, compiling = (np.array(tasks[k]) for k in ("processor_seconds", "splats", "seconds", "compile_seconds"))
     here = np.ones(len(splats), bool)
     if _stage_of(name) == "ingest":
         here = splats == 0 if name == "photographs" else splats > 0
     units = np.prod(_photographs(row)) if TASKS[name] == PHOTOS else _rows_of(name, row, splats)
-    once = 0.0 if name == "photographs" else row["seconds"][name] - wall.sum() / row["workers"]
-    return {"units": units, "passes": tasks["passes"], "kilos": row["indices"] / KILO, "tasks_s": processor[here].sum(), "once_s": once,
+    once = 0.0 if name == "photographs" else row["seconds"][name] - (wall - compiling).sum() / row["workers"]
+    return {"units": units, "passes": tasks["passes"], "kilos": kilos_of(row["indices"], row["atom_size"]),
+            "tasks_s": np.maximum(processor - compiling, 0)[here].sum(), "once_s": once,
             "peak": max(np.array(tasks["peak_rss_bytes"])[here], default=0),
             "written": 3e6 * units if name == "photographs" else max(0.0, tasks["written_bytes"] - _photograph_bytes(name, row))}
 
@@ -117,7 +120,7 @@ def checked(rows: list[dict]) -> list[dict]:
         n, megapixels = _photographs(row)
         costs = known_costs(speed=row["probe_s"] / known_probe_s())
         job = Job(row["splats"], row["workers"], n, megapixels, sum(row["tasks"]["training-set"]["splats"]),
-                  row["tasks"]["ksvd-update"]["passes"], row["indices"])
+                  row["tasks"]["ksvd-update"]["passes"], row["indices"], row["atom_size"])
         plans = {p.name: p.seconds for p in plan_job(job, costs)}
         plans["ingest"] += plans.pop("photographs")
         measured = {name: row["seconds"].get(name, 0.0) for name in plans if name in row["seconds"]}
@@ -144,8 +147,8 @@ def main() -> None:
         PHOTOGRAPHS.update({row["scan"]: (int(options.photographs[0]), options.photographs[1]) for row in rows})
     if options.write:
         costs = {name: asdict(cost) for name, cost in fitted(rows).items()}
-        about = sorted({f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers, {row['indices']:,} indices, coder "
-                        f"{row['coder']}" for row in rows})
+        about = sorted({f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers, {row['indices']:,} indices of "
+                        f"{row['atom_size']}x{row['atom_size']} texels, coder {row['coder']}" for row in rows})
         probe_s = float(np.median([row["probe_s"] for row in rows]))
         COSTS.write_text(json.dumps({"fitted_to": about, "probe_s": probe_s, "stages": costs}, indent=1) + "\n")
         return

@@ -38,9 +38,11 @@ def measure(scan: Path, n_splats: int, n_workers: int, coder: str | None, bits: 
         report = compress(made, Path(folder) / "out", settings, executor, Silent(), render=False, work=Path(folder) / "work")
         stages = report["stages"]
         tasks = {s["name"]: _tasks_of(Path(folder) / "work", s["name"]) for s in stages}
-        n_indices = PackedFile.open(next((Path(folder) / "out").glob(f"*{SUFFIX}"))).header.n_indices
+        with PackedFile(next((Path(folder) / "out").glob(f"*{SUFFIX}"))) as packed:
+            n_indices, atom_size = packed.header.n_indices, packed.header.atom_size
     growing = sum(s["seconds"] for s in stages if s["name"] not in LEARNING)
-    return {"scan": scan.name, "splats": n_splats, "workers": n_workers, "coder": settings.coder, "indices": n_indices, "probe_s": probe_s, "quality": report["quality"], "bytes_per_splat": report["sizes"]["bytes_per_splat"], "tasks": tasks,
+    return {"scan": scan.name, "splats": n_splats, "workers": n_workers, "coder": settings.coder, "indices": n_indices, "atom_size": atom_size,
+            "probe_s": probe_s, "quality": report["quality"], "bytes_per_splat": report["sizes"]["bytes_per_splat"], "tasks": tasks,
             "seconds": {s["name"]: s["seconds"] for s in stages}, "total_seconds": sum(s["seconds"] for s in stages),
             "processor_seconds": sum(sum(t["processor_seconds"]) for t in tasks.values()),
             "microseconds_a_splat": 1e6 * growing / n_splats,
@@ -52,6 +54,7 @@ def _tasks_of(folder: Path, name: str) -> dict:
     found = [r for stage in sorted(folder.glob(f"{name}-????????????????")) for r in work.finished_tasks(stage).values()]
     files = [p for stage in folder.glob(f"{name}-????????????????") for p in stage.rglob("*") if p.is_file()]
     return {"seconds": [r["seconds"] for r in found], "processor_seconds": [r["processor_seconds"] for r in found],
+            "compile_seconds": [r["compile_seconds"] for r in found],
             "splats": [r.get("n_splats", 0) for r in found], "peak_rss_bytes": [r["peak_rss_bytes"] for r in found],
             "passes": len(list(folder.glob(f"{name}-????????????????"))),
             "written_bytes": int(np.sum([p.stat().st_size for p in files]))}

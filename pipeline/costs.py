@@ -18,11 +18,15 @@ from pipeline.coding.ksvd import BLOCK as TRAINING_BLOCK
 from pipeline.executors import MOST_A_CALL, tasks_a_call
 from pipeline.stages.pack import TASK_SPLATS as PACK_BLOCK
 from storage.arrays import BLOCK
+from storage.schema import ATOM_SIZES
 
 DISPATCH_S = 1e-3  # of Dask's scheduler, a task: its documentation says "about 1 ms", and one process does it all
+# Times as long that a task takes beside others: two processes that coded blocks side by side, without Dask, took 4.84 s where
+# one after the other they took 8.61 s; two cores share caches and memory.
+CROWDED = 1.12
 MOST_SIMULATED = 20_000  # tasks of a stage; more go on as the last of these did
 SAMPLED = 16  # blocks that effects are measured on
-KILO = 1024  # indices of atoms
+KILO, SMALLEST = 1024, min(ATOM_SIZES)  # indices of atoms, and texels to a side of the smallest
 COSTS = Path(__file__).with_name("costs.json")
 
 # What a task of a stage is; the cost of a task is that of its units.
@@ -48,7 +52,8 @@ READS = {  # whose output a stage reads whole; the training set reads its own sh
 
 @dataclass(frozen=True)
 class StageCost:
-    """Of one stage. A unit is a splat, a training patch or a million pixels of photographs; a kilo 1,024 indices of atoms."""
+    """Of one stage. A unit is a splat, a training patch or a million pixels of photographs; a kilo 1,024 indices of atoms of
+    8x8 texels, of larger ones as many fewer as they have more texels: what products with all of them take goes by both."""
 
     task_us_a_unit: float  # of a worker's time
     once_s: float  # of one process, whatever the size: what `init` and `finalise` take
@@ -73,6 +78,7 @@ class Job:
     training_splats: int = 20_000
     iterations: int = 4
     n_indices: int = KILO  # of atoms in all their turns
+    atom_size: int = SMALLEST  # texels to a side
 
 
 @dataclass(frozen=True)
@@ -98,6 +104,11 @@ def known_costs(path: Path = COSTS, speed: float = 1.0) -> dict[str, StageCost]:
             for name, cost in costs.items()}
 
 
+def kilos_of(n_indices: int, atom_size: int) -> float:
+    """The unit of `StageCost`."""
+    return n_indices / KILO * (atom_size / SMALLEST) ** 2
+
+
 def known_probe_s(path: Path = COSTS) -> float:
     """What the probe took on the machine that the costs were measured on."""
     return json.loads(path.read_text())["probe_s"]
@@ -105,7 +116,7 @@ def known_probe_s(path: Path = COSTS) -> float:
 
 def plan_job(job: Job, costs: dict[str, StageCost]) -> list[StagePlan]:
     """Every stage of a job, in order."""
-    kilos = job.n_indices / KILO
+    kilos = kilos_of(job.n_indices, job.atom_size)
     written = {name: cost.written_bytes_a_unit * _units(name, job) + cost.written_bytes_a_kilo * kilos for name, cost in costs.items()}
     return [_plan_stage(name, costs[name], job, kilos, written) for name in TASKS if name in costs]
 
@@ -114,6 +125,7 @@ def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dic
     passes = job.iterations if name == "ksvd-update" else 1
     units, n_tasks = _units(name, job), _n_tasks(name, job)
     task_s = 1e-6 * (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos) * units / max(1, n_tasks)
+    task_s *= CROWDED if min(n_tasks, job.n_workers) > 1 else 1.0
     once_s = cost.once_s + 1e-6 * cost.once_us_a_unit * units + cost.once_s_a_kilo * kilos
     together = tasks_a_call(n_tasks, job.n_workers)
     n_calls = -(-n_tasks // together)

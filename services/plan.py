@@ -8,7 +8,7 @@ from pipeline.coding.grid import TURNS, AtomForm
 from pipeline.costs import BLOCKS, TASKS, Job, StageCost, StagePlan, first_limit, known_costs, known_probe_s, plan_job
 from pipeline.settings import Settings
 from services.workflow import index_bits
-from storage.schema import ATOM_SIZES
+from storage.schema import ATOM_SIZES, PATCH_SIZE
 
 LADDER = (1, 2, 5, 10, 24, 50, 100, 200, 500, 1000)  # workers beside those asked for
 MEMORY_BYTES = 4 << 30  # what a worker gets
@@ -16,8 +16,9 @@ MEMORY_BYTES = 4 << 30  # what a worker gets
 
 def plan(n_splats: int, n_workers: int, settings: Settings, n_photographs: int, megapixels: float, speed: float = 1.0) -> dict:
     """The plan as the command prints it with --json, for a machine that takes `speed` times as long as the one measured on."""
+    form = _likely_form(settings)
     job = Job(n_splats, n_workers, n_photographs, megapixels, settings.training_splats, settings.iterations,
-              2 ** index_bits(settings, _likely_form(settings), n_splats))
+              2 ** index_bits(settings, form, n_splats), form.size if form else PATCH_SIZE)
     costs = known_costs(speed=speed)
     stages = plan_job(job, costs)
     limit, remedy = first_limit(job, stages, MEMORY_BYTES)
