@@ -188,7 +188,7 @@ def test_whole__turning_a_scan_by_any_angles_leaves_psnr(tmp_path):
 
 
 def test_whole__patches_of_a_far_scan_are_those_of_the_near_one(tmp_path, wall):
-    _, packed = compressed(photographed_wall(tmp_path / "scan", Placed(np.eye(3), shift=(4.5e5, 5.4e6, 128.0))), tmp_path / "out")
+    _, packed = compressed(photographed_wall(tmp_path / "scan", Placed(np.eye(3), shift=(4.5e5, 5.4e6, 128.0)), N_SIDE), tmp_path / "out")
     near, far = (scene_of_packed(p) for p in (wall[1], packed))
     apart = np.abs(decoded_colors(near) - decoded_colors(far))  # a colour may fall into the next cell, few do
     assert apart.max() <= 1.7 * length_of(near.header.color_step) and np.median(apart) < 0.05
@@ -216,7 +216,7 @@ class _Backwards:
 
 
 def test_whole__bytes_do_not_depend_on_the_order_of_tasks(tmp_path, wall, monkeypatch):
-    compress(photographed_wall(tmp_path / "scan"), tmp_path / "out", QUICK, _Backwards(), Heard(), render=False)
+    compress(photographed_wall(tmp_path / "scan", n_side=N_SIDE), tmp_path / "out", QUICK, _Backwards(), Heard(), render=False)
     assert (tmp_path / "out" / wall[1].name).read_bytes() == wall[1].read_bytes()
 
 
