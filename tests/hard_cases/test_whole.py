@@ -187,9 +187,9 @@ def test_whole__turning_a_scan_by_any_angles_leaves_psnr(tmp_path):
         assert report["quality"]["geometry"]["mean_position_error_in_radii"] < 1 / 30  # a tilted wall's boxes are thicker
 
 
-def test_whole__patches_of_a_far_scan_are_those_of_the_near_one(tmp_path, wall):
-    _, packed = compressed(photographed_wall(tmp_path / "scan", Placed(np.eye(3), shift=(4.5e5, 5.4e6, 128.0)), N_SIDE), tmp_path / "out")
-    near, far = (scene_of_packed(p) for p in (wall[1], packed))
+def test_whole__patches_of_a_far_scan_are_those_of_the_near_one(tmp_path):
+    placed = (Placed(np.eye(3)), Placed(np.eye(3), shift=(4.5e5, 5.4e6, 128.0)))
+    near, far = (scene_of_packed(compressed(photographed_wall(tmp_path / f"scan{i}", p), tmp_path / f"out{i}")[1]) for i, p in enumerate(placed))
     apart = np.abs(decoded_colors(near) - decoded_colors(far))  # a colour may fall into the next cell, few do
     assert apart.max() <= 1.7 * length_of(near.header.color_step) and np.median(apart) < 0.05
     assert (near.arrays["normal"] == far.arrays["normal"]).all()
