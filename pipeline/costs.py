@@ -64,7 +64,6 @@ class StageCost:
     task_us_a_unit_a_kilo: float = 0.0
     once_s_a_kilo: float = 0.0
     written_bytes_a_kilo: float = 0.0
-    memory_bytes_a_kilo: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -136,7 +135,7 @@ def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dic
     return StagePlan(
         name, passes * n_tasks, together, task_s, passes * (once_s + busy_s), passes * once_s, passes * n_calls * DISPATCH_S,
         passes * read, passes * written[name],
-        cost.memory_bytes + cost.memory_bytes_a_unit * units + cost.memory_bytes_a_kilo * kilos)
+        cost.memory_bytes + cost.memory_bytes_a_unit * units)
 
 
 def _units(name: str, job: Job) -> float:

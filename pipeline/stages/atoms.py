@@ -75,13 +75,13 @@ def store_atoms(folder: Path, dictionary: np.ndarray, form: AtomForm = AtomForm(
 def load_atoms(folder: Path) -> Atoms:
     """The dictionary of a folder. A process keeps the last one, where it is small enough: a stage's tasks all read the same,
     and with 4,096 atoms of 192 coefficients that took as long as coding 2,000 patches."""
-    if folder not in _kept:
+    atoms = _kept.get(folder)
+    if atoms is None:
         _kept.clear()
         atoms = _read_atoms(folder)
-        if atoms.n_bytes > KEPT_BYTES:
-            return atoms
-        _kept[folder] = atoms
-    return _kept[folder]
+        if atoms.n_bytes <= KEPT_BYTES:
+            _kept[folder] = atoms
+    return atoms
 
 
 def _read_atoms(folder: Path) -> Atoms:
