@@ -16,7 +16,8 @@ import json
 import numpy as np
 
 from benchmarks.patches import arguments, in_turns, learned_dictionary, textured_patches
-from pipeline.coding.certified import shorten, unshortened
+from pipeline.coding.certified import ShortDictionary, shorten, unshortened
+from pipeline.coding.coarse import coarsen
 from pipeline.coding.omp import pursue_patches
 from pipeline.threads import available_cores
 
@@ -47,11 +48,12 @@ def peers(patches: np.ndarray, dictionary: np.ndarray) -> tuple[dict, dict[str, 
 
 def ours(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray) -> dict:
     """What to time of this project, each with what depends on the dictionary made before."""
-    gram, split = dictionary @ dictionary.T, shorten(dictionary)
+    gram = dictionary @ dictionary.T
+    split = shorten(dictionary) or coarsen(dictionary, gram)
     coefficients, short = patches @ basis, dictionary @ basis
     short /= np.linalg.norm(short, axis=1, keepdims=True)
     short_gram = short @ short.T
-    in_components = unshortened(short, short_gram) if split is not None else short
+    in_components = unshortened(short, short_gram) if isinstance(split, ShortDictionary) else short
     options = {"max_atoms": N_ATOMS, "n_threads": available_cores()}
     return {
         "exact": lambda: pursue_patches(patches, dictionary, gram=gram, search="exact", **options),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 
 import threadpoolctl
 
@@ -23,11 +24,17 @@ def run_all(work: Callable[[int], None], items: range, n_threads: int) -> None:
         for item in items:
             work(item)
         return
-    with threadpoolctl.threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(min(n_threads, len(items))) as pool:
+    with one_blas_thread(), ThreadPoolExecutor(min(n_threads, len(items))) as pool:
         for done in [pool.submit(work, item) for item in items]:
             done.result()
 
 
 def one_blas_thread():
     """A context in which BLAS keeps to one thread: factors of thin matrices take longer with more on a busy machine."""
-    return threadpoolctl.threadpool_limits(1, user_api="blas")
+    return _loaded_libraries().limit(limits=1, user_api="blas")
+
+
+@cache
+def _loaded_libraries() -> threadpoolctl.ThreadpoolController:
+    """Found once: looking through the libraries of a process takes 2 ms, setting their threads a hundredth of that."""
+    return threadpoolctl.ThreadpoolController()

@@ -110,12 +110,13 @@ def _pursue_in_step(rows, energy, split, components, rounding, certify, toleranc
     active = np.flatnonzero(energy > tolerance)
     n_active, total = len(active), 0
     components = np.ascontiguousarray(components[active])
-    target, gram_support, chol = np.empty((n, most)), np.empty((n, most, most)), np.empty((n, most, most))
+    target, forward, gram_support, chol = (np.empty((n, most) + (most,) * extra) for extra in (0, 0, 1, 1))
     while n_active:
         product = components[:n_active] @ split.short.T
         n_active, n_settled = advance(
             rows, energy, split.dictionary, components, split.short, product, split.rest, rounding, certify, tolerance, price,
-            levels, atom, weight, code, n_atoms, residual, target, gram_support, chol, active, n_active)
+            levels, atom, weight, code, n_atoms, residual, target, forward, gram_support, chol, active,
+            n_active)
         total += n_settled
     return total
 

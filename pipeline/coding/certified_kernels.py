@@ -14,21 +14,14 @@ import numba
 import numpy as np
 
 from pipeline.coding.omp_kernels import (
-    SMALLEST_CORRELATION, SMALLEST_PIVOT, _append_to_cholesky, _quantize_weights, _residual_energy, _solve_cholesky,
+    SMALLEST_CORRELATION, SMALLEST_PIVOT, append_to_cholesky, bound_groups, dot, n_groups, quantize_weights, residual_energy,
+    solve_cholesky, subtract_rows,
 )
 
 MOST_DEPENDENT = 64  # atoms in the span of the support that one step may pass over
 # Rounding of the squared norm of a residual that is a sum of float32 products, as a share of the patch's.
 ENERGY_ROUNDING = 4e-6
 _FAST = {"nnan", "nsz", "reassoc", "contract"}
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _dot(x, y):
-    total = np.float32(0)
-    for i in range(x.shape[0]):
-        total += x[i] * y[i]
-    return np.float64(total)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
@@ -40,56 +33,6 @@ def _four_dots(x, a, b, c, d):
         sc += x[i] * c[i]
         sd += x[i] * d[i]
     return np.float64(sa), np.float64(sb), np.float64(sc), np.float64(sd)
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _subtract_four(row, a, b, c, d, wa, wb, wc, wd):
-    for i in range(row.shape[0]):
-        row[i] -= (wa * a[i] + wb * b[i]) + (wc * c[i] + wd * d[i])
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _subtract_one(row, a, wa):
-    for i in range(row.shape[0]):
-        row[i] -= wa * a[i]
-
-
-@numba.njit(cache=True, nogil=True)
-def _subtract_rows(row, table, support, weight, t):
-    """row -= sum of weight_j * table[support_j]; four at a time, as loads and stores of `row` are what costs."""
-    j = 0
-    while j + 4 <= t:
-        _subtract_four(row, table[support[j]], table[support[j + 1]], table[support[j + 2]], table[support[j + 3]],
-                       np.float32(weight[j]), np.float32(weight[j + 1]), np.float32(weight[j + 2]), np.float32(weight[j + 3]))
-        j += 4
-    while j < t:
-        _subtract_one(row, table[support[j]], np.float32(weight[j]))
-        j += 1
-
-
-@numba.njit(cache=True, nogil=True)
-def _n_groups(k):
-    """Groups of atoms that share a bound: about 4 sqrt(k), so that finding a group costs no more than a group."""
-    n = 64
-    while n * n < 16 * k:
-        n *= 2
-    return n
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _raise_bounds(upper, product, rest, rho):
-    for g in range(product.shape[0]):
-        upper[g] = max(upper[g], abs(product[g]) + rho * rest[g])
-
-
-@numba.njit(cache=True, nogil=True)
-def _bound_groups(product, rest, rho, upper):
-    """The largest |product| + rho * rest of each group. Group g are the atoms g, g + w, g + 2w ... of w groups: maxima
-    of whole rows are 6 times as fast as a maximum along a row, which no compiler here turns into vector code."""
-    width = upper.shape[0]
-    upper[:] = 0
-    for start in range(0, product.shape[0], width):
-        _raise_bounds(upper, product[start : start + width], rest[start : start + width], rho)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -117,9 +60,9 @@ def _products_with_support(atom, support, t, dictionary, into):
             row, dictionary[support[j]], dictionary[support[j + 1]], dictionary[support[j + 2]], dictionary[support[j + 3]])
         j += 4
     while j < t:
-        into[j] = _dot(row, dictionary[support[j]])
+        into[j] = dot(row, dictionary[support[j]])
         j += 1
-    into[t] = _dot(row, row)
+    into[t] = dot(row, row)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -156,7 +99,7 @@ def _best_atom(left, dictionary, product, rest, rho, margin, certify, upper, sup
     first = _highest_bound(product, rest, rho, upper, support, t, passed, n_passed)
     if first < 0:
         return -1, 0.0, 0
-    best, best_size, n_settled = first, abs(_dot(left, dictionary[first])), 1
+    best, best_size, n_settled = first, abs(dot(left, dictionary[first])), 1
     if not certify:
         return best, best_size, n_settled
     for g in range(upper.shape[0]):
@@ -167,7 +110,7 @@ def _best_atom(left, dictionary, product, rest, rho, margin, certify, upper, sup
                 continue
             if _is_in(support, t, a) or _is_in(passed, n_passed, a):
                 continue
-            size = abs(_dot(left, dictionary[a]))
+            size = abs(dot(left, dictionary[a]))
             n_settled += 1
             if size > best_size or (size == best_size and a < best):
                 best, best_size = a, size
@@ -176,7 +119,7 @@ def _best_atom(left, dictionary, product, rest, rho, margin, certify, upper, sup
 
 @numba.njit(cache=True, nogil=True)
 def _add_atom(patch, left, energy, dictionary, product, rest, rho, margin, certify, upper, levels, t, error,
-              atom, weight, code, target, gram_support, chol, trial, trial_code, passed):
+              atom, weight, code, target, forward, gram_support, chol, trial, trial_code, passed):
     """One step of a pursuit: the new squared residual, or -1 where no atom lowers it; and how many atoms were settled."""
     n_passed, n_settled = 0, 0
     while n_passed < MOST_DEPENDENT:
@@ -187,12 +130,12 @@ def _add_atom(patch, left, energy, dictionary, product, rest, rho, margin, certi
         _products_with_support(best, atom, t, dictionary, gram_support[t])
         for j in range(t):
             gram_support[j, t] = gram_support[t, j]
-        if _append_to_cholesky(chol, gram_support, t) > SMALLEST_PIVOT:
-            target[t] = _dot(patch, dictionary[best])
-            _solve_cholesky(chol, target, trial, t + 1)
+        if append_to_cholesky(chol, gram_support, t) > SMALLEST_PIVOT:
+            target[t] = dot(patch, dictionary[best])
+            solve_cholesky(chol, target, forward, trial, t + 1)
             if levels.shape[1] > 0:
-                _quantize_weights(levels, target, gram_support, trial, trial_code, t + 1)
-            lowered = _residual_energy(energy, target, gram_support, trial, t + 1)
+                quantize_weights(levels, target, gram_support, trial, trial_code, t + 1)
+            lowered = residual_energy(energy, target, gram_support, trial, t + 1)
             if lowered >= error:
                 return -1.0, n_settled
             atom[t] = best
@@ -211,7 +154,7 @@ def _what_is_left(patch, dictionary, atom, weight, t, left):
     if t == 0:
         return patch
     left[:] = patch
-    _subtract_rows(left, dictionary, atom, weight, t)
+    subtract_rows(left, dictionary, atom, weight, t)
     return left
 
 
@@ -245,28 +188,28 @@ def pursue_certified(patches, energy, dictionary, components, short, short_gram,
     n, k = product.shape
     most = atom.shape[1]
     current, short_residual = np.empty(k, np.float32), np.empty(short.shape[1], np.float32)
-    upper, passed = np.empty(_n_groups(k), np.float32), np.empty(MOST_DEPENDENT, np.int64)
-    gram_support, chol, target = np.empty((most, most)), np.empty((most, most)), np.empty(most)
-    trial, trial_code = np.empty(most), np.zeros(most, np.int32)
+    upper, passed = np.empty(n_groups(k), np.float32), np.empty(MOST_DEPENDENT, np.int64)
+    gram_support, chol = np.empty((most, most)), np.empty((most, most))
+    target, forward, trial, trial_code = np.empty(most), np.empty(most), np.empty(most), np.zeros(most, np.int32)
     left = np.empty(patches.shape[1], np.float32)
     total = 0
     for i in range(n):
         t, error = 0, energy[i]
         while t < most and error > tolerance[i]:
             current[:] = product[i]
-            _subtract_rows(current, short_gram, atom[i], weight[i], t)
+            subtract_rows(current, short_gram, atom[i], weight[i], t)
             rho, margin = np.float32(0), 0.0
             if certify:
                 short_residual[:] = components[i]
-                _subtract_rows(short_residual, short, atom[i], weight[i], t)
+                subtract_rows(short_residual, short, atom[i], weight[i], t)
                 rho = _rest_norm(error, short_residual, energy[i])
                 margin = _margin(rounding, energy[i], weight[i], t)
             _silence(current, atom[i], t)
-            _bound_groups(current, rest, rho, upper)
+            bound_groups(current, rest, rho, upper)
             residue = _what_is_left(patches[i], dictionary, atom[i], weight[i], t, left)
             lowered, n_settled = _add_atom(
                 patches[i], residue, energy[i], dictionary, current, rest, rho, margin, certify, upper, levels, t,
-                error - price, atom[i], weight[i], code[i], target, gram_support, chol, trial, trial_code, passed)
+                error - price, atom[i], weight[i], code[i], target, forward, gram_support, chol, trial, trial_code, passed)
             total += n_settled
             if lowered < 0:
                 break
@@ -279,14 +222,14 @@ def pursue_certified(patches, energy, dictionary, components, short, short_gram,
 
 @numba.njit(cache=True, nogil=True)
 def advance(patches, energy, dictionary, components, short, product, rest, rounding, certify, tolerance, price,
-            levels, atom, weight, code, n_atoms, residual, target, gram_support, chol, active, n_active):
+            levels, atom, weight, code, n_atoms, residual, target, forward, gram_support, chol, active, n_active):
     """One step for each of the patches active[:n_active], whose current short products are the rows of `product`.
 
-    `components` become those of the residuals; patches that are done leave `active`. Per patch: target (n, r),
-    gram_support and chol (n, r, r). Returns how many stay active, and how many products of full width it took.
+    `components` become those of the residuals; patches that are done leave `active`. Per patch: target and
+    forward (n, r), gram_support and chol (n, r, r). Returns how many stay active, and how many products of full width it took.
     """
     most = atom.shape[1]
-    upper, passed = np.empty(_n_groups(product.shape[1]), np.float32), np.empty(MOST_DEPENDENT, np.int64)
+    upper, passed = np.empty(n_groups(product.shape[1]), np.float32), np.empty(MOST_DEPENDENT, np.int64)
     trial, trial_code = np.empty(most), np.zeros(most, np.int32)
     left = np.empty(patches.shape[1], np.float32)
     n_left, total = 0, 0
@@ -298,21 +241,21 @@ def advance(patches, energy, dictionary, components, short, product, rest, round
             rho = _rest_norm(residual[i], components[m], energy[i])
             margin = _margin(rounding, energy[i], weight[i], t)
         _silence(product[m], atom[i], t)
-        _bound_groups(product[m], rest, rho, upper)
+        bound_groups(product[m], rest, rho, upper)
         start[:] = components[m]
-        for j in range(t):  # back to the patch's own components: weights of all ranks may change
-            _subtract_one(start, short[atom[i, j]], np.float32(-weight[i, j]))
+        subtract_rows(start, short, atom[i], -weight[i], t)  # back to the patch's own components: weights of all ranks may change
         residue = _what_is_left(patches[i], dictionary, atom[i], weight[i], t, left)
         lowered, n_settled = _add_atom(
             patches[i], residue, energy[i], dictionary, product[m], rest, rho, margin, certify, upper, levels, t,
-            residual[i] - price, atom[i], weight[i], code[i], target[i], gram_support[i], chol[i], trial, trial_code, passed)
+            residual[i] - price, atom[i], weight[i], code[i], target[i], forward[i], gram_support[i],
+            chol[i], trial, trial_code, passed)
         total += n_settled
         if lowered < 0:
             continue
         residual[i] = lowered
         n_atoms[i] = t + 1
         if t + 1 < most and lowered > tolerance[i]:
-            _subtract_rows(start, short, atom[i], weight[i], t + 1)
+            subtract_rows(start, short, atom[i], weight[i], t + 1)
             components[n_left] = start
             active[n_left] = i
             n_left += 1

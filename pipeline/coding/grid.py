@@ -102,8 +102,8 @@ def _along_both(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     n, (m, s) = len(rows), matrix.shape
     matrix = matrix.astype(np.float32)
     half = matrix @ rows.reshape(n, s, 3 * s).astype(np.float32, copy=False)  # (n, m, s 3)
-    channels = half.reshape(n, m, s, 3).swapaxes(2, 3).reshape(-1, s) @ matrix.T
-    return np.ascontiguousarray(channels.reshape(n, m, 3, m).swapaxes(2, 3)).reshape(n, 3 * m * m)
+    along_rows = np.kron(matrix.T, np.eye(3, dtype=np.float32))  # (s 3, m 3): thrice the products, and no array turned
+    return (half.reshape(n * m, 3 * s) @ along_rows).reshape(n, 3 * m * m)
 
 
 @cache

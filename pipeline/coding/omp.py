@@ -13,6 +13,7 @@ import numpy as np
 from pipeline.coding.certified import (
     MOST_WITH_GRAM, ShortDictionary, pursue_rows, rows_at_a_time, shorten, unshortened,
 )
+from pipeline.coding.coarse import ROWS as COARSE_ROWS, CoarseDictionary, coarse_products, coarsen
 from pipeline.coding.omp_kernels import add_atoms, pursue, squared_norms
 from pipeline.threads import available_cores, run_all
 
@@ -82,7 +83,7 @@ def sparse_encode(
 
 def pursue_patches(
     patches: np.ndarray,
-    dictionary: np.ndarray | ShortDictionary,  # split already, where many calls share one
+    dictionary: np.ndarray | ShortDictionary | CoarseDictionary,  # split already, where many calls share one
     *,
     max_atoms: int,
     tolerance: float | np.ndarray = 0.0,
@@ -95,23 +96,27 @@ def pursue_patches(
     """`sparse_encode`, with all that the pursuit found out."""
     if search not in SEARCHES:
         raise ValueError(f"search is {search!r}; allowed: {', '.join(SEARCHES)}")
-    split = dictionary if isinstance(dictionary, ShortDictionary) else None
+    split = None if isinstance(dictionary, np.ndarray) else dictionary
     patches, dictionary = _checked(patches, split.dictionary if split else dictionary, max_atoms)
     if search == "exact":
         split = None
     elif split is None:
-        split = shorten(dictionary)
+        split = shorten(dictionary) or coarsen(dictionary, gram)
     if split is None and len(dictionary) > MOST_WITH_GRAM:
         split = unshortened(dictionary)
-    certify = search == "certified" and split is not None and len(split.basis) > 0
-    if split is None and gram is None:
+    coarse, short = (split if isinstance(split, kind) else None for kind in (CoarseDictionary, ShortDictionary))
+    certify = search == "certified" and short is not None and len(short.basis) > 0
+    if coarse is not None:
+        gram = coarse.gram
+    elif short is None and gram is None:
         gram = dictionary @ dictionary.T
+    rest = np.zeros(len(dictionary), np.float32) if coarse is None else coarse.rest
     levels = NO_LEVELS if weight_levels is None else np.ascontiguousarray(weight_levels, np.float64)
     n = len(patches)
     codes = Codes(np.zeros((n, max_atoms), np.int32), np.zeros((n, max_atoms), np.float32), np.zeros(n, np.int32))
     weight_code, residual = np.zeros((n, max_atoms), np.int32), np.zeros(n)
     tolerance = np.broadcast_to(np.asarray(tolerance, np.float64), (n,))
-    step = ROWS if split is None else rows_at_a_time(split)
+    step = rows_at_a_time(short) if short else COARSE_ROWS if coarse else ROWS
 
     def pursue_block(start: int) -> None:
         part = slice(start, start + step)
@@ -127,10 +132,11 @@ def pursue_patches(
             rows, energy = rows[todo - start], energy[todo - start]
         found = (np.zeros((len(todo), max_atoms), np.int32), np.zeros((len(todo), max_atoms)),
                  np.zeros((len(todo), max_atoms), np.int32), np.zeros(len(todo), np.int32), np.zeros(len(todo)))
-        if split is None:
-            pursue(rows @ dictionary.T, energy, gram, tolerance[todo], price, levels, *found)
+        if short is not None:
+            pursue_rows(rows, energy, short, certify, tolerance[todo], price, levels, *found)
         else:
-            pursue_rows(rows, energy, split, certify, tolerance[todo], price, levels, *found)
+            initial, spread = coarse_products(rows, energy, coarse) if coarse else _exact_products(rows, dictionary)
+            pursue(rows, dictionary, initial, spread, rest, energy, gram, tolerance[todo], price, levels, *found)
         for whole, rows_found in zip((codes.atom_index, codes.weight, weight_code, codes.n_atoms, residual), found):
             whole[todo] = rows_found
 
@@ -143,6 +149,10 @@ def reconstruct(codes: Codes, dictionary: np.ndarray) -> np.ndarray:
     result = np.zeros((len(codes.n_atoms), dictionary.shape[1]), np.float32)
     add_atoms(result, dictionary, codes.atom_index, codes.weight, codes.n_atoms)
     return result
+
+
+def _exact_products(patches: np.ndarray, dictionary: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return patches @ dictionary.T, np.zeros(len(patches), np.float32)
 
 
 def _checked(patches: np.ndarray, dictionary: np.ndarray, max_atoms: int) -> tuple[np.ndarray, np.ndarray]:

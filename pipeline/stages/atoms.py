@@ -16,6 +16,7 @@ import numpy as np
 from pipeline.coding.certified import (
     FEWEST_ATOMS, MOST_WITH_GRAM, ShortDictionary, shorten, split_by, unshortened,
 )
+from pipeline.coding.coarse import CoarseDictionary, coarsen
 from pipeline.coding.grid import AtomForm
 from pipeline.coding.omp import Pursuit, pursue_patches
 from storage import arrays
@@ -50,9 +51,15 @@ class Atoms:
             # As exact, and for 4,096 atoms of 128 components in two thirds of the time: groups of atoms share bounds. Not so
             # for 512 atoms of 192 coefficients in 8 turns, of which a patch takes 2 to 5: 1.1 to 1.5 times the time.
             split, search = unshortened(self.dictionary, gram), "certified"
+        elif split is None:
+            split = self._coarse
         return pursue_patches(patches, self.dictionary if split is None else split, max_atoms=min(max_atoms, len(self.dictionary)),
                               tolerance=tolerance, price=price, weight_levels=levels, gram=gram,
                               search="exact" if split is None else search)
+
+    @cached_property
+    def _coarse(self) -> CoarseDictionary | None:
+        return coarsen(self.dictionary, self.gram)
 
     @cached_property
     def _whole_gram(self) -> np.ndarray | None:

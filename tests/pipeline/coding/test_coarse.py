@@ -1,0 +1,109 @@
+"""Search by coarse products: the atoms of exact OMP, ties aside, whether the grid shows much of patches and atoms or little."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.coding import coarse
+from pipeline.coding.coarse import FEWEST_ATOMS, PATCH_DIM, coarse_products, coarsen
+from pipeline.coding.grid import shown
+from pipeline.coding.omp import pursue_patches, reconstruct, sparse_encode
+from pipeline.coding.omp_kernels import squared_norms
+from tests.pipeline.coding.test_certified import assert_greedy, normalised
+
+N_ATOMS, N_PATCHES, MOST = 150, 40, 8
+
+
+def grainy(rng, n: int, grain: float) -> np.ndarray:
+    """What 8 x 8 texels show, and noise of a share of its norm that they do not."""
+    smooth = shown(rng.standard_normal((n, 192)), 8)
+    noise = rng.standard_normal(smooth.shape)
+    return (smooth + noise * grain * np.linalg.norm(smooth, axis=1, keepdims=True) / np.sqrt(PATCH_DIM)).astype(np.float32)
+
+
+def smooth(rng):
+    return grainy(rng, N_PATCHES, 0.0), normalised(grainy(rng, N_ATOMS, 0.0))
+
+
+def learned(rng):
+    return grainy(rng, N_PATCHES, 0.1), normalised(grainy(rng, N_ATOMS, 0.1))
+
+
+def all_grain(rng):
+    return rng.standard_normal((N_PATCHES, PATCH_DIM)).astype(np.float32), normalised(rng.standard_normal((N_ATOMS, PATCH_DIM)))
+
+
+def twins_outside_the_grid(rng):
+    """Atoms in tens that the grid shows alike: what sets them apart is grain."""
+    atoms = np.repeat(normalised(grainy(rng, N_ATOMS // 10, 0.0)), 10, axis=0)
+    atoms = normalised(atoms + 0.3 / np.sqrt(PATCH_DIM) * rng.standard_normal(atoms.shape))
+    return (rng.standard_normal((N_PATCHES, 6)) @ atoms[rng.choice(N_ATOMS, 6)]).astype(np.float32), atoms
+
+
+def of_any_scale(rng):
+    patches, atoms = learned(rng)
+    return (patches * 10.0 ** rng.uniform(-4, 4, (N_PATCHES, 1))).astype(np.float32), atoms
+
+
+CASES = [smooth, learned, all_grain, twins_outside_the_grid, of_any_scale]
+
+
+def split_of(atoms, monkeypatch):
+    monkeypatch.setattr(coarse, "MOST_REST", 2.0)
+    return coarsen(atoms)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda c: c.__name__)
+def test_coarse__takes_the_atoms_of_exact_search(case, monkeypatch):
+    patches, atoms = case(np.random.default_rng(0))
+    found = pursue_patches(patches, split_of(atoms, monkeypatch), max_atoms=MOST, search="certified")
+    exact = pursue_patches(patches, atoms, max_atoms=MOST, search="exact")
+    assert_greedy(patches, atoms, found.codes)
+    assert (found.codes.atom_index == exact.codes.atom_index).all(axis=1).mean() > 0.95
+    assert found.residual.sum() == pytest.approx(exact.residual.sum(), rel=1e-4, abs=1e-6 * float((patches**2).sum()))
+    lost = ((patches - reconstruct(found.codes, atoms)).astype(np.float64) ** 2).sum(axis=1)
+    np.testing.assert_allclose(found.residual, lost, rtol=1e-3, atol=1e-5 * (patches**2).sum(axis=1).max())
+
+
+def test_coarse__products_are_no_further_off_than_they_say(monkeypatch):
+    for case in CASES:
+        patches, atoms = case(np.random.default_rng(1))
+        split = split_of(atoms, monkeypatch)
+        product, spread = coarse_products(patches, squared_norms(patches), split)
+        off = np.abs(product - patches.astype(np.float64) @ atoms.T.astype(np.float64))
+        assert (off <= spread[:, None] * split.rest).all(), case.__name__
+    assert off.max() > 0  # of the last case: what the grid leaves is felt
+
+
+def test_coarse__cuts_off_prices_and_quantises_as_exact_search_does(monkeypatch):
+    patches, atoms = learned(np.random.default_rng(2))
+    levels = np.tile(np.linspace(-30, 30, 256), (MOST, 1))
+    options = {"max_atoms": MOST, "tolerance": 600.0, "price": 30.0, "weight_levels": levels}
+    found = pursue_patches(patches, split_of(atoms, monkeypatch), search="certified", **options)
+    exact = pursue_patches(patches, atoms, search="exact", **options)
+    assert len(set(exact.codes.n_atoms.tolist())) > 2
+    assert (found.codes.n_atoms == exact.codes.n_atoms).mean() > 0.95
+    same = (found.codes.atom_index == exact.codes.atom_index).all(axis=1)
+    assert same.mean() > 0.95
+    assert (found.weight_code[same] == exact.weight_code[same]).all()
+
+
+def test_coarse__is_left_where_it_would_not_pay():
+    rng = np.random.default_rng(3)
+    _, atoms = learned(rng)
+    assert coarsen(atoms) is not None
+    assert coarsen(atoms[: FEWEST_ATOMS - 1]) is None
+    assert coarsen(normalised(rng.standard_normal((N_ATOMS, 768)))) is None  # not whole patches
+    assert coarsen(all_grain(rng)[1]) is None
+
+
+def test_coarse__sparse_encode_takes_it_by_itself(monkeypatch):
+    patches, atoms = learned(np.random.default_rng(4))
+    asked, products = [], coarse_products
+    monkeypatch.setattr("pipeline.coding.omp.coarse_products", lambda *a: asked.append(len(a[0])) or products(*a))
+    certified = sparse_encode(patches, atoms, max_atoms=3, search="certified")
+    assert sum(asked) == N_PATCHES
+    exact = sparse_encode(patches, atoms, max_atoms=3)
+    assert sum(asked) == N_PATCHES  # exact search is by whole products
+    assert (certified.atom_index == exact.atom_index).all(axis=1).mean() > 0.95
