@@ -16,15 +16,14 @@ import threadpoolctl
 
 from benchmarks.patches import arguments, in_turns, learned_dictionary, textured_patches
 from pipeline.accuracy import squared_error_at
-from pipeline.coding.certified import shorten
 from pipeline.coding.ksvd import block_sums, updated_dictionary
+from pipeline.coding.omp import ready_for
 from pipeline.coding.subspace import project
 from pipeline.stages.atoms import Atoms
 
 
 def measure(where: str, patches: np.ndarray, dictionary: np.ndarray, tolerance: float | np.ndarray, rounds: int) -> dict:
-    split = shorten(dictionary)
-    atoms = Atoms(dictionary, split, dictionary @ dictionary.T if split is None else None)
+    atoms = Atoms(ready_for("certified", dictionary))
     found = atoms.pursue(patches, 8, tolerance)
     sums = block_sums(patches, dictionary, found)
     taken = in_turns({

@@ -18,10 +18,10 @@ import threadpoolctl
 
 from benchmarks.patches import arguments, learned_dictionary, textured_patches
 from pipeline.coding.ksvd import block_sums
+from pipeline.coding.omp import ready_for
 from pipeline.coding.omp_kernels import squared_norms
 from pipeline.coding.subspace import project
 from pipeline.stages.atoms import Atoms
-from pipeline.coding.certified import shorten
 from pipeline.texture.patches import centred
 
 N_ATOMS = 8
@@ -48,7 +48,7 @@ def kernels(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray) -> d
     (k, d), p, t = dictionary.shape, basis.shape[1], N_ATOMS
     coefficients, short = patches @ basis, dictionary @ basis
     short /= np.linalg.norm(short, axis=1, keepdims=True)
-    whole, inside = (_atoms(rows) for rows in (dictionary, short))
+    whole, inside = (Atoms(ready_for("certified", rows)) for rows in (dictionary, short))
     found = {"whole": whole.pursue(patches, t, 0.0), "in components": inside.pursue(coefficients, t, 0.0)}
     texel = np.clip(patches * 255 + 128, 0, 255).astype(np.uint8)
     average = np.full((len(patches), 3), 128, np.uint8)
@@ -58,7 +58,7 @@ def kernels(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray) -> d
         "squared norms": (lambda: squared_norms(patches), 2.0 * d, 4.0 * d),
         "GEMM of whole patches": (lambda: patches @ dictionary.T, 2.0 * k * d, 4.0 * (d + k)),
         "projection on components": (lambda: project(patches, basis), 2.0 * p * d, 4.0 * (d + p)),
-        "pursuit, whole patches": (lambda: whole.pursue(patches, t, 0.0), 2.0 * k * (d if whole.split is None else 128) + steps,
+        "pursuit, whole patches": (lambda: whole.pursue(patches, t, 0.0), 2.0 * k * _width_of_products(whole, d) + steps,
                                    4.0 * k * t * (t - 1) / 2),
         "pursuit, in components": (lambda: inside.pursue(coefficients, t, 0.0), 2.0 * k * p + steps, 4.0 * k * t * (t - 1) / 2),
         "sums, whole patches": (lambda: block_sums(patches, dictionary, found["whole"]), 4.0 * t * d, 4.0 * d * (1 + 3 * t)),
@@ -66,9 +66,11 @@ def kernels(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray) -> d
     }
 
 
-def _atoms(dictionary: np.ndarray) -> Atoms:
-    split = shorten(dictionary)
-    return Atoms(dictionary, split, dictionary @ dictionary.T if split is None else None)
+def _width_of_products(atoms: Atoms, whole: int) -> int:
+    for short in ("short", "shown"):
+        if hasattr(atoms.searched, short):
+            return getattr(atoms.searched, short).shape[1]
+    return whole
 
 
 def measure(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray, rounds: int) -> dict:

@@ -16,9 +16,7 @@ import json
 import numpy as np
 
 from benchmarks.patches import arguments, in_turns, learned_dictionary, textured_patches
-from pipeline.coding.certified import ShortDictionary, shorten, unshortened
-from pipeline.coding.coarse import coarsen
-from pipeline.coding.omp import pursue_patches
+from pipeline.coding.omp import pursue_patches, ready_for
 from pipeline.threads import available_cores
 
 N_ATOMS = 8
@@ -48,18 +46,15 @@ def peers(patches: np.ndarray, dictionary: np.ndarray) -> tuple[dict, dict[str, 
 
 def ours(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray) -> dict:
     """What to time of this project, each with what depends on the dictionary made before."""
-    gram = dictionary @ dictionary.T
-    split = shorten(dictionary) or coarsen(dictionary, gram)
     coefficients, short = patches @ basis, dictionary @ basis
     short /= np.linalg.norm(short, axis=1, keepdims=True)
-    short_gram = short @ short.T
-    in_components = unshortened(short, short_gram) if isinstance(split, ShortDictionary) else short
+    whole, ready, in_components = ready_for("exact", dictionary), ready_for("certified", dictionary), ready_for("exact", short)
     options = {"max_atoms": N_ATOMS, "n_threads": available_cores()}
     return {
-        "exact": lambda: pursue_patches(patches, dictionary, gram=gram, search="exact", **options),
-        "certified": lambda: pursue_patches(patches, split or dictionary, gram=gram, search="certified", **options),
-        "approximate": lambda: pursue_patches(patches, split or dictionary, gram=gram, search="approximate", **options),
-        "in components": lambda: pursue_patches(coefficients, in_components, gram=short_gram, search="certified", **options),
+        "exact": lambda: pursue_patches(patches, whole, search="exact", **options),
+        "certified": lambda: pursue_patches(patches, ready, search="certified", **options),
+        "approximate": lambda: pursue_patches(patches, ready, search="approximate", **options),
+        "in components": lambda: pursue_patches(coefficients, in_components, search="exact", **options),
     }
 
 

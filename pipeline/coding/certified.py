@@ -14,6 +14,7 @@ import numpy as np
 
 from pipeline.coding.certified_kernels import advance, pursue_certified
 from pipeline.coding.omp_kernels import squared_norms
+from pipeline.coding.turned import TurnedDictionary
 from pipeline.threads import one_blas_thread
 
 # Up to here the rows of a k x k Gram matrix of short products follow the residual: 1 GiB. Beyond, every step takes a
@@ -38,6 +39,7 @@ class ShortDictionary:
     short: np.ndarray  # (k, p) float32: dictionary @ basis
     rest: np.ndarray  # (k,) float32: norm of what the components leave of each atom, rounded up
     short_gram: np.ndarray  # (k, k) float32: short @ short.T; (0, 0) beyond MOST_WITH_GRAM atoms
+    turned: TurnedDictionary | None = None  # the same atoms, where they are those of fewer in all turns
 
 
 def shorten(dictionary: np.ndarray, components: int | None = None) -> ShortDictionary | None:
@@ -64,11 +66,10 @@ def split_by(dictionary: np.ndarray, basis: np.ndarray, short: np.ndarray, rest:
         dictionary, basis, short, rest, short @ short.T if len(dictionary) <= MOST_WITH_GRAM else _none())
 
 
-def unshortened(dictionary: np.ndarray, gram: np.ndarray | None = None) -> ShortDictionary:
-    """The dictionary in its own components, which leave no rest: for exact search where it is large. Without its Gram
-    matrix (k, k) every step takes a GEMM."""
-    return ShortDictionary(dictionary, _none(), dictionary, np.zeros(len(dictionary), np.float32),
-                           _none() if gram is None else gram)
+def unshortened(dictionary: np.ndarray, turned: TurnedDictionary | None = None) -> ShortDictionary:
+    """The dictionary in its own components, which leave no rest: for exact search beyond MOST_WITH_GRAM atoms, where every step
+    takes a GEMM."""
+    return ShortDictionary(dictionary, _none(), dictionary, np.zeros(len(dictionary), np.float32), _none(), turned)
 
 
 def principal_components(rows: np.ndarray, n: int) -> np.ndarray:
@@ -112,7 +113,8 @@ def _pursue_in_step(rows, energy, split, components, rounding, certify, toleranc
     components = np.ascontiguousarray(components[active])
     target, forward, gram_support, chol = (np.empty((n, most) + (most,) * extra) for extra in (0, 0, 1, 1))
     while n_active:
-        product = components[:n_active] @ split.short.T
+        current = components[:n_active]
+        product = current @ split.short.T if split.turned is None else split.turned.products(current)[0]
         n_active, n_settled = advance(
             rows, energy, split.dictionary, components, split.short, product, split.rest, rounding, certify, tolerance, price,
             levels, atom, weight, code, n_atoms, residual, target, forward, gram_support, chol, active,

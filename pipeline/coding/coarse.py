@@ -36,10 +36,18 @@ class CoarseDictionary:
     shown: np.ndarray  # (k, 3 SIZE^2) float32: what the grid shows of each atom
     rest: np.ndarray  # (k,) float32: norm of what it leaves, rounded up
     gram: np.ndarray  # (k, k) float32
+    rows = ROWS
+
+    def products(self, patches: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Correlations (n, k) float32 of patches (n, PATCH_DIM), `energy` their squared norms, and a spread (n,) float32 for
+        each: the correlation with atom a is no further off than it times `rest[a]`."""
+        shown = coefficients(patches, SIZE)
+        left = np.maximum(energy - squared_norms(shown), 0) + ENERGY_ROUNDING * energy
+        return shown @ self.shown.T, np.sqrt(left).astype(np.float32)
 
 
 def coarsen(dictionary: np.ndarray, gram: np.ndarray | None = None) -> CoarseDictionary | None:
-    """A dictionary (k, d) float32 with unit rows as `coarse_products` takes it; None where that would not pay: there are few
+    """A dictionary (k, d) float32 with unit rows split so; None where that would not pay: there are few
     atoms, they are not those of whole patches, or the grid leaves too much of them."""
     if len(dictionary) < FEWEST_ATOMS or dictionary.shape[1] != PATCH_DIM:
         return None
@@ -51,10 +59,3 @@ def coarsen(dictionary: np.ndarray, gram: np.ndarray | None = None) -> CoarseDic
         return None
     return CoarseDictionary(dictionary, shown, rest.astype(np.float32), gram)
 
-
-def coarse_products(patches: np.ndarray, energy: np.ndarray, coarse: CoarseDictionary) -> tuple[np.ndarray, np.ndarray]:
-    """Correlations (n, k) float32 of patches (n, PATCH_DIM), `energy` their squared norms, and a spread (n,) float32 for each:
-    the correlation with atom a is no further off than it times `rest[a]`."""
-    shown = coefficients(patches, SIZE)
-    left = np.maximum(energy - squared_norms(shown), 0) + ENERGY_ROUNDING * energy
-    return shown @ coarse.shown.T, np.sqrt(left).astype(np.float32)

@@ -6,6 +6,7 @@ and progressive Cholesky after Rubinstein et al. 2008.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -13,13 +14,34 @@ import numpy as np
 from pipeline.coding.certified import (
     MOST_WITH_GRAM, ShortDictionary, pursue_rows, rows_at_a_time, shorten, unshortened,
 )
-from pipeline.coding.coarse import ROWS as COARSE_ROWS, CoarseDictionary, coarse_products, coarsen
+from pipeline.coding.coarse import CoarseDictionary, coarsen
 from pipeline.coding.omp_kernels import add_atoms, pursue, squared_norms
+from pipeline.coding.turned import TurnedDictionary
 from pipeline.threads import available_cores, run_all
 
 ROWS = 512  # patches a GEMM: 512 x 4096 correlations are 8 MiB, near the second-level cache
 NO_LEVELS = np.empty((0, 0))
 SEARCHES = ("exact", "certified", "approximate")
+
+
+@dataclass(frozen=True)
+class WholeDictionary:
+    """A dictionary whose products with patches are one GEMM."""
+
+    dictionary: np.ndarray  # (k, d) float32, unit rows
+    gram: np.ndarray  # (k, k) float32
+    rows = ROWS
+
+    @property
+    def rest(self) -> np.ndarray:
+        return np.zeros(len(self.dictionary), np.float32)
+
+    def products(self, patches: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Correlations (n, k) float32 of patches (n, d), and by how much they are off: not at all."""
+        return patches @ self.dictionary.T, np.zeros(len(patches), np.float32)
+
+
+Searched = WholeDictionary | TurnedDictionary | CoarseDictionary | ShortDictionary  # a dictionary with what its search needs
 
 
 class Codes(NamedTuple):
@@ -83,40 +105,31 @@ def sparse_encode(
 
 def pursue_patches(
     patches: np.ndarray,
-    dictionary: np.ndarray | ShortDictionary | CoarseDictionary,  # split already, where many calls share one
+    dictionary: np.ndarray | Searched,  # made ready already, where many calls share one
     *,
     max_atoms: int,
     tolerance: float | np.ndarray = 0.0,
     price: float = 0.0,
     weight_levels: np.ndarray | None = None,
-    gram: np.ndarray | None = None,  # (n_dictionary, n_dictionary) float32, where it is at hand
     search: str = "exact",
     n_threads: int = 1,
 ) -> Pursuit:
     """`sparse_encode`, with all that the pursuit found out."""
     if search not in SEARCHES:
         raise ValueError(f"search is {search!r}; allowed: {', '.join(SEARCHES)}")
-    split = None if isinstance(dictionary, np.ndarray) else dictionary
-    patches, dictionary = _checked(patches, split.dictionary if split else dictionary, max_atoms)
-    if search == "exact":
-        split = None
-    elif split is None:
-        split = shorten(dictionary) or coarsen(dictionary, gram)
-    if split is None and len(dictionary) > MOST_WITH_GRAM:
-        split = unshortened(dictionary)
-    coarse, short = (split if isinstance(split, kind) else None for kind in (CoarseDictionary, ShortDictionary))
-    certify = search == "certified" and short is not None and len(short.basis) > 0
-    if coarse is not None:
-        gram = coarse.gram
-    elif short is None and gram is None:
-        gram = dictionary @ dictionary.T
-    rest = np.zeros(len(dictionary), np.float32) if coarse is None else coarse.rest
+    if isinstance(dictionary, np.ndarray):
+        dictionary = ready_for(search, _checked(dictionary))
+    elif search == "exact":
+        dictionary = by_whole_products(dictionary)
+    patches = _fitting(patches, dictionary.dictionary, max_atoms)
     levels = NO_LEVELS if weight_levels is None else np.ascontiguousarray(weight_levels, np.float64)
     n = len(patches)
     codes = Codes(np.zeros((n, max_atoms), np.int32), np.zeros((n, max_atoms), np.float32), np.zeros(n, np.int32))
     weight_code, residual = np.zeros((n, max_atoms), np.int32), np.zeros(n)
     tolerance = np.broadcast_to(np.asarray(tolerance, np.float64), (n,))
-    step = rows_at_a_time(short) if short else COARSE_ROWS if coarse else ROWS
+    in_components = isinstance(dictionary, ShortDictionary)
+    certify = search == "certified" and in_components and len(dictionary.basis) > 0
+    step = rows_at_a_time(dictionary) if in_components else dictionary.rows
 
     def pursue_block(start: int) -> None:
         part = slice(start, start + step)
@@ -132,11 +145,11 @@ def pursue_patches(
             rows, energy = rows[todo - start], energy[todo - start]
         found = (np.zeros((len(todo), max_atoms), np.int32), np.zeros((len(todo), max_atoms)),
                  np.zeros((len(todo), max_atoms), np.int32), np.zeros(len(todo), np.int32), np.zeros(len(todo)))
-        if short is not None:
-            pursue_rows(rows, energy, short, certify, tolerance[todo], price, levels, *found)
+        if in_components:
+            pursue_rows(rows, energy, dictionary, certify, tolerance[todo], price, levels, *found)
         else:
-            initial, spread = coarse_products(rows, energy, coarse) if coarse else _exact_products(rows, dictionary)
-            pursue(rows, dictionary, initial, spread, rest, energy, gram, tolerance[todo], price, levels, *found)
+            pursue(rows, dictionary.dictionary, *dictionary.products(rows, energy), dictionary.rest, energy, dictionary.gram,
+                   tolerance[todo], price, levels, *found)
         for whole, rows_found in zip((codes.atom_index, codes.weight, weight_code, codes.n_atoms, residual), found):
             whole[todo] = rows_found
 
@@ -151,19 +164,38 @@ def reconstruct(codes: Codes, dictionary: np.ndarray) -> np.ndarray:
     return result
 
 
-def _exact_products(patches: np.ndarray, dictionary: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return patches @ dictionary.T, np.zeros(len(patches), np.float32)
+def ready_for(search: str, dictionary: np.ndarray, gram: np.ndarray | None = None) -> Searched:
+    """A dictionary (k, d) float32 of unit rows, with what its `search` needs; `gram` is its Gram matrix, where it is at hand."""
+    found = None if search == "exact" else shorten(dictionary) or coarsen(dictionary, gram)
+    if found is None and len(dictionary) > MOST_WITH_GRAM:
+        found = unshortened(dictionary)
+    return found or WholeDictionary(dictionary, dictionary @ dictionary.T if gram is None else gram)
 
 
-def _checked(patches: np.ndarray, dictionary: np.ndarray, max_atoms: int) -> tuple[np.ndarray, np.ndarray]:
+def by_whole_products(dictionary: Searched) -> Searched:
+    """The same dictionary for exact search."""
+    if isinstance(dictionary, CoarseDictionary):
+        return WholeDictionary(dictionary.dictionary, dictionary.gram)
+    if isinstance(dictionary, ShortDictionary) and len(dictionary.basis):
+        return ready_for("exact", dictionary.dictionary)
+    return dictionary
+
+
+def _fitting(patches: np.ndarray, dictionary: np.ndarray, max_atoms: int) -> np.ndarray:
     patches = np.ascontiguousarray(patches, np.float32)
-    dictionary = np.ascontiguousarray(dictionary, np.float32)
-    if patches.ndim != 2 or dictionary.ndim != 2 or patches.shape[1] != dictionary.shape[1]:
+    if patches.ndim != 2 or patches.shape[1] != dictionary.shape[1]:
         raise ValueError(f"patches {patches.shape} and dictionary {dictionary.shape} must be (n, d) and (k, d)")
     if not 1 <= max_atoms <= len(dictionary):
         raise ValueError(f"max_atoms is {max_atoms}; the dictionary allows 1 to {len(dictionary)}")
+    return patches
+
+
+def _checked(dictionary: np.ndarray) -> np.ndarray:
+    dictionary = np.ascontiguousarray(dictionary, np.float32)
+    if dictionary.ndim != 2:
+        raise ValueError(f"dictionary {dictionary.shape} must be (k, d)")
     norms = np.sqrt(squared_norms(dictionary))
     if not (np.abs(norms - 1) < 1e-3).all():
         worst = int(np.nanargmax(np.where(np.isfinite(norms), np.abs(norms - 1), np.inf)))
         raise ValueError(f"atom {worst} has norm {norms[worst]:g}; every atom must be a unit vector")
-    return patches, dictionary
+    return dictionary

@@ -13,12 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coding.certified import (
-    FEWEST_ATOMS, MOST_WITH_GRAM, ShortDictionary, shorten, split_by, unshortened,
-)
-from pipeline.coding.coarse import CoarseDictionary, coarsen
+from pipeline.coding.certified import MOST_WITH_GRAM, ShortDictionary, shorten, split_by, unshortened
+from pipeline.coding.coarse import coarsen
 from pipeline.coding.grid import AtomForm
-from pipeline.coding.omp import Pursuit, pursue_patches
+from pipeline.coding.omp import Pursuit, Searched, WholeDictionary, by_whole_products, pursue_patches
+from pipeline.coding.turned import turn_all
 from storage import arrays
 
 KEPT_BYTES = 256 << 20  # of a dictionary with its Gram matrix, what a process may keep for its next task
@@ -30,49 +29,36 @@ _kept: dict[Path, Atoms] = {}  # the dictionary that this process read last; a c
 class Atoms:
     """A dictionary as its stage left it."""
 
-    dictionary: np.ndarray  # (k, d) float32, in all the turns there are
-    split: ShortDictionary | None
-    gram: np.ndarray | None
-    turned: bool = False
+    searched: Searched
+
+    @property
+    def dictionary(self) -> np.ndarray:
+        """(k, d) float32, in all the turns there are."""
+        return self.searched.dictionary
 
     @property
     def n_bytes(self) -> int:
-        gram = self.gram if self.split is None else self.split.short_gram
-        return self.dictionary.nbytes + (0 if gram is None else gram.nbytes)
+        gram = self.searched.short_gram if isinstance(self.searched, ShortDictionary) else self.searched.gram
+        return self.dictionary.nbytes + gram.nbytes
 
     def pursue(self, patches: np.ndarray, max_atoms: int, tolerance: float | np.ndarray,
                levels: np.ndarray | None = None, price: float = 0.0, search: str = "certified") -> Pursuit:
         """The pursuit of patches (n, d) on one thread, with the atoms that exact search takes; an approximate `search` takes those
         that short products tell, of a dictionary that was split when it was stored: of others it is exact."""
-        split, gram = self.split, self.gram
-        if search == "exact":
-            split, gram = None, self._whole_gram
-        elif split is None and gram is not None and len(self.dictionary) >= FEWEST_ATOMS and not self.turned:
-            # As exact, and for 4,096 atoms of 128 components in two thirds of the time: groups of atoms share bounds. Not so
-            # for 512 atoms of 192 coefficients in 8 turns, of which a patch takes 2 to 5: 1.1 to 1.5 times the time.
-            split, search = unshortened(self.dictionary, gram), "certified"
-        elif split is None:
-            split = self._coarse
-        return pursue_patches(patches, self.dictionary if split is None else split, max_atoms=min(max_atoms, len(self.dictionary)),
-                              tolerance=tolerance, price=price, weight_levels=levels, gram=gram,
-                              search="exact" if split is None else search)
+        return pursue_patches(patches, self._by_whole_products if search == "exact" else self.searched,
+                              max_atoms=min(max_atoms, len(self.dictionary)), tolerance=tolerance, price=price, weight_levels=levels,
+                              search=search)
 
     @cached_property
-    def _coarse(self) -> CoarseDictionary | None:
-        return coarsen(self.dictionary, self.gram)
-
-    @cached_property
-    def _whole_gram(self) -> np.ndarray | None:
-        if self.gram is None and len(self.dictionary) <= MOST_WITH_GRAM:
-            return self.dictionary @ self.dictionary.T
-        return self.gram
+    def _by_whole_products(self) -> Searched:
+        return by_whole_products(self.searched)
 
 
 def store_atoms(folder: Path, dictionary: np.ndarray, form: AtomForm = AtomForm()) -> None:
     stored = {"dictionary": dictionary}
     if form.n_turns > 1:
         stored["turned"] = dictionary = form.in_turns(dictionary)
-    split = shorten(dictionary)
+    split = None if form.n_turns > 1 else shorten(dictionary)  # products with all turns of an atom take no longer than short ones
     if split is not None:
         stored |= {"basis": split.basis, "short": split.short, "rest": split.rest}
     for name, rows in stored.items():
@@ -92,8 +78,15 @@ def load_atoms(folder: Path) -> Atoms:
 
 
 def _read_atoms(folder: Path) -> Atoms:
-    turned = arrays.exists(folder, "turned")
-    dictionary = arrays.read(folder, "turned" if turned else "dictionary")
+    dictionary = arrays.read(folder, "dictionary")
+    if arrays.exists(folder, "turned"):
+        turned, size = arrays.read(folder, "turned"), round((dictionary.shape[1] / 3) ** 0.5)
+        with_gram = len(turned) <= MOST_WITH_GRAM
+        found = turn_all(dictionary, size, turned, with_gram)
+        return Atoms(found if with_gram else unshortened(turned, found))
     if arrays.exists(folder, "basis"):
-        return Atoms(dictionary, split_by(dictionary, *(arrays.read(folder, n) for n in ("basis", "short", "rest"))), None, turned)
-    return Atoms(dictionary, None, dictionary @ dictionary.T if len(dictionary) <= MOST_WITH_GRAM else None, turned)
+        return Atoms(split_by(dictionary, *(arrays.read(folder, n) for n in ("basis", "short", "rest"))))
+    if len(dictionary) > MOST_WITH_GRAM:
+        return Atoms(unshortened(dictionary))
+    gram = dictionary @ dictionary.T
+    return Atoms(coarsen(dictionary, gram) or WholeDictionary(dictionary, gram))

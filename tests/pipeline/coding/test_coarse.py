@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.coding import coarse
-from pipeline.coding.coarse import FEWEST_ATOMS, PATCH_DIM, coarse_products, coarsen
+from pipeline.coding.coarse import FEWEST_ATOMS, PATCH_DIM, CoarseDictionary, coarsen
 from pipeline.coding.grid import shown
 from pipeline.coding.omp import pursue_patches, reconstruct, sparse_encode
 from pipeline.coding.omp_kernels import squared_norms
@@ -70,7 +70,7 @@ def test_coarse__products_are_no_further_off_than_they_say(monkeypatch):
     for case in CASES:
         patches, atoms = case(np.random.default_rng(1))
         split = split_of(atoms, monkeypatch)
-        product, spread = coarse_products(patches, squared_norms(patches), split)
+        product, spread = split.products(patches, squared_norms(patches))
         off = np.abs(product - patches.astype(np.float64) @ atoms.T.astype(np.float64))
         assert (off <= spread[:, None] * split.rest).all(), case.__name__
     assert off.max() > 0  # of the last case: what the grid leaves is felt
@@ -100,8 +100,8 @@ def test_coarse__is_left_where_it_would_not_pay():
 
 def test_coarse__sparse_encode_takes_it_by_itself(monkeypatch):
     patches, atoms = learned(np.random.default_rng(4))
-    asked, products = [], coarse_products
-    monkeypatch.setattr("pipeline.coding.omp.coarse_products", lambda *a: asked.append(len(a[0])) or products(*a))
+    asked, products = [], CoarseDictionary.products
+    monkeypatch.setattr(CoarseDictionary, "products", lambda *a: asked.append(len(a[1])) or products(*a))
     certified = sparse_encode(patches, atoms, max_atoms=3, search="certified")
     assert sum(asked) == N_PATCHES
     exact = sparse_encode(patches, atoms, max_atoms=3)

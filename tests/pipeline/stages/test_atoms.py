@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.coding.certified import ShortDictionary
 from pipeline.coding.omp import SEARCHES
 from pipeline.stages import atoms as module
 from pipeline.stages.atoms import load_atoms, store_atoms
@@ -31,7 +32,7 @@ def pursued(atoms, search: str):
 
 
 def test_atoms__certified_search_takes_the_atoms_of_exact_search(split):
-    assert split.split is not None and split.gram is None
+    assert isinstance(split.searched, ShortDictionary)
     exact, certified = (pursued(split, s) for s in ("exact", "certified"))
     assert exact.codes.n_atoms.mean() > 1
     assert (exact.codes.atom_index == certified.codes.atom_index).all()
@@ -42,7 +43,7 @@ def test_atoms__each_search_is_the_one_that_is_asked_for(split, search, monkeypa
     asked, pursue = [], module.pursue_patches
     monkeypatch.setattr(module, "pursue_patches", lambda *a, **k: asked.append((k["search"], type(a[1]).__name__)) or pursue(*a, **k))
     found = pursued(split, search)
-    assert asked == [(search, "ndarray" if search == "exact" else "ShortDictionary")]
+    assert asked == [(search, "WholeDictionary" if search == "exact" else "ShortDictionary")]
     assert found.residual.mean() < 0.5
 
 

@@ -1,0 +1,81 @@
+"""Products of patches with atoms in all eight turns, for a quarter of the multiplications.
+
+In coefficients (`grid`) a mirrored atom has the signs of its odd ones changed. So the products with an atom in its four mirrored
+turns are sums and differences of four partial products, of the coefficients that are even or odd along either axis; those
+with the four turns that exchange its axes are the same of the patch with its axes exchanged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numba
+import numpy as np
+
+from pipeline.coding.grid import in_all_turns
+
+ROWS = 128  # patches at a time: their partial products and products stay in the second-level cache
+
+
+@dataclass(frozen=True)
+class TurnedDictionary:
+    """A dictionary in all turns, with what its products need."""
+
+    dictionary: np.ndarray  # (8 k, 3 size^2) float32, unit rows, turn t of atom a in row 8 a + t
+    parts: tuple[np.ndarray, ...]  # of the straight atoms, by `_parities`: four of (k, 3 size^2 / 4) float32
+    size: int
+    gram: np.ndarray  # (8 k, 8 k) float32; (0, 0) where none is wanted
+    rest: np.ndarray  # (8 k,) float32: zeros, products are whole
+    rows = ROWS
+
+    def products(self, patches: np.ndarray, energy: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Correlations (n, 8 k) float32 of patches (n, 3 size^2), and by how much they are off: not at all."""
+        n, grid = len(patches), patches.reshape(-1, self.size, self.size, 3)
+        both = np.concatenate([grid, grid.swapaxes(1, 2)]).reshape(2 * n, -1)
+        partial = np.empty((4, 2 * n, len(self.parts[0])), np.float32)
+        for into, columns, part in zip(partial, _parities(self.size), self.parts):
+            np.matmul(both[:, columns], part.T, out=into)
+        product = np.empty((n, len(self.dictionary)), np.float32)
+        _sums_and_differences(partial, product)
+        return product, np.zeros(n, np.float32)
+
+
+def turn_all(straight: np.ndarray, size: int, dictionary: np.ndarray | None = None, with_gram: bool = True) -> TurnedDictionary:
+    """Atoms (k, 3 size^2), coefficients, in all turns; `dictionary` is what `in_all_turns` makes of them, where it is at hand."""
+    dictionary = in_all_turns(straight, size) if dictionary is None else dictionary
+    parts = tuple(np.ascontiguousarray(straight[:, columns]) for columns in _parities(size))
+    made = TurnedDictionary(dictionary, parts, size, np.empty((0, 0), np.float32), np.zeros(len(dictionary), np.float32))
+    if not with_gram:
+        return made
+    gram = np.empty((len(dictionary), len(dictionary)), np.float32)
+    for start in range(0, len(dictionary), ROWS):
+        gram[start : start + ROWS] = made.products(dictionary[start : start + ROWS])[0]
+    return TurnedDictionary(dictionary, parts, size, gram, made.rest)
+
+
+@cache
+def _parities(size: int) -> tuple[np.ndarray, ...]:
+    """Which of 3 size^2 coefficients are even and odd along rows and columns: even even, even odd, odd even, odd odd."""
+    odd = np.arange(size) % 2
+    parity = np.repeat(2 * odd[:, None] + odd, 3)
+    return tuple(np.flatnonzero(parity == p) for p in range(4))
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"nnan", "nsz", "contract"})
+def _sums_and_differences(partial, product):
+    """product (n, 8 k) of partial (4, 2 n, k): rows of the patches, then rows of the patches with their axes exchanged."""
+    n, k = product.shape[0], np.uintp(partial.shape[2])
+    for i in range(n):
+        for exchanged in range(2):
+            row, first = i + exchanged * n, np.uintp(4 * exchanged)
+            for a in range(k):
+                even, odd = partial[0, row, a] + partial[1, row, a], partial[0, row, a] - partial[1, row, a]
+                below, odd_below = partial[2, row, a] + partial[3, row, a], partial[2, row, a] - partial[3, row, a]
+                at = np.uintp(8) * a + first
+                product[i, at] = even + below
+                product[i, at + np.uintp(1)] = odd + odd_below
+                product[i, at + np.uintp(2)] = even - below
+                product[i, at + np.uintp(3)] = odd - odd_below
+
+

@@ -1,0 +1,40 @@
+"""Products with atoms in all turns are those with the atoms that `in_all_turns` makes, and so is the pursuit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.coding.grid import in_all_turns
+from pipeline.coding.omp import pursue_patches
+from pipeline.coding.turned import turn_all
+from tests.pipeline.coding.test_omp import unit_rows
+
+
+@pytest.mark.parametrize("size", [8, 16, 32])
+def test_turned__products_are_those_of_every_turn(size):
+    rng = np.random.default_rng(size)
+    straight, patches = unit_rows(rng, 20, 3 * size**2), rng.standard_normal((33, 3 * size**2)).astype(np.float32)
+    product, spread = turn_all(straight, size).products(patches)
+    np.testing.assert_allclose(product, patches @ in_all_turns(straight, size).T, atol=2e-5 * size)
+    assert product.shape == (33, 160) and not spread.any()
+
+
+def test_turned__gram_matrix_is_that_of_every_turn():
+    straight = unit_rows(np.random.default_rng(1), 20, 192)
+    turned = in_all_turns(straight, 8)
+    made = turn_all(straight, 8, turned)
+    np.testing.assert_allclose(made.gram, turned @ turned.T, atol=1e-5)
+    assert turn_all(straight, 8, turned, with_gram=False).gram.shape == (0, 0)
+
+
+@pytest.mark.parametrize("search", ["exact", "certified", "approximate"])
+def test_turned__pursuit_is_that_of_the_dictionary_written_out(search):
+    rng = np.random.default_rng(2)
+    straight, patches = unit_rows(rng, 40, 192), rng.standard_normal((200, 192)).astype(np.float32)
+    options = {"max_atoms": 6, "tolerance": 120.0, "weight_levels": np.tile(np.linspace(-8, 8, 64), (6, 1)), "search": search}
+    found = pursue_patches(patches, turn_all(straight, 8), **options)
+    plain = pursue_patches(patches, in_all_turns(straight, 8), **options)
+    assert 1 < found.codes.n_atoms.mean() < 6
+    assert (found.codes.atom_index == plain.codes.atom_index).all(axis=1).mean() > 0.98
+    assert found.residual.sum() == pytest.approx(plain.residual.sum(), rel=1e-3)
