@@ -91,23 +91,23 @@ def rows_at_a_time(split: ShortDictionary) -> int:
     return max(32, min(512, PRODUCT_BYTES // (4 * len(split.dictionary))))
 
 
-def pursue_rows(rows, energy, split: ShortDictionary, certify, tolerance, price, levels, atom, weight, code, n_atoms, residual):
+def pursue_rows(rows, energy, split: ShortDictionary, certify, tolerance, price, levels, atom, weight, code, n_atoms, path):
     """`pursue` for a block of patches (n, d), in place. Returns how many products of full width with patches it took."""
     components = rows @ split.basis if len(split.basis) else rows.copy()
     rounding = 2.0**-23 * (split.short.shape[1] + 32)
     if len(split.short_gram):
         return pursue_certified(
             rows, energy, split.dictionary, components, split.short, split.short_gram, components @ split.short.T,
-            split.rest, rounding, certify, tolerance, price, levels, atom, weight, code, n_atoms, residual)
+            split.rest, rounding, certify, tolerance, price, levels, atom, weight, code, n_atoms, path)
     return _pursue_in_step(rows, energy, split, components, rounding, certify, tolerance, price, levels, atom, weight, code,
-                           n_atoms, residual)
+                           n_atoms, path)
 
 
 def _pursue_in_step(rows, energy, split, components, rounding, certify, tolerance, price, levels, atom, weight, code, n_atoms,
-                    residual):
+                    path):
     """All patches take their first atom, then their second: each step is one GEMM of the residuals' components."""
     n, most = atom.shape
-    n_atoms[:], residual[:] = 0, energy
+    n_atoms[:], path[:, 0] = 0, energy
     active = np.flatnonzero(energy > tolerance)
     n_active, total = len(active), 0
     components = np.ascontiguousarray(components[active])
@@ -117,7 +117,7 @@ def _pursue_in_step(rows, energy, split, components, rounding, certify, toleranc
         product = current @ split.short.T if split.turned is None else split.turned.products(current)[0]
         n_active, n_settled = advance(
             rows, energy, split.dictionary, components, split.short, product, split.rest, rounding, certify, tolerance, price,
-            levels, atom, weight, code, n_atoms, residual, target, forward, gram_support, chol, active,
+            levels, atom, weight, code, n_atoms, path, target, forward, gram_support, chol, active,
             n_active)
         total += n_settled
     return total

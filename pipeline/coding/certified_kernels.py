@@ -178,7 +178,7 @@ def _margin(rounding, energy, weight, t):
 
 @numba.njit(cache=True, nogil=True)
 def pursue_certified(patches, energy, dictionary, components, short, short_gram, product, rest, rounding, certify, tolerance,
-                     price, levels, atom, weight, code, n_atoms, residual):
+                     price, levels, atom, weight, code, n_atoms, path):
     """Orthogonal matching pursuit of every patch, rows of the short Gram matrix following the residual.
 
     patches (n, d), dictionary (k, d), components (n, p) of the patches, short (k, p) of the atoms, short_gram (k, k),
@@ -194,7 +194,8 @@ def pursue_certified(patches, energy, dictionary, components, short, short_gram,
     left = np.empty(patches.shape[1], np.float32)
     total = 0
     for i in range(n):
-        t, error = 0, energy[i]
+        t = 0
+        error = path[i, 0] = energy[i]
         while t < most and error > tolerance[i]:
             current[:] = product[i]
             subtract_rows(current, short_gram, atom[i], weight[i], t)
@@ -213,16 +214,15 @@ def pursue_certified(patches, energy, dictionary, components, short, short_gram,
             total += n_settled
             if lowered < 0:
                 break
-            error = lowered
             t += 1
+            error = path[i, t] = lowered
         n_atoms[i] = t
-        residual[i] = error
     return total
 
 
 @numba.njit(cache=True, nogil=True)
 def advance(patches, energy, dictionary, components, short, product, rest, rounding, certify, tolerance, price,
-            levels, atom, weight, code, n_atoms, residual, target, forward, gram_support, chol, active, n_active):
+            levels, atom, weight, code, n_atoms, path, target, forward, gram_support, chol, active, n_active):
     """One step for each of the patches active[:n_active], whose current short products are the rows of `product`.
 
     `components` become those of the residuals; patches that are done leave `active`. Per patch: target and
@@ -238,7 +238,7 @@ def advance(patches, energy, dictionary, components, short, product, rest, round
         i, t = active[m], n_atoms[active[m]]
         rho, margin = np.float32(0), 0.0
         if certify:
-            rho = _rest_norm(residual[i], components[m], energy[i])
+            rho = _rest_norm(path[i, t], components[m], energy[i])
             margin = _margin(rounding, energy[i], weight[i], t)
         _silence(product[m], atom[i], t)
         bound_groups(product[m], rest, rho, upper)
@@ -247,12 +247,12 @@ def advance(patches, energy, dictionary, components, short, product, rest, round
         residue = _what_is_left(patches[i], dictionary, atom[i], weight[i], t, left)
         lowered, n_settled = _add_atom(
             patches[i], residue, energy[i], dictionary, product[m], rest, rho, margin, certify, upper, levels, t,
-            residual[i] - price, atom[i], weight[i], code[i], target[i], forward[i], gram_support[i],
+            path[i, t] - price, atom[i], weight[i], code[i], target[i], forward[i], gram_support[i],
             chol[i], trial, trial_code, passed)
         total += n_settled
         if lowered < 0:
             continue
-        residual[i] = lowered
+        path[i, t + 1] = lowered
         n_atoms[i] = t + 1
         if t + 1 < most and lowered > tolerance[i]:
             subtract_rows(start, short, atom[i], weight[i], t + 1)

@@ -57,7 +57,21 @@ class Pursuit(NamedTuple):
 
     codes: Codes
     weight_code: np.ndarray  # (n, r) int32, index into the weight levels of the rank; zeros where weights are exact
-    residual: np.ndarray  # (n,) float64 squared norm
+    path: np.ndarray  # (n, r + 1) float64: the squared norm of what is left with no atom, one, and so on; zeros beyond n_atoms
+
+    @property
+    def residual(self) -> np.ndarray:
+        """(n,) float64: the squared norm of what all atoms leave."""
+        return self.path[np.arange(len(self.path)), self.codes.n_atoms]
+
+    def beside(self, rest: np.ndarray) -> Pursuit:
+        """The same, of patches that have squared norms `rest` (n,) beside what was coded of them."""
+        return self._replace(path=self.path + rest[:, None])
+
+    def atoms_at(self, price: float) -> np.ndarray:
+        """How many of its atoms (n,) each patch takes where they cost more than they did in this pursuit."""
+        worth = (self.path[:, :-1] - self.path[:, 1:] > price) & (np.arange(self.path.shape[1] - 1) < self.codes.n_atoms[:, None])
+        return np.logical_and.accumulate(worth, axis=1).sum(axis=1)
 
 
 def sparse_encode(
@@ -125,7 +139,7 @@ def pursue_patches(
     levels = NO_LEVELS if weight_levels is None else np.ascontiguousarray(weight_levels, np.float64)
     n = len(patches)
     codes = Codes(np.zeros((n, max_atoms), np.int32), np.zeros((n, max_atoms), np.float32), np.zeros(n, np.int32))
-    weight_code, residual = np.zeros((n, max_atoms), np.int32), np.zeros(n)
+    weight_code, path = np.zeros((n, max_atoms), np.int32), np.zeros((n, max_atoms + 1))
     tolerance = np.broadcast_to(np.asarray(tolerance, np.float64), (n,))
     in_components = isinstance(dictionary, ShortDictionary)
     certify = search == "certified" and in_components and len(dictionary.basis) > 0
@@ -137,24 +151,24 @@ def pursue_patches(
         energy = squared_norms(rows)
         if not np.isfinite(energy).all():
             raise ValueError(f"patch {start + int(np.argmin(np.isfinite(energy)))} is not finite")
-        residual[part] = energy
+        path[part, 0] = energy
         todo = start + np.flatnonzero(energy > np.maximum(tolerance[part], price))
         if not len(todo):
             return
         if len(todo) < len(rows):  # of fountain_p11 at 40 dB, a third: they need no products
             rows, energy = rows[todo - start], energy[todo - start]
         found = (np.zeros((len(todo), max_atoms), np.int32), np.zeros((len(todo), max_atoms)),
-                 np.zeros((len(todo), max_atoms), np.int32), np.zeros(len(todo), np.int32), np.zeros(len(todo)))
+                 np.zeros((len(todo), max_atoms), np.int32), np.zeros(len(todo), np.int32), np.zeros((len(todo), max_atoms + 1)))
         if in_components:
             pursue_rows(rows, energy, dictionary, certify, tolerance[todo], price, levels, *found)
         else:
             pursue(rows, dictionary.dictionary, *dictionary.products(rows, energy), dictionary.rest, energy, dictionary.gram,
                    tolerance[todo], price, levels, *found)
-        for whole, rows_found in zip((codes.atom_index, codes.weight, weight_code, codes.n_atoms, residual), found):
+        for whole, rows_found in zip((codes.atom_index, codes.weight, weight_code, codes.n_atoms, path), found):
             whole[todo] = rows_found
 
     run_all(pursue_block, range(0, n, step), n_threads)
-    return Pursuit(codes, weight_code, residual)
+    return Pursuit(codes, weight_code, path)
 
 
 def reconstruct(codes: Codes, dictionary: np.ndarray) -> np.ndarray:

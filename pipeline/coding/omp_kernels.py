@@ -201,15 +201,15 @@ def residual_energy(energy, target, gram_support, weight, t):
 
 @numba.njit(cache=True, nogil=True)
 def pursue(patches, dictionary, initial, spread, rest, energy, gram, tolerance, price, levels, atom, weight, code, n_atoms,
-           residual):
+           path):
     """Orthogonal matching pursuit of every row of patches (n, d), with weights from `levels` if there are any.
 
     dictionary (k, d); initial (n, k): correlations of patches and atoms, no further off than spread (n,) times rest (k,), and
     made exact where that may decide, in place; gram (k, k); all float32. energy (n,) float64: squared norms; tolerance
     (n,) float64: squared residual at which a patch is done; price: by how much more than that an atom must lower it;
     levels (r, w) float64, w = 0 for exact weights. Filled: atom (n, r) int32, weight (n, r) float64, code (n, r) int32,
-    n_atoms (n,) int32, residual (n,) float64. The residual never rises with an atom: one that would not lower it ends the
-    pursuit.
+    n_atoms (n,) int32, path (n, r + 1) float64: the squared residual with no atom, one, and so on. It never rises with an
+    atom: one that would not lower it ends the pursuit.
     """
     n, n_dictionary = initial.shape
     most = atom.shape[1]
@@ -222,7 +222,7 @@ def pursue(patches, dictionary, initial, spread, rest, energy, gram, tolerance, 
     trial_code = np.zeros(most, np.int32)
     for i in range(n):
         t = 0
-        error = energy[i]
+        error = path[i, 0] = energy[i]
         for a in range(n_dictionary):
             slack[a] = spread[i] * rest[a]
         while t < most and error > tolerance[i]:
@@ -252,12 +252,11 @@ def pursue(patches, dictionary, initial, spread, rest, energy, gram, tolerance, 
                 break
             atom[i, t] = best
             t += 1
-            error = lowered
+            error = path[i, t] = lowered
             for j in range(t):
                 weight[i, j] = trial[j]
                 code[i, j] = trial_code[j]
         n_atoms[i] = t
-        residual[i] = error
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})

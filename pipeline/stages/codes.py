@@ -83,7 +83,7 @@ class Encode:
             short = coefficients(patches, size)
             found = atoms.pursue(short, self.max_atoms, self.tolerance, levels, self.price, self.search)
             beyond = np.maximum(squared_norms(patches) - squared_norms(short), 0)  # what atoms of this size cannot show
-            return found._replace(residual=found.residual + beyond), shown(texels_of(reconstruct(found.codes, atoms.dictionary), size), size)
+            return found.beside(beyond), shown(texels_of(reconstruct(found.codes, atoms.dictionary), size), size)
 
         return encode
 
@@ -100,4 +100,4 @@ def coding_quality(results: list[dict]) -> dict:
 def _no_codes(patches: np.ndarray) -> Pursuit:
     n = len(patches)
     nothing = Codes(np.zeros((n, 0), np.int32), np.zeros((n, 0), np.float32), np.zeros(n, np.int32))
-    return Pursuit(nothing, np.zeros((n, 0), np.int32), squared_norms(patches))
+    return Pursuit(nothing, np.zeros((n, 0), np.int32), squared_norms(patches)[:, None])

@@ -66,7 +66,7 @@ class KsvdUpdate:
         atoms = load_atoms(self.previous)
         patches, rest = training_part(self.training, index)
         found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0), price=self.price)
-        pursuit = found._replace(residual=found.residual + rest)  # errors are those of whole patches
+        pursuit = found.beside(rest)  # errors are those of whole patches
         sums = _of_atoms(block_sums(patches, atoms.dictionary, pursuit), self.form)
         _store_sums(work.parts(folder), f"sums-{index}", sums)
         return {"n_splats": len(patches), "n_atoms_used": int(pursuit.codes.n_atoms.sum())}

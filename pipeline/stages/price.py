@@ -60,11 +60,12 @@ class Prices:
         share = np.array(work.read_json(self.chosen / "share.json")["share"])
         weight = 1 / share[octave_of(squared_norms(patches) + rest)].clip(share[share > 0].min())
         atoms, levels = load_atoms(self.quantized), arrays.read(self.quantized, "weight_levels")
+        found = atoms.pursue(patches, self.max_atoms, 0.0, levels, min(LADDER) * self.tolerance)  # at others it ends on the way
         error, n_atoms = [], []
         for share in LADDER:
-            found = atoms.pursue(patches, self.max_atoms, 0.0, levels, share * self.tolerance)
-            error.append(float(weight @ (found.residual + rest)))
-            n_atoms.append(float(weight @ found.codes.n_atoms))
+            taken = found.atoms_at(share * self.tolerance)
+            error.append(float(weight @ (found.path[np.arange(len(taken)), taken] + rest)))
+            n_atoms.append(float(weight @ taken))
         return {"n_splats": len(patches), "weight": float(weight.sum()), "error": error, "n_atoms": n_atoms}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:

@@ -121,7 +121,8 @@ def test_coding__copies_of_atoms_are_never_taken_twice():
     rng = np.random.default_rng(4)
     atoms, patches = unit_rows(rng, 32, 192), smooth_patches(rng, 200)
     copies = np.concatenate([atoms, -atoms, atoms])
-    codes, _, residual = pursue_patches(patches, copies, max_atoms=8)
+    found = pursue_patches(patches, copies, max_atoms=8)
+    codes, residual = found.codes, found.residual
     assert all(len(set(a[:n] % 32)) == n for a, n in zip(codes.atom_index, codes.n_atoms))
     np.testing.assert_allclose(residual, pursue_patches(patches, atoms, max_atoms=8).residual, rtol=1e-4)
 
@@ -163,7 +164,8 @@ def test_coding__hard_patches_are_no_worse_than_their_average(name):
     levels = np.tile(np.linspace(-20, 20, 16), (8, 1))
     deviation = texel.reshape(-1, 3) / 255.0 - (texel.reshape(-1, 3) / 255.0).mean(axis=0)
     for weight_levels in (None, levels):
-        codes, _, residual = pursue_patches(patch, atoms.astype(np.float32), max_atoms=8, weight_levels=weight_levels)
+        found = pursue_patches(patch, atoms.astype(np.float32), max_atoms=8, weight_levels=weight_levels)
+        codes, residual = found.codes, found.residual
         decoded = reconstruct(codes, atoms.astype(np.float32))
         assert np.isfinite(decoded).all() and np.isfinite(residual).all()
         lost = float(((patch - decoded).astype(float) ** 2).sum())
@@ -191,7 +193,8 @@ def test_coding__all_atoms_of_the_dictionary_may_be_asked_for():
     rng = np.random.default_rng(10)
     atoms = unit_rows(rng, 16, 64)
     patches = (rng.standard_normal((20, 16)) @ atoms).astype(np.float32)
-    codes, _, residual = pursue_patches(patches, atoms, max_atoms=16)
+    found = pursue_patches(patches, atoms, max_atoms=16)
+    codes, residual = found.codes, found.residual
     assert (codes.n_atoms >= 15).all()
     assert (residual <= 1e-6 * (patches.astype(float) ** 2).sum(axis=1)).all()
 
@@ -232,7 +235,8 @@ def test_coding__levels_far_from_every_weight_end_the_pursuit_and_never_raise_th
     rng = np.random.default_rng(13)
     atoms, patches = unit_rows(rng, 32, 192), smooth_patches(rng, 100)
     for levels in (np.full((8, 16), 1e6), np.zeros((8, 16)), np.tile([-1e-9, 1e-9], (8, 1))):
-        codes, _, residual = pursue_patches(patches, atoms, max_atoms=8, weight_levels=levels)
+        found = pursue_patches(patches, atoms, max_atoms=8, weight_levels=levels)
+        codes, residual = found.codes, found.residual
         energy = (patches.astype(float) ** 2).sum(axis=1)
         assert np.isfinite(residual).all() and (residual <= energy * (1 + 1e-9)).all()
     exact = sparse_encode(patches, atoms, max_atoms=8)

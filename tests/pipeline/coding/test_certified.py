@@ -111,11 +111,11 @@ def test_certified__settles_few_atoms_of_smooth_patches():
     patches, atoms = learned(rng)
     split = shorten(atoms, components=32)
     n, most = len(patches), 4
-    weight, residual = np.zeros((n, most)), np.zeros(n)
+    weight, path = np.zeros((n, most)), np.zeros((n, most + 1))
     energy = (patches.astype(np.float64) ** 2).sum(axis=1)
     n_settled = certified.pursue_rows(
         patches, energy, split, True, np.zeros(n), 0.0, np.empty((0, 0)), np.zeros((n, most), np.int32), weight,
-        np.zeros((n, most), np.int32), np.zeros(n, np.int32), residual)
+        np.zeros((n, most), np.int32), np.zeros(n, np.int32), path)
     assert n * most <= n_settled < 0.1 * n * most * N_ATOMS
 
 

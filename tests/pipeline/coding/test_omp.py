@@ -40,7 +40,8 @@ def test_omp__returns_atoms_weights_and_counts():
 def test_omp__agrees_with_the_float64_twin():
     rng = np.random.default_rng(1)
     atoms, patches = unit_rows(rng, 96, 192), smooth_patches(rng, 200)
-    codes, _, residuals = pursue_patches(patches, atoms, max_atoms=6, tolerance=0.05)
+    found = pursue_patches(patches, atoms, max_atoms=6, tolerance=0.05)
+    codes, residuals = found.codes, found.residual
     for i, patch in enumerate(patches):
         support, weight, residual = reference.omp(patch, atoms, 6, 0.05)
         n = codes.n_atoms[i]
@@ -53,7 +54,8 @@ def test_omp__the_residual_it_reports_is_the_residual():
     rng = np.random.default_rng(2)
     atoms, patches = unit_rows(rng, 96, 192), smooth_patches(rng, 100)
     for levels in (None, np.tile(np.linspace(-2, 2, 16), (8, 1))):
-        codes, _, residual = pursue_patches(patches, atoms, max_atoms=8, weight_levels=levels)
+        found = pursue_patches(patches, atoms, max_atoms=8, weight_levels=levels)
+        codes, residual = found.codes, found.residual
         lost = ((patches - reconstruct(codes, atoms)).astype(np.float64) ** 2).sum(axis=1)
         np.testing.assert_allclose(residual, lost, rtol=1e-3, atol=1e-5)
 
@@ -61,7 +63,8 @@ def test_omp__the_residual_it_reports_is_the_residual():
 def test_omp__stops_at_the_tolerance_and_not_before():
     rng = np.random.default_rng(3)
     atoms, patches = unit_rows(rng, 96, 192), smooth_patches(rng, 200)
-    codes, _, residual = pursue_patches(patches, atoms, max_atoms=8, tolerance=0.1)
+    found = pursue_patches(patches, atoms, max_atoms=8, tolerance=0.1)
+    codes, residual = found.codes, found.residual
     assert (residual[codes.n_atoms < 8] <= 0.1).all()
     assert len(set(codes.n_atoms.tolist())) > 4
     for n in range(1, 8):
@@ -91,7 +94,8 @@ def test_omp__duplicate_atoms_do_no_harm():
     rng = np.random.default_rng(6)
     atoms, patches = unit_rows(rng, 32, 192), smooth_patches(rng, 100)
     twice = np.concatenate([atoms, atoms, -atoms])
-    codes, _, residual = pursue_patches(patches, twice, max_atoms=8)
+    found = pursue_patches(patches, twice, max_atoms=8)
+    codes, residual = found.codes, found.residual
     once = pursue_patches(patches, atoms, max_atoms=8)
     assert np.isfinite(codes.weight).all()
     assert all(len(set(a[:n] % 32)) == n for a, n in zip(codes.atom_index, codes.n_atoms))
@@ -142,7 +146,8 @@ def test_omp__quantising_in_the_loop_beats_rounding_afterwards():
 @pytest.mark.parametrize("patch", [np.zeros(192), np.full(192, 1e-20)], ids=["zero", "denormal square"])
 def test_omp__a_patch_of_nothing_needs_no_atom(patch):
     atoms = unit_rows(np.random.default_rng(0), 16, 192)
-    codes, _, residual = pursue_patches(patch[None], atoms, max_atoms=8)
+    found = pursue_patches(patch[None], atoms, max_atoms=8)
+    codes, residual = found.codes, found.residual
     assert np.isfinite(codes.weight).all() and np.isfinite(residual).all()
     assert codes.n_atoms[0] == 0 or patch.any()
 

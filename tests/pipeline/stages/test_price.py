@@ -33,6 +33,17 @@ def test_price__every_atom_taken_is_worth_it_and_the_next_is_not(search, n_atoms
     np.testing.assert_allclose(found.residual, steps[np.arange(60), expected], rtol=1e-5)
 
 
+@pytest.mark.parametrize("n_atoms", [40, 1200])
+def test_price__a_pursuit_at_the_lowest_tells_what_others_take(n_atoms):
+    patches, atoms = patches_and_atoms(n_atoms)
+    levels = np.tile(np.linspace(-2, 2, 16), (6, 1))
+    lowest = pursue_patches(patches, atoms, max_atoms=6, price=0.1, weight_levels=levels)
+    for price in (0.1, 0.3, 2.0, 1e9):
+        found, taken = pursue_patches(patches, atoms, max_atoms=6, price=price, weight_levels=levels), lowest.atoms_at(price)
+        assert (taken == found.codes.n_atoms).all()
+        np.testing.assert_allclose(lowest.path[np.arange(60), taken], found.residual, rtol=1e-6)
+
+
 def test_price__spends_the_same_atoms_better_than_a_cut_off():
     patches, atoms = patches_and_atoms(200)
     priced = pursue_patches(patches, atoms, max_atoms=8, price=0.5)
