@@ -114,7 +114,7 @@ def _pursue_in_step(rows, energy, split, components, rounding, certify, toleranc
     target, forward, gram_support, chol = (np.empty((n, most) + (most,) * extra) for extra in (0, 0, 1, 1))
     while n_active:
         current = components[:n_active]
-        product = current @ split.short.T if split.turned is None else split.turned.products(current)[0]
+        product = current @ split.short.T if split.turned is None else split.turned.products_in_order(current)
         n_active, n_settled = advance(
             rows, energy, split.dictionary, components, split.short, product, split.rest, rounding, certify, tolerance, price,
             levels, atom, weight, code, n_atoms, path, target, forward, gram_support, chol, active,

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.coding.grid import coefficients
-from pipeline.coding.omp_kernels import squared_norms
+from pipeline.coding.omp_kernels import NO_TURNS, squared_norms
 from pipeline.threads import one_blas_thread
 from storage.schema import PATCH_SIZE
 
@@ -36,7 +36,7 @@ class CoarseDictionary:
     shown: np.ndarray  # (k, 3 SIZE^2) float32: what the grid shows of each atom
     rest: np.ndarray  # (k,) float32: norm of what it leaves, rounded up
     gram: np.ndarray  # (k, k) float32
-    rows = ROWS
+    rows, turns = ROWS, NO_TURNS
 
     def products(self, patches: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Correlations (n, k) float32 of patches (n, PATCH_DIM), `energy` their squared norms, and a spread (n,) float32 for

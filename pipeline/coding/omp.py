@@ -15,7 +15,7 @@ from pipeline.coding.certified import (
     MOST_WITH_GRAM, ShortDictionary, pursue_rows, rows_at_a_time, shorten, unshortened,
 )
 from pipeline.coding.coarse import CoarseDictionary, coarsen
-from pipeline.coding.omp_kernels import add_atoms, pursue, squared_norms
+from pipeline.coding.omp_kernels import NO_TURNS, add_atoms, pursue, squared_norms
 from pipeline.coding.turned import TurnedDictionary
 from pipeline.threads import available_cores, run_all
 
@@ -30,7 +30,7 @@ class WholeDictionary:
 
     dictionary: np.ndarray  # (k, d) float32, unit rows
     gram: np.ndarray  # (k, k) float32
-    rows = ROWS
+    rows, turns = ROWS, NO_TURNS
 
     @property
     def rest(self) -> np.ndarray:
@@ -163,7 +163,9 @@ def pursue_patches(
             pursue_rows(rows, energy, dictionary, certify, tolerance[todo], price, levels, *found)
         else:
             pursue(rows, dictionary.dictionary, *dictionary.products(rows, energy), dictionary.rest, energy, dictionary.gram,
-                   tolerance[todo], price, levels, *found)
+                   dictionary.turns, tolerance[todo], price, levels, *found)
+            if isinstance(dictionary, TurnedDictionary):
+                found[0][:] = dictionary.numbers(found[0])
         for whole, rows_found in zip((codes.atom_index, codes.weight, weight_code, codes.n_atoms, path), found):
             whole[todo] = rows_found
 

@@ -19,6 +19,7 @@ SMALLEST_PIVOT = 2e-3
 SMALLEST_CORRELATION = 1e-6
 
 
+NO_TURNS = np.zeros((1, 1), np.int64)  # of a dictionary whose atoms are each their own
 _FAST = {"nnan", "nsz", "reassoc", "contract"}
 
 
@@ -46,6 +47,37 @@ def subtract_rows(row, table, support, weight, t):
         for i in range(width):
             row[i] -= wa * table[a, i]
         j += 1
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _subtract_gram_rows(row, gram, turns, support, weight, t):
+    """As `subtract_rows`, with rows of the Gram matrix of atoms in turns, of which `gram` has those of the straight ones."""
+    k, n_turns, j = np.uintp(gram.shape[0]), turns.shape[0], 0
+    while j + 4 <= t:
+        a, b, c, d = (np.uintp(support[j]), np.uintp(support[j + 1]), np.uintp(support[j + 2]), np.uintp(support[j + 3]))
+        wa, wb = np.float32(weight[j]), np.float32(weight[j + 1])
+        wc, wd = np.float32(weight[j + 2]), np.float32(weight[j + 3])
+        for s in range(n_turns):
+            at = np.uintp(s) * k
+            at_a, at_b = np.uintp(turns[a // k, s]) * k, np.uintp(turns[b // k, s]) * k
+            at_c, at_d = np.uintp(turns[c // k, s]) * k, np.uintp(turns[d // k, s]) * k
+            for i in range(k):
+                row[at + i] -= ((wa * gram[a % k, at_a + i] + wb * gram[b % k, at_b + i])
+                                + (wc * gram[c % k, at_c + i] + wd * gram[d % k, at_d + i]))
+        j += 4
+    while j < t:
+        a, wa = np.uintp(support[j]), np.float32(weight[j])
+        for s in range(n_turns):
+            at, at_a = np.uintp(s) * k, np.uintp(turns[a // k, s]) * k
+            for i in range(k):
+                row[at + i] -= wa * gram[a % k, at_a + i]
+        j += 1
+
+
+@numba.njit(cache=True, nogil=True)
+def _gram_of(gram, turns, a, b):
+    k = gram.shape[0]
+    return gram[a % k, turns[a // k, b // k] * k + b % k]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -200,12 +232,14 @@ def residual_energy(energy, target, gram_support, weight, t):
 
 
 @numba.njit(cache=True, nogil=True)
-def pursue(patches, dictionary, initial, spread, rest, energy, gram, tolerance, price, levels, atom, weight, code, n_atoms,
+def pursue(patches, dictionary, initial, spread, rest, energy, gram, turns, tolerance, price, levels, atom, weight, code, n_atoms,
            path):
     """Orthogonal matching pursuit of every row of patches (n, d), with weights from `levels` if there are any.
 
     dictionary (k, d); initial (n, k): correlations of patches and atoms, no further off than spread (n,) times rest (k,), and
-    made exact where that may decide, in place; gram (k, k); all float32. energy (n,) float64: squared norms; tolerance
+    made exact where that may decide, in place; gram (k / m, k) of the first k / m atoms, all float32; turns (m, m) int64: the
+    k / m atoms of turn t and of turn s have the products that those of turn 0 and of turn turns[t, s] have, so
+    turns is ((0,),) where each atom is its own. energy (n,) float64: squared norms; tolerance
     (n,) float64: squared residual at which a patch is done; price: by how much more than that an atom must lower it;
     levels (r, w) float64, w = 0 for exact weights. Filled: atom (n, r) int32, weight (n, r) float64, code (n, r) int32,
     n_atoms (n,) int32, path (n, r + 1) float64: the squared residual with no atom, one, and so on. It never rises with an
@@ -227,7 +261,7 @@ def pursue(patches, dictionary, initial, spread, rest, energy, gram, tolerance, 
             slack[a] = spread[i] * rest[a]
         while t < most and error > tolerance[i]:
             correlation[:] = initial[i]
-            subtract_rows(correlation, gram, atom[i], weight[i], t)
+            _subtract_gram_rows(correlation, gram, turns, atom[i], weight[i], t)
             for j in range(t):
                 correlation[atom[i, j]] = 0
             pivot = 0.0
@@ -236,9 +270,9 @@ def pursue(patches, dictionary, initial, spread, rest, energy, gram, tolerance, 
                 if best < 0 or np.float64(correlation[best]) ** 2 <= SMALLEST_CORRELATION**2 * energy[i]:
                     break
                 for j in range(t):
-                    gram_support[t, j] = gram[best, atom[i, j]]
+                    gram_support[t, j] = _gram_of(gram, turns, best, atom[i, j])
                     gram_support[j, t] = gram_support[t, j]
-                gram_support[t, t] = gram[best, best]
+                gram_support[t, t] = _gram_of(gram, turns, best, best)
                 target[t] = initial[i, best]
                 pivot = append_to_cholesky(chol, gram_support, t)
                 correlation[best] = 0

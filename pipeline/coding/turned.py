@@ -3,6 +3,9 @@
 In coefficients (`grid`) a mirrored atom has the signs of its odd ones changed. So the products with an atom in its four mirrored
 turns are sums and differences of four partial products, of the coefficients that are even or odd along either axis; those
 with the four turns that exchange its axes are the same of the patch with its axes exchanged.
+
+Products of two turned atoms are those of a straight one and a turned one: of the Gram matrix an eighth is enough, and
+the rest of it need not come out of memory.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from functools import cache
 import numba
 import numpy as np
 
-from pipeline.coding.grid import in_all_turns
+from pipeline.coding.grid import TURNS, in_all_turns, turned_texels
 
 ROWS = 128  # patches at a time: their partial products and products stay in the second-level cache
 
@@ -22,12 +25,22 @@ ROWS = 128  # patches at a time: their partial products and products stay in the
 class TurnedDictionary:
     """A dictionary in all turns, with what its products need."""
 
-    dictionary: np.ndarray  # (8 k, 3 size^2) float32, unit rows, turn t of atom a in row 8 a + t
+    dictionary: np.ndarray  # (8 k, 3 size^2) float32, unit rows, turn t of atom a in row 8 a + t; all below has it in t k + a
     parts: tuple[np.ndarray, ...]  # of the straight atoms, by `_parities`: four of (k, 3 size^2 / 4) float32
     size: int
-    gram: np.ndarray  # (8 k, 8 k) float32; (0, 0) where none is wanted
+    gram: np.ndarray  # (k, 8 k) float32: straight atoms with all; (0, 0) where none is wanted
     rest: np.ndarray  # (8 k,) float32: zeros, products are whole
     rows = ROWS
+
+    @property
+    def turns(self) -> np.ndarray:
+        """(8, 8) int64: which turn of an atom has with a straight one the product that its turn s has with one in turn t."""
+        return _differences()
+
+    def numbers(self, found: np.ndarray) -> np.ndarray:
+        """What a search found, as rows of `dictionary`."""
+        k = len(self.parts[0])
+        return found % k * TURNS + found // k
 
     def products(self, patches: np.ndarray, energy: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Correlations (n, 8 k) float32 of patches (n, 3 size^2), and by how much they are off: not at all."""
@@ -40,6 +53,11 @@ class TurnedDictionary:
         _sums_and_differences(partial, product)
         return product, np.zeros(n, np.float32)
 
+    def products_in_order(self, patches: np.ndarray) -> np.ndarray:
+        """The correlations, in the order of `dictionary`."""
+        product, _ = self.products(patches)
+        return np.ascontiguousarray(product.reshape(len(patches), TURNS, -1).swapaxes(1, 2)).reshape(product.shape)
+
 
 def turn_all(straight: np.ndarray, size: int, dictionary: np.ndarray | None = None, with_gram: bool = True) -> TurnedDictionary:
     """Atoms (k, 3 size^2), coefficients, in all turns; `dictionary` is what `in_all_turns` makes of them, where it is at hand."""
@@ -48,9 +66,9 @@ def turn_all(straight: np.ndarray, size: int, dictionary: np.ndarray | None = No
     made = TurnedDictionary(dictionary, parts, size, np.empty((0, 0), np.float32), np.zeros(len(dictionary), np.float32))
     if not with_gram:
         return made
-    gram = np.empty((len(dictionary), len(dictionary)), np.float32)
-    for start in range(0, len(dictionary), ROWS):
-        gram[start : start + ROWS] = made.products(dictionary[start : start + ROWS])[0]
+    gram = np.empty((len(straight), len(dictionary)), np.float32)
+    for start in range(0, len(straight), ROWS):
+        gram[start : start + ROWS] = made.products(straight[start : start + ROWS])[0]
     return TurnedDictionary(dictionary, parts, size, gram, made.rest)
 
 
@@ -62,20 +80,25 @@ def _parities(size: int) -> tuple[np.ndarray, ...]:
     return tuple(np.flatnonzero(parity == p) for p in range(4))
 
 
+@cache
+def _differences() -> np.ndarray:
+    marked = np.arange(9.0).reshape(3, 3, 1)
+    seen = {turned_texels(marked, turn).tobytes(): turn for turn in range(TURNS)}
+    of = [[seen[turned_texels(turned_texels(marked, u), t).tobytes()] for u in range(TURNS)] for t in range(TURNS)]  # first u, then t
+    return np.argsort(of, axis=1)
+
+
 @numba.njit(cache=True, nogil=True, fastmath={"nnan", "nsz", "contract"})
 def _sums_and_differences(partial, product):
     """product (n, 8 k) of partial (4, 2 n, k): rows of the patches, then rows of the patches with their axes exchanged."""
     n, k = product.shape[0], np.uintp(partial.shape[2])
     for i in range(n):
         for exchanged in range(2):
-            row, first = i + exchanged * n, np.uintp(4 * exchanged)
+            row, at = i + exchanged * n, np.uintp(4 * exchanged) * k
             for a in range(k):
                 even, odd = partial[0, row, a] + partial[1, row, a], partial[0, row, a] - partial[1, row, a]
                 below, odd_below = partial[2, row, a] + partial[3, row, a], partial[2, row, a] - partial[3, row, a]
-                at = np.uintp(8) * a + first
-                product[i, at] = even + below
-                product[i, at + np.uintp(1)] = odd + odd_below
-                product[i, at + np.uintp(2)] = even - below
-                product[i, at + np.uintp(3)] = odd - odd_below
-
-
+                product[i, at + a] = even + below
+                product[i, at + k + a] = odd + odd_below
+                product[i, at + np.uintp(2) * k + a] = even - below
+                product[i, at + np.uintp(3) * k + a] = odd - odd_below

@@ -15,16 +15,22 @@ from tests.pipeline.coding.test_omp import unit_rows
 def test_turned__products_are_those_of_every_turn(size):
     rng = np.random.default_rng(size)
     straight, patches = unit_rows(rng, 20, 3 * size**2), rng.standard_normal((33, 3 * size**2)).astype(np.float32)
-    product, spread = turn_all(straight, size).products(patches)
-    np.testing.assert_allclose(product, patches @ in_all_turns(straight, size).T, atol=2e-5 * size)
-    assert product.shape == (33, 160) and not spread.any()
+    made, expected = turn_all(straight, size), patches @ in_all_turns(straight, size).T
+    np.testing.assert_allclose(made.products_in_order(patches), expected, atol=2e-5 * size)
+    product, spread = made.products(patches)
+    np.testing.assert_allclose(product, expected[:, made.numbers(np.arange(160))], atol=2e-5 * size)
+    assert not spread.any()
 
 
-def test_turned__gram_matrix_is_that_of_every_turn():
+def test_turned__an_eighth_of_the_gram_matrix_tells_the_rest():
     straight = unit_rows(np.random.default_rng(1), 20, 192)
     turned = in_all_turns(straight, 8)
     made = turn_all(straight, 8, turned)
-    np.testing.assert_allclose(made.gram, turned @ turned.T, atol=1e-5)
+    assert made.gram.shape == (20, 160)
+    order = made.numbers(np.arange(160))
+    turn, atom = np.divmod(np.arange(160), 20)
+    told = made.gram[atom[:, None], made.turns[turn[:, None], turn] * 20 + atom]
+    np.testing.assert_allclose(told, (turned @ turned.T)[order][:, order], atol=1e-5)
     assert turn_all(straight, 8, turned, with_gram=False).gram.shape == (0, 0)
 
 
