@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-LAYOUT_VERSION = 8  # raised when a stage's output changes for equal inputs
+LAYOUT_VERSION = 9  # raised when a stage's output changes for equal inputs
 
 
 def write_json(path: Path, data: Any) -> None:

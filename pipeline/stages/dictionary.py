@@ -47,7 +47,7 @@ class DictionarySeed:
 class KsvdUpdate:
     """One iteration: a task codes one part of the training set and sums it; finalise merges, judges and updates.
 
-    Arrays: those of `atoms`, the next trial; best (k, d), the best of all measured so far.
+    Arrays: those of `atoms`, the next trial; before (k, d), the one just measured; best (k, d), the best of all measured so far.
     """
 
     training: Path
@@ -75,8 +75,10 @@ class KsvdUpdate:
         measured = arrays.read(self.previous, "dictionary")
         sums = _merged(work.parts(folder), len(results), measured.shape)
         best, accepted = judge(_best_of(self.previous), measured, sums)
-        trial, n_replaced = next_trial(best, measured, sums)
+        before = arrays.read(self.previous, "before") if arrays.exists(self.previous, "before") else None
+        trial, n_replaced = next_trial(best, measured, before, sums)
         store_atoms(folder, trial, self.form)
+        arrays.store(folder, "before", measured, (4096, measured.shape[1]))
         arrays.store(folder, "best", best.dictionary.astype(np.float32, copy=False), (4096, best.dictionary.shape[1]))
         _store_sums(folder, "best-sums", best.sums)
         return {"squared_error": best.sums.error, "measured_error": sums.error, "accepted": accepted, "step": best.step,

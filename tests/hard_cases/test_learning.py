@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.coding import ksvd
 from pipeline.coding.ksvd import (
-    TWIN_COHERENCE, Best, Sums, block_sums, initial_dictionary, judge, learn_dictionary, next_trial, updated_dictionary,
+    MOMENTUM, TWIN_COHERENCE, Best, Sums, block_sums, initial_dictionary, judge, learn_dictionary, next_trial, updated_dictionary,
 )
 from pipeline.coding.omp import pursue_patches
 from pipeline.stage import run_stage
@@ -19,6 +19,7 @@ from pipeline.stages.training import TrainingPart
 from pipeline.executors import SerialExecutor
 from storage import arrays
 from tests import reference
+from tests.pipeline.coding.test_certified import normalised
 from tests.pipeline.coding.test_ksvd import assert_sound, dense, planted
 from tests.pipeline.coding.test_omp import unit_rows
 from tests.pipeline.test_stage import Heard
@@ -78,7 +79,7 @@ def test_learning__the_curve_never_rises_though_the_plain_update_makes_it(n_toge
     learned, curve = curve_of(patches, n_atoms, n_together, 13)
     assert rises(np.array(plain)).max() > 1e-4  # the naive formulation
     assert rises(curve).max() <= MONOTONE
-    assert curve[-1] <= min(plain) * 1.02
+    assert curve[-1] <= min(plain) * 1.06  # 0.96 to 1.05 of 18 such sets
     assert_sound(learned)
 
 
@@ -102,7 +103,7 @@ def test_learning__a_trial_that_did_much_worse_is_taken_back_and_atoms_go_half_a
     kept, accepted = judge(best, worse, bad)
     assert not accepted and kept.dictionary is good and kept.step == 0.5
     assert judge(kept, worse, bad)[0].step == 0.25
-    trial, n_replaced = next_trial(kept, worse, bad)
+    trial, n_replaced = next_trial(kept, worse, None, bad)
     moved = kept.sums.moment * 0.5 + kept.sums.gain[:, None] * good
     np.testing.assert_allclose(trial, moved / np.linalg.norm(moved, axis=1, keepdims=True), atol=1e-6)
     assert n_replaced == 0
@@ -120,7 +121,7 @@ def test_learning__goes_on_from_a_trial_that_did_a_little_worse(rise, goes_on):
     other_sums = replace(measured(patches, other, 3), error=sums.error * (1 + rise))
     best, accepted = judge(Best(good, sums), other, other_sums)
     assert accepted == (rise == 0) and best.step == (1 if goes_on else 0.5)
-    trial, _ = next_trial(best, other, other_sums)
+    trial, _ = next_trial(best, other, None, other_sums)
     start = (other, other_sums, 1.0) if goes_on else (good, sums, 0.5)
     assert (trial == updated_dictionary(*start)[0]).all()
 
@@ -132,9 +133,26 @@ def test_learning__replacements_of_unused_atoms_are_taken_back_with_a_trial_that
     sums = measured(patches, dictionary, 1)
     sums.n_users[5], sums.gain[5], sums.moment[5] = 0, 0, 0
     best = Best(dictionary, sums, 0.5)
-    assert next_trial(best, dictionary, sums)[1] >= 1
-    trial, n_replaced = next_trial(best, dictionary, replace(sums, error=2 * sums.error))
+    assert next_trial(best, dictionary, None, sums)[1] >= 1
+    trial, n_replaced = next_trial(best, dictionary, None, replace(sums, error=2 * sums.error))
     assert n_replaced == 0 and (trial[5] == dictionary[5]).all()
+
+
+def test_learning__atoms_go_on_as_they_came_but_not_where_they_were_replaced_or_the_error_rose():
+    rng = np.random.default_rng(5)
+    patches, true = planted(rng, 600, 12, 48)
+    before = normalised(true + 0.10 * rng.standard_normal(true.shape) / np.sqrt(48))
+    dictionary = normalised(true + 0.05 * rng.standard_normal(true.shape) / np.sqrt(48))
+    before[3] = -dictionary[3]  # another atom was here
+    sums = measured(patches, dictionary, 3)
+    plain, _ = updated_dictionary(dictionary, sums)
+    further, _ = next_trial(Best(dictionary, sums), dictionary, before, sums)
+    expected = normalised(plain + MOMENTUM * (dictionary - before))
+    expected[3] = plain[3]
+    np.testing.assert_allclose(further, expected, atol=1e-6)
+    assert np.abs(further - plain)[[0, 1, 2]].max() > 1e-3
+    better = Best(before, replace(sums, error=0.99 * sums.error))
+    assert (next_trial(better, dictionary, before, sums)[0] == plain).all()
 
 
 @pytest.fixture
