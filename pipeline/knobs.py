@@ -117,7 +117,7 @@ KNOBS = (
          "time of learning and coding; 4,092 bytes an atom, whatever the scan's size; bits in every code; "
          "texture fetches that miss the GPU's caches", "dictionary-seed", choices=("auto", 8, 9, 10, 11, 12, 13, 14, 16), ladder=(8, 10, 12)),
     Knob("weight_bits", int, "bits of a weight", "weights nearer to the best ones", "4 bits more an atom of a splat",
-         "quantise", choices=(4, 8), ladder=(4, 8)),
+         "quantise", choices=(4, 5, 6, 8), ladder=(4, 6, 8)),
     Knob("max_atoms", int, "atoms that a splat may take", "error of the splats with the most detail",
          "bytes and frame time of those splats; time of coding", "ksvd-update", low=0, high=MAX_ATOMS,
          ladder=(4, 2, 6, 1)),

@@ -35,9 +35,9 @@ class Settings:
 PRESETS = {
     "draft": Settings("draft", target_psnr_db=36.0, iterations=3, training_splats=10_000),
     "balanced": Settings("balanced"),
-    "high": Settings("high", dictionary_bits=12, weight_bits=8, target_psnr_db=44.0, iterations=8, training_splats=80_000),
-    "archive": Settings("archive", dictionary_bits=12, weight_bits=8, max_atoms=MAX_ATOMS, target_psnr_db=48.0, iterations=8,
-                        training_splats=80_000),
+    "high": Settings("high", dictionary_bits=12, max_atoms=MAX_ATOMS, target_psnr_db=44.0, iterations=12, training_splats=80_000),
+    "archive": Settings("archive", dictionary_bits=12, weight_bits=6, max_atoms=MAX_ATOMS, target_psnr_db=48.0, iterations=16,
+                        least_gain_db=0.005, training_splats=80_000),
 }
 DEFAULT_PRESET = Settings().preset
 

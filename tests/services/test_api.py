@@ -341,7 +341,7 @@ def test_api__a_job_has_ogc_fields_and_a_key_makes_it_one(api, scan):
     ({"webhook": "http://localhost:80/"}, 422, "private"), ({"name": "a\x00b"}, 422, "name"),
     ({"process": "guess"}, 422, "process"), ({"knobs": {"iterations": [1]}}, 422, "knobs are varied by 'tradeoff' alone"),
     ({"process": "tradeoff", "knobs": {"speed": [1]}}, 422, "'speed' is no knob"), ({"budget_s": 0}, 422, "budget_s"),
-    ({"process": "tradeoff", "knobs": {"weight_bits": [4, 5]}}, 422, "weight_bits is 5; allowed: 4, 8"),
+    ({"process": "tradeoff", "knobs": {"weight_bits": [4, 7]}}, 422, "weight_bits is 7; allowed: 4, 5, 6, 8"),
 ])
 def test_api__wrong_requests_name_the_field_and_what_it_allows(api, scan, change, status, words):
     problem(api.post("/v1/jobs", json={"scan": scan, **change}), status, words)
