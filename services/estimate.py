@@ -25,7 +25,7 @@ from pipeline.stages.sampled import Sampled
 from pipeline.stages.strata import shares
 from pipeline.stages.training import TrainingSet, membership
 from renderer.report import sizes_of
-from services.estimate_gaps import Slope, Sorts, outcome_in_job, slope_at
+from services.estimate_gaps import Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
 from services.kept_estimates import keep_estimate
 from services.stage_lock import stage_lock
 from services.workflow import (
@@ -220,6 +220,11 @@ def _rate(tasks: Iterable[dict], clock: str, cold: bool) -> float:
     return min(s / n for s, n in taken) if cold else sum(s for s, _ in taken) / sum(n for _, n in taken)
 
 
+def _gain_of_passes(pilot: _Pilot, settings: Settings) -> float:
+    curve = [row["psnr_db"] for row in pilot.coded.learning]
+    return 0.0 if None in curve or len(curve) < pilot.settings.iterations else gain_of_passes(curve, settings.iterations, settings.least_gain_db)
+
+
 def _passes(pilot: _Pilot, settings: Settings) -> float:
     """Passes of the job for one of the pilot, which may have ended early as the job will."""
     n_run = len(pilot.coded.learning)
@@ -268,5 +273,5 @@ def _job_for_pilot(pilot: _Pilot, learning: dict) -> tuple[float, float]:
     a_patch = (learning["n_atoms"] / learning["n_patches"]) / (learning["n_atoms_pilot"] / learning["n_patches_pilot"])
     job = outcome_in_job(Sorts(octave[active], learned[active], error[active], n_atoms[active]),
                          shares(census, stage.tolerance, learning["n_wanted"]), min(1.0, a_patch), slope,
-                         keeps_atoms=pilot.settings.budget_bytes is not None)
+                         pilot.settings.budget_bytes is not None, _gain_of_passes(pilot, settings))
     return (job.error + error[~active].sum()) / max(1e-30, error.sum()), job.n_atoms / max(1e-9, n_atoms[active].sum())

@@ -7,6 +7,9 @@ octave of contrast, for the training set prefers the higher ones.
 The price of an atom is set such that the splats learned from have the error that the target promises. Theirs is too good in
 the pilot by more than in the job, so the job's price is lower: fewer errors, more atoms. With a budget in place of a target the
 price is such that atoms are as many.
+
+A dictionary gains in proportion to the logarithm of the passes that it was learned in, which the pilot's curve tells: on `monstree` 40
+passes gained 0.75 dB after the fourth, where the second to the fourth tell 0.63.
 """
 
 from __future__ import annotations
@@ -43,10 +46,23 @@ class Slope:
     atoms_an_error: float | None  # d log(atoms) / d log(error), negative
 
 
-def outcome_in_job(sorts: Sorts, in_job: np.ndarray, shrink: float, slope: Slope, keeps_atoms: bool = False) -> Outcome:
+def gain_of_passes(curve_db: list[float], n_passes: int, least_gain_db: float) -> float:
+    """What the dictionary of `n_passes` of learning gains, in dB, over that of a pilot with such a curve, whose first figure is the
+    seed's, which says nothing. Learning ends early where a pass would gain less than `least_gain_db`."""
+    n = len(curve_db)
+    if n < 3 or n_passes <= n:
+        return 0.0
+    a_fold = max(0.0, curve_db[-1] - curve_db[1]) / np.log(n - 1)
+    if least_gain_db:
+        n_passes = min(n_passes, a_fold / least_gain_db)
+    return float(a_fold * max(0.0, np.log(n_passes / n)))
+
+
+def outcome_in_job(sorts: Sorts, in_job: np.ndarray, shrink: float, slope: Slope, keeps_atoms: bool = False,
+                   gain_db: float = 0.0) -> Outcome:
     """What the job's splats lose and take, scaled to as many as the pilot has. `in_job`, by octave, is the share that the job
-    learns from; `shrink` what is left of the pilot's gaps."""
-    learned, others = _by_octave(sorts, "error", shrink)
+    learns from; `shrink` what is left of the pilot's gaps; `gain_db` by how much its dictionary is better at equal atoms."""
+    learned, others = ({o: e * 10 ** (-gain_db / 10) for o, e in sort.items()} for sort in _by_octave(sorts, "error", shrink))
     error, n_atoms = _mixed(sorts, in_job, learned, others), _mixed(sorts, in_job, *_by_octave(sorts, "n_atoms", shrink))
     if not slope.atoms_an_error:
         return Outcome(error, n_atoms)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from services.estimate_gaps import LEAST_COMPARED, Outcome, Slope, Sorts, outcome_in_job, slope_at
+from services.estimate_gaps import LEAST_COMPARED, Outcome, Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
 
 N = 1000
 FLAT = Slope(None)
@@ -58,3 +58,20 @@ def test_gaps__octaves_with_few_splats_of_a_sort_have_none():
 def test_gaps__slope_is_that_of_the_ladder_and_none_at_its_end(price, expected):
     found = slope_at(price, LADDER, 2.0).atoms_an_error
     assert found == (expected if expected is None else pytest.approx(expected))
+
+
+def test_passes__gain_by_the_logarithm_of_their_number():
+    curve = [30.0, *(36.0 + 0.3 * np.log(update) for update in (1, 2, 3))]
+    assert gain_of_passes(curve, 12, 0.0) == pytest.approx(0.3 * np.log(3))
+    assert gain_of_passes(curve, 4, 0.0) == 0  # as many as the pilot's
+    assert gain_of_passes(curve, 1000, 0.02) == pytest.approx(0.3 * np.log(0.3 / 0.02 / 4))  # ends where a pass gains 0.02 dB
+    assert gain_of_passes([30.0, 36.0], 12, 0.0) == 0 == gain_of_passes([30.0, 36.0, 35.0, 35.9], 12, 0.0)
+
+
+def test_outcome__a_better_dictionary_lowers_the_error_or_the_atoms_that_bring_it():
+    plain, better = (outcome_in_job(sorts(), in_job(0.5), 1.0, FLAT, gain_db=g) for g in (0.0, 1.0))
+    assert better.error == pytest.approx(plain.error * 10**-0.1) and better.n_atoms == plain.n_atoms
+    slope = slope_at(4.0, LADDER, 2.0)
+    plain, better = (outcome_in_job(sorts(), in_job(0.5), 1.0, slope, gain_db=g) for g in (0.0, 1.0))
+    assert better.error == pytest.approx(plain.error)
+    assert better.n_atoms == pytest.approx(plain.n_atoms * 10 ** (0.1 * slope.atoms_an_error))
