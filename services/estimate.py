@@ -146,7 +146,7 @@ def _scaled(pilot: _Pilot, settings: Settings) -> dict:
     rows = [_row(r, r.made_seconds, _processor_seconds(r)) for r in pilot.full]
     rows += [_row(record, *_stage_seconds(pilot, stage, record, settings, learning)) for stage, record in pilot.stages]
     rows = _merged(rows)
-    loss, taken = _job_for_pilot(pilot, learning)
+    loss, taken = _job_for_pilot(pilot, settings, learning)
     sizes = _sizes(pilot, learning, taken)
     memory = max(r.peak_rss_bytes for r in [*pilot.full, *(record for _, record in pilot.stages)])
     figures = {"seconds": sum(row["seconds"] for row in rows), "peak_memory_bytes": memory,
@@ -259,7 +259,7 @@ def _psnr_db(pilot: _Pilot, loss: float) -> float | None:
     return None if found is None or not loss else found - 10 * math.log10(loss)
 
 
-def _job_for_pilot(pilot: _Pilot, learning: dict) -> tuple[float, float]:
+def _job_for_pilot(pilot: _Pilot, settings: Settings, learning: dict) -> tuple[float, float]:
     """Squared error and atoms of the job's splats, for one of each of the pilot's."""
     if not learning:
         return 1.0, 1.0
