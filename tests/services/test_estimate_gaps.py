@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from services.estimate_gaps import LEAST_COMPARED, Outcome, Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
+from services.estimate_gaps import CARRIES_OVER, LEAST_COMPARED, Outcome, Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
 
 N = 1000
 FLAT = Slope(None)
@@ -62,9 +62,9 @@ def test_gaps__slope_is_that_of_the_ladder_and_none_at_its_end(price, expected):
 
 def test_passes__gain_by_the_logarithm_of_their_number():
     curve = [30.0, *(36.0 + 0.3 * np.log(update) for update in (1, 2, 3))]
-    assert gain_of_passes(curve, 12, 0.0) == pytest.approx(0.3 * np.log(3))
+    assert gain_of_passes(curve, 12, 0.0) == pytest.approx(CARRIES_OVER * 0.3 * np.log(3))
     assert gain_of_passes(curve, 4, 0.0) == 0  # as many as the pilot's
-    assert gain_of_passes(curve, 1000, 0.02) == pytest.approx(0.3 * np.log(0.3 / 0.02 / 4))  # ends where a pass gains 0.02 dB
+    assert gain_of_passes(curve, 1000, 0.02) == pytest.approx(CARRIES_OVER * 0.3 * np.log(0.3 / 0.02 / 4))  # ends where a pass gains 0.02 dB
     assert gain_of_passes([30.0, 36.0], 12, 0.0) == 0 == gain_of_passes([30.0, 36.0, 35.0, 35.9], 12, 0.0)
 
 
