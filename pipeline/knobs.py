@@ -128,10 +128,10 @@ KNOBS = (
          "packed file keep it, and use 98 % or more of it", "a file of known size, its atoms where they mend most; the target is what the "
          "dictionary is learned for", "all patches are coded once more for each price that is tried, two or three times in all",
          "encode", low=0.0, optional=True, above_low=True),
-    Knob("atom_search", str, "how a splat's next atom is found, of 1,024 or more that lie in few components: by products with all of them; by short products, "
-         "certified by whole ones with the few atoms that may be the best; or by short ones alone",
-         "certified: the atoms of exact search, in 0.4 of its time (4,096 atoms of 32x32 texels), 0.7 (512 of 16x16 in 8 turns); approximate: "
-         "hardly any more time", "exact: that time; approximate: now and then an atom that is nearly the best, 0.0004 dB there",
+    Knob("atom_search", str, "how a splat's next atom is found, of 128 or more of whole patches: by products with all of them; by short products, "
+         "certified by whole ones with the few atoms that may be the best; or by short ones alone. Atoms in turns are found by products with all of them",
+         "certified: the atoms of exact search, in 0.5 of its time (256 atoms of 32x32 texels), 0.3 (4,096); approximate: hardly any more time",
+         "exact: that time; approximate: now and then an atom that is nearly the best, 0.0004 dB there",
          "encode", choices=("exact", "certified", "approximate")),
     Knob("iterations", int, "passes of k-SVD", "a dictionary nearer to its best; each pass gives less than the one before",
          "time of learning, in proportion", "ksvd-update", low=1, high=1000, ladder=(3, 1, 12)),
