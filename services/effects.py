@@ -13,7 +13,8 @@ from pipeline.settings import Settings
 from pipeline.stage import Executor, Progress
 from renderer.files import write_json
 from renderer.variants import Variant, compare_variants
-from services.workflow import Run, code, is_textured, pack, plan_scan, prepare, splats_of
+from services.run import Run
+from services.workflow import code, is_textured, pack, plan_scan, prepare, splats_of
 from storage.packed import SUFFIX
 
 

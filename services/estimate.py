@@ -25,12 +25,12 @@ from pipeline.stages.sampled import Sampled
 from pipeline.stages.strata import shares
 from pipeline.stages.training import TrainingSet, membership
 from renderer.report import sizes_of
+from services.coder import PATCHES_AN_ATOM, Coded, index_bits
 from services.estimate_gaps import Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
 from services.kept_estimates import keep_estimate
+from services.run import Run
 from services.stage_lock import stage_lock
-from services.workflow import (
-    PATCHES_AN_ATOM, Coded, Prepared, Run, code_prepared, index_bits, is_textured, pack, prepare, resample,
-)
+from services.workflow import Prepared, code_prepared, is_textured, pack, prepare, resample
 from storage import arrays, work
 from storage.packed import SUFFIX, PackedFile
 from storage.schema import ATOM_SIZES, EXTRAS

@@ -20,7 +20,9 @@ from renderer.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluation_page import write_evaluation
 from renderer.held_out import HeldOut, compare_held_out
 from renderer.report import sizes_of
-from services.workflow import Coded, Prepared, Run, code, code_prepared, encode, is_textured, pack, prepare, put_in_place, resample
+from services.coder import Coded, encode
+from services.run import Run
+from services.workflow import Prepared, code, code_prepared, is_textured, pack, prepare, put_in_place, resample
 from storage import arrays
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile, PackedScene

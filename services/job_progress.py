@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 
 from pipeline.stage import StageRecord
+from services.coder import estimated_psnr_db
 from services.store import Store
-from services.workflow import estimated_psnr_db
 
 # Shares of a whole job's time: fountain_p11, 329,992 points, preset balanced, two workers.
 SHARES = {

@@ -20,16 +20,17 @@ from pipeline.calls import error_of_disk
 from services.cluster import GL
 from services.disk import check_room, drop_ballast, take_ballast
 from services.job_progress import JobProgress
-from services.processes import TRADEOFF, process_of_job, settings_of_job
 from services.problems import is_of_database, problem_of_job
+from services.processes import TRADEOFF, process_of_job, settings_of_job
 from services.rendering import previews_of
-from services.scheduler_link import SchedulerLink
+from services.run import Run
 from services.scans import file_hash, scan_path, work_folder
+from services.scheduler_link import SchedulerLink
 from services.settings import ServiceSettings
 from services.stage_lock import stage_lock
 from services.store import FAILED, SUCCESSFUL, Store
 from services.tradeoff import measure_ladder
-from services.workflow import Run, make
+from services.workflow import make
 from storage.work import stage_folder, write_json
 
 LEARNING, PERFORMANCE = "learning.json", "dask-performance.html"

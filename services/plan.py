@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from pipeline.coding.grid import TURNS, AtomForm
 from pipeline.costs import BLOCKS, TASKS, Job, StageCost, StagePlan, first_limit, known_costs, known_probe_s, plan_job
 from pipeline.settings import Settings
-from services.workflow import index_bits
+from services.coder import index_bits
 from storage.schema import ATOM_SIZES, PATCH_SIZE
 
 LADDER = (1, 2, 5, 10, 24, 50, 100, 200, 500, 1000)  # workers beside those asked for

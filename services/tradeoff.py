@@ -18,7 +18,8 @@ from renderer.compare import BEST_DB
 from renderer.report import sizes_of
 from renderer.tradeoff_page import summarised, write_tradeoff
 from services.processes import BUDGET_S
-from services.workflow import Run, code_prepared, is_textured, pack, prepare, put_in_place, resample
+from services.run import Run
+from services.workflow import code_prepared, is_textured, pack, prepare, put_in_place, resample
 from storage.errors import InvalidScan
 from storage.packed import SUFFIX, PackedFile
 

@@ -282,7 +282,8 @@ REAL = ["autzen_rgb_statefeet/autzen_trim.las", "organised_table_scene/scan.ply"
 @pytest.mark.parametrize("name", REAL)
 def test_whole__real_hard_scans_pass_readers_and_geometry(tmp_path, name):
     from pipeline.executors import SerialExecutor
-    from services.workflow import Run, prepare
+    from services.run import Run
+    from services.workflow import prepare
 
     scan = shared_scan(name)
     assert all(f.severity != "error" for f in check_scan(str(scan)))

@@ -18,7 +18,8 @@ from services import estimate as module
 from services.cli import main
 from services.estimate import estimate
 from services.kept_estimates import against, known_estimate
-from services.workflow import Run, compress, splats_of
+from services.run import Run
+from services.workflow import compress, splats_of
 from storage import arrays, work
 from storage.schema import CHUNK
 from tests.pipeline.test_stage import Heard

@@ -82,7 +82,8 @@ def test_evaluate__close_ups_show_every_variant_and_passes_are_timed(made):
 
 
 def test_evaluate__held_out_photographs_texture_nothing_and_are_compared_with(made, scan, tmp_path):
-    from services.workflow import Run, prepare
+    from services.run import Run
+    from services.workflow import prepare
     from storage import arrays
 
     held = made[1]["held_out"]

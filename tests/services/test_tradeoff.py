@@ -11,8 +11,9 @@ from pipeline.knobs import BY_NAME
 from pipeline.settings import PRESETS, settings_for
 from renderer.tradeoff_page import WANTED_DB, advised, leading, pareto, summarised
 from services.cli import main
+from services.run import Run
 from services.tradeoff import default_knobs, ladder, measure_ladder, parsed_budget, parsed_knobs, tradeoff
-from services.workflow import Run, code, compress, prepare
+from services.workflow import code, compress, prepare
 from storage.errors import InvalidScan
 from tests.pipeline.test_stage import Heard
 from tests.renderer.test_report import Elements

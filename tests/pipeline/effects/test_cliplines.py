@@ -13,7 +13,8 @@ from pipeline.executors import SerialExecutor
 from pipeline.geometry.cliplines import decode_cliplines, encode_cliplines
 from pipeline.settings import settings_for
 from renderer.baseline import clipline_codes
-from services.workflow import Run, compress, prepare
+from services.run import Run
+from services.workflow import compress, prepare
 from storage import arrays
 from storage.packed import PackedFile
 from storage.schema import Camera

@@ -11,7 +11,8 @@ from pipeline.effects.exposure.solve import Observations, _by_splat, _medians, s
 from pipeline.executors import SerialExecutor
 from pipeline.settings import settings_for
 from renderer.held_out import matched
-from services.workflow import Run, compress, prepare, report
+from services.run import Run
+from services.workflow import compress, prepare, report
 from storage import arrays, work
 from storage.errors import InvalidScan
 from tests.effects_scans import wall_scan
