@@ -111,14 +111,14 @@ def _pursue_in_step(rows, energy, split, components, rounding, certify, toleranc
     active = np.flatnonzero(energy > tolerance)
     n_active, total = len(active), 0
     components = np.ascontiguousarray(components[active])
-    target, forward, gram_support, chol = (np.empty((n, most) + (most,) * extra) for extra in (0, 0, 1, 1))
+    target, forward = np.empty((n, most)), np.empty((n, most))
+    gram_support, chol = np.empty((n, most, most)), np.empty((n, most, most))
     while n_active:
         current = components[:n_active]
         product = current @ split.short.T if split.turned is None else split.turned.products_in_order(current)
         n_active, n_settled = advance(
             rows, energy, split.dictionary, components, split.short, product, split.rest, rounding, certify, tolerance, price,
-            levels, atom, weight, code, n_atoms, path, target, forward, gram_support, chol, active,
-            n_active)
+            levels, atom, weight, code, n_atoms, path, target, forward, gram_support, chol, active, n_active)
         total += n_settled
     return total
 

@@ -14,17 +14,16 @@ import numba
 import numpy as np
 
 from pipeline.coding.omp_kernels import (
-    SMALLEST_CORRELATION, SMALLEST_PIVOT, append_to_cholesky, bound_groups, dot, n_groups, quantize_weights, residual_energy,
-    solve_cholesky, subtract_rows,
+    FAST, SMALLEST_CORRELATION, SMALLEST_PIVOT, append_to_cholesky, bound_groups, dot, n_groups, quantize_weights,
+    residual_energy, solve_cholesky, subtract_rows,
 )
 
 MOST_DEPENDENT = 64  # atoms in the span of the support that one step may pass over
 # Rounding of the squared norm of a residual that is a sum of float32 products, as a share of the patch's.
 ENERGY_ROUNDING = 4e-6
-_FAST = {"nnan", "nsz", "reassoc", "contract"}
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def _four_dots(x, a, b, c, d):
     sa, sb, sc, sd = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
     for i in range(x.shape[0]):

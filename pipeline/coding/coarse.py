@@ -13,18 +13,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.coding.certified_kernels import ENERGY_ROUNDING
 from pipeline.coding.grid import coefficients
 from pipeline.coding.omp_kernels import NO_TURNS, squared_norms
+from pipeline.texture.resample import PATCH_DIM
 from pipeline.threads import one_blas_thread
-from storage.schema import PATCH_SIZE
 
 SIZE = 8
-PATCH_DIM = 3 * PATCH_SIZE**2
 FEWEST_ATOMS = 128  # below, all products of full width take no longer
 # Share of a unit atom that the grid may leave, in the median, above which too many products are settled to pay: of fountain_p11
-# it is 0.05, of monstree 0.1.
+# it is 0.06, of monstree 0.13.
 MOST_REST = 0.2
-REST_ROUNDING, ENERGY_ROUNDING = 1e-3, 4e-6  # of a unit atom's rest; of a patch's squared norm: their product is float32's rounding
+REST_ROUNDING = 1e-3  # of a unit atom's rest; with ENERGY_ROUNDING of a patch's, their product is float32's rounding
 ROWS = 128  # patches at a time: 64 cost a tenth more for calls, 512 as much for memory
 
 

@@ -20,10 +20,10 @@ SMALLEST_CORRELATION = 1e-6
 
 
 NO_TURNS = np.zeros((1, 1), np.int64)  # of a dictionary whose atoms are each their own
-_FAST = {"nnan", "nsz", "reassoc", "contract"}
+FAST = {"nnan", "nsz", "reassoc", "contract"}
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def dot(x, y):
     total = np.float32(0)
     for i in range(x.shape[0]):
@@ -31,7 +31,7 @@ def dot(x, y):
     return np.float64(total)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def subtract_rows(row, table, support, weight, t):
     """row -= sum of weight_j * table[support_j]; four at a time, as loads and stores of `row` are what costs."""
     width, j = np.uintp(row.shape[0]), 0
@@ -49,7 +49,7 @@ def subtract_rows(row, table, support, weight, t):
         j += 1
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def _subtract_gram_rows(row, gram, turns, support, weight, t):
     """As `subtract_rows`, with rows of the Gram matrix of atoms in turns, of which `gram` has those of the straight ones."""
     k, n_turns, j = np.uintp(gram.shape[0]), turns.shape[0], 0
@@ -89,7 +89,7 @@ def n_groups(k):
     return n
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def bound_groups(product, rest, rho, upper):
     """The largest |product| + rho * rest of each group. Group g are the atoms g, g + w, g + 2w ... of w groups: maxima
     of whole rows are 10 times as fast as a maximum along a row, which no compiler here turns into vector code."""
@@ -102,7 +102,7 @@ def bound_groups(product, rest, rho, upper):
         start += width
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def _largest(values):
     largest = np.float32(0)
     for i in range(values.shape[0]):
