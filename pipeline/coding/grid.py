@@ -39,8 +39,12 @@ class AtomForm:
 
 def coefficients(patches: np.ndarray, size: int) -> np.ndarray:
     """Coefficients (n, 3 size^2) float32, (row, column, rgb) by frequency, of patches (n, PATCH_DIM)."""
-    columns, _ = _axis(size)
-    return _along_both(patches, columns.T.astype(np.float32))
+    return _along_both(patches, axis_columns(size).T)
+
+
+def axis_columns(size: int) -> np.ndarray:
+    """Orthonormal columns (PATCH_SIZE, size) float64 of what `size` texels show along an axis, by frequency."""
+    return _axis(size)[0]
 
 
 def coefficients_of_texels(texels: np.ndarray, size: int) -> np.ndarray:

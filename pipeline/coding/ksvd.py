@@ -28,6 +28,7 @@ import numba
 import numpy as np
 
 from pipeline.coding.omp import Pursuit, pursue_patches
+from pipeline.coding.omp_kernels import squared_norms, subtract_rows
 
 BLOCK = 2048  # patches whose sums are made in one go; part of the result, as float sums depend on their order
 WORST = 512  # how many badly represented patches a block offers as replacements
@@ -69,10 +70,9 @@ def block_sums(patches: np.ndarray, dictionary: np.ndarray, pursuit: Pursuit) ->
     gain, n_users = np.zeros(n_atoms), np.zeros(n_atoms, np.int64)
     _accumulate(patches, dictionary, codes.atom_index, codes.weight, codes.n_atoms, moment, gain, n_users)
     worst = np.argsort(-error, kind="stable")[:WORST]
-    rows = patches[worst].astype(np.float32)
-    norms = np.linalg.norm(rows, axis=1, keepdims=True)
-    return Sums(moment, gain, n_users, float(error.sum()), len(patches),
-                error[worst], rows / np.maximum(norms, np.finfo(np.float32).tiny))
+    rows = np.array(patches[worst], np.float32, copy=None)
+    rows /= np.maximum(np.sqrt(squared_norms(rows)), np.finfo(np.float32).tiny).astype(np.float32)[:, None]
+    return Sums(moment, gain, n_users, float(error.sum()), len(patches), error[worst], rows)
 
 
 def merge_sums(a: Sums, b: Sums) -> Sums:
@@ -223,9 +223,10 @@ def _measured(patches: np.ndarray, dictionary: np.ndarray, max_atoms: int, toler
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
-def _add_row(row, other, x):
-    for d in range(row.shape[0]):
-        row[d] += x * other[d]
+def _add_to_row(table, atom, row, x):
+    a = np.uintp(atom)
+    for d in range(np.uintp(row.shape[0])):
+        table[a, d] += x * row[d]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -235,11 +236,10 @@ def _accumulate(patches, dictionary, atom_index, weight, n_atoms, moment, gain, 
     residual = np.empty(patches.shape[1], np.float32)
     for i in range(patches.shape[0]):
         residual[:] = patches[i]
-        for t in range(n_atoms[i]):
-            _add_row(residual, dictionary[atom_index[i, t]], -weight[i, t])
+        subtract_rows(residual, dictionary, atom_index[i], weight[i], n_atoms[i])
         for t in range(n_atoms[i]):
             atom, x = atom_index[i, t], weight[i, t]
-            _add_row(moment[atom], residual, x)
+            _add_to_row(moment, atom, residual, x)
             gain[atom] += np.float64(x) * x
             n_users[atom] += 1
 

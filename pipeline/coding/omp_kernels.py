@@ -50,34 +50,28 @@ def subtract_rows(row, table, support, weight, t):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def _subtract_gram_rows(row, gram, turns, support, weight, t):
+def _subtract_gram_rows(row, gram, turns, straight, turn, weight, t):
     """As `subtract_rows`, with rows of the Gram matrix of atoms in turns, of which `gram` has those of the straight ones."""
     k, n_turns, j = np.uintp(gram.shape[0]), turns.shape[0], 0
     while j + 4 <= t:
-        a, b, c, d = (np.uintp(support[j]), np.uintp(support[j + 1]), np.uintp(support[j + 2]), np.uintp(support[j + 3]))
+        a, b, c, d = np.uintp(straight[j]), np.uintp(straight[j + 1]), np.uintp(straight[j + 2]), np.uintp(straight[j + 3])
         wa, wb = np.float32(weight[j]), np.float32(weight[j + 1])
         wc, wd = np.float32(weight[j + 2]), np.float32(weight[j + 3])
         for s in range(n_turns):
             at = np.uintp(s) * k
-            at_a, at_b = np.uintp(turns[a // k, s]) * k, np.uintp(turns[b // k, s]) * k
-            at_c, at_d = np.uintp(turns[c // k, s]) * k, np.uintp(turns[d // k, s]) * k
+            at_a, at_b = np.uintp(turns[turn[j], s]) * k, np.uintp(turns[turn[j + 1], s]) * k
+            at_c, at_d = np.uintp(turns[turn[j + 2], s]) * k, np.uintp(turns[turn[j + 3], s]) * k
             for i in range(k):
-                row[at + i] -= ((wa * gram[a % k, at_a + i] + wb * gram[b % k, at_b + i])
-                                + (wc * gram[c % k, at_c + i] + wd * gram[d % k, at_d + i]))
+                row[at + i] -= ((wa * gram[a, at_a + i] + wb * gram[b, at_b + i])
+                                + (wc * gram[c, at_c + i] + wd * gram[d, at_d + i]))
         j += 4
     while j < t:
-        a, wa = np.uintp(support[j]), np.float32(weight[j])
+        a, wa = np.uintp(straight[j]), np.float32(weight[j])
         for s in range(n_turns):
-            at, at_a = np.uintp(s) * k, np.uintp(turns[a // k, s]) * k
+            at, at_a = np.uintp(s) * k, np.uintp(turns[turn[j], s]) * k
             for i in range(k):
-                row[at + i] -= wa * gram[a % k, at_a + i]
+                row[at + i] -= wa * gram[a, at_a + i]
         j += 1
-
-
-@numba.njit(cache=True, nogil=True)
-def _gram_of(gram, turns, a, b):
-    k = gram.shape[0]
-    return gram[a % k, turns[a // k, b // k] * k + b % k]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -160,16 +154,17 @@ def _most_correlated(patch, dictionary, initial, correlation, slack, upper):
 
 @numba.njit(cache=True, nogil=True)
 def append_to_cholesky(chol, gram_support, t):
-    """Extend the factor of the support's Gram matrix by row t; returns the squared pivot."""
+    """Extend the factor of the support's Gram matrix by row t; returns the squared pivot. On its diagonal `chol` has the
+    reciprocals of the factor's: divisions would take as long as all else."""
     pivot = gram_support[t, t]
     for i in range(t):
         value = gram_support[t, i]
         for j in range(i):
             value -= chol[t, j] * chol[i, j]
-        chol[t, i] = value / chol[i, i]
+        chol[t, i] = value * chol[i, i]
         pivot -= chol[t, i] * chol[t, i]
     if pivot > 0:
-        chol[t, t] = np.sqrt(pivot)
+        chol[t, t] = 1 / np.sqrt(pivot)
     return pivot
 
 
@@ -180,12 +175,12 @@ def solve_cholesky(chol, target, forward, weight, t):
     value = target[t - 1]
     for j in range(t - 1):
         value -= chol[t - 1, j] * forward[j]
-    forward[t - 1] = value / chol[t - 1, t - 1]
+    forward[t - 1] = value * chol[t - 1, t - 1]
     for i in range(t - 1, -1, -1):
         value = forward[i]
         for j in range(i + 1, t):
             value -= chol[j, i] * weight[j]
-        weight[i] = value / chol[i, i]
+        weight[i] = value * chol[i, i]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -254,6 +249,7 @@ def pursue(patches, dictionary, initial, spread, rest, energy, gram, turns, tole
     chol = np.empty((most, most))
     target, forward, trial = np.empty(most), np.empty(most), np.empty(most)
     trial_code = np.zeros(most, np.int32)
+    straight, turn, n_straight = np.empty(most, np.int64), np.empty(most, np.int64), gram.shape[0]
     for i in range(n):
         t = 0
         error = path[i, 0] = energy[i]
@@ -261,7 +257,7 @@ def pursue(patches, dictionary, initial, spread, rest, energy, gram, turns, tole
             slack[a] = spread[i] * rest[a]
         while t < most and error > tolerance[i]:
             correlation[:] = initial[i]
-            _subtract_gram_rows(correlation, gram, turns, atom[i], weight[i], t)
+            _subtract_gram_rows(correlation, gram, turns, straight, turn, weight[i], t)
             for j in range(t):
                 correlation[atom[i, j]] = 0
             pivot = 0.0
@@ -269,10 +265,10 @@ def pursue(patches, dictionary, initial, spread, rest, energy, gram, turns, tole
                 best = _most_correlated(patches[i], dictionary, initial[i], correlation, slack, upper)
                 if best < 0 or np.float64(correlation[best]) ** 2 <= SMALLEST_CORRELATION**2 * energy[i]:
                     break
-                for j in range(t):
-                    gram_support[t, j] = _gram_of(gram, turns, best, atom[i, j])
+                straight[t], turn[t] = best % n_straight, best // n_straight
+                for j in range(t + 1):
+                    gram_support[t, j] = gram[straight[t], turns[turn[t], turn[j]] * n_straight + straight[j]]
                     gram_support[j, t] = gram_support[t, j]
-                gram_support[t, t] = _gram_of(gram, turns, best, best)
                 target[t] = initial[i, best]
                 pivot = append_to_cholesky(chol, gram_support, t)
                 correlation[best] = 0
@@ -281,7 +277,9 @@ def pursue(patches, dictionary, initial, spread, rest, energy, gram, turns, tole
             solve_cholesky(chol, target, forward, trial, t + 1)
             if quantized:
                 quantize_weights(levels, target, gram_support, trial, trial_code, t + 1)
-            lowered = residual_energy(energy[i], target, gram_support, trial, t + 1)
+                lowered = residual_energy(energy[i], target, gram_support, trial, t + 1)
+            else:
+                lowered = max(error - forward[t] ** 2, 0.0)
             if lowered >= error - price:
                 break
             atom[i, t] = best
@@ -304,20 +302,14 @@ def add_atoms(rows, dictionary, atom, weight, n_atoms):
                 row[d] += x * texels[d]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def squared_norms(rows):
-    """The squared norm of each row (n, d) float32, summed in float64, 8 partial sums wide in a fixed order."""
+    """The squared norm of each row (n, d) float32, summed in float64."""
     norms = np.empty(rows.shape[0])
-    partial = np.empty(8)
     for i in range(rows.shape[0]):
-        partial[:] = 0.0
-        whole = rows.shape[1] // 8 * 8
-        for d in range(0, whole, 8):
-            for lane in range(8):
-                value = np.float64(rows[i, d + lane])
-                partial[lane] += value * value
-        total = partial.sum()
-        for d in range(whole, rows.shape[1]):
-            total += np.float64(rows[i, d]) ** 2
+        total = 0.0
+        for d in range(np.uintp(rows.shape[1])):
+            value = np.float64(rows[i, d])
+            total += value * value
         norms[i] = total
     return norms
