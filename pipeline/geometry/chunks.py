@@ -8,6 +8,7 @@ are compact too.
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
 from storage.schema import CHUNK, GROUP
@@ -30,25 +31,45 @@ def median_split(position: np.ndarray) -> np.ndarray:
     Guarantees: a permutation; chunks of CHUNK consecutive points, the last may be shorter; ties and the
     points of a chunk keep the order of the input, so equal inputs give equal orders; any number of points from 0 on, duplicates included.
     """
-    order = np.arange(len(position))
-    axes = np.ascontiguousarray(np.asarray(position).T)  # whole axes, so that extents are found by rows in vectors
+    order, axes = np.arange(len(position)), np.ascontiguousarray(np.asarray(position, np.float64).T)
     pending = [(0, len(position))]
     while pending:
         start, stop = pending.pop()
         if stop - start <= CHUNK:
             continue
-        members = order[start:stop]
-        points = axes[:, members]
+        low, high = _extent(axes, order, start, stop)
         n_left = split_rank(stop - start)
-        goes_left = _lowest(points[longest_axis(points.min(axis=1), points.max(axis=1))], n_left)
-        order[start : start + n_left], order[start + n_left : stop] = members[goes_left], members[~goes_left]
+        _move_lowest(axes[longest_axis(low, high)], order[start:stop], n_left)
         pending += [(start, start + n_left), (start + n_left, stop)]
     return order
 
 
-def _lowest(x: np.ndarray, n: int) -> np.ndarray:
-    """Which of the values (m,) are the n lowest, as a stable sort has them: (m,) bool."""
-    highest = np.partition(x, n - 1)[n - 1]
-    lowest, ties = x < highest, np.flatnonzero(x == highest)
-    lowest[ties[: n - np.count_nonzero(lowest)]] = True
-    return lowest
+@numba.njit(cache=True, nogil=True)
+def _extent(axes, order, start, stop):
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for i in range(start, stop):
+        for axis in range(3):
+            x = axes[axis, order[i]]
+            low[axis], high[axis] = min(low[axis], x), max(high[axis], x)
+    return low, high
+
+
+@numba.njit(cache=True, nogil=True)
+def _move_lowest(x, order, n):
+    """Put the n of `order` (m,), indices into x, whose values a stable sort would have first, before the others; both as they were."""
+    values = x[order]
+    highest = np.partition(values, n - 1)[n - 1]
+    n_ties = n
+    for value in values:
+        n_ties -= value < highest
+    before, left, right = order.copy(), 0, n
+    for i in range(len(values)):
+        goes_left = values[i] < highest
+        if values[i] == highest and n_ties > 0:
+            goes_left, n_ties = True, n_ties - 1
+        if goes_left:
+            order[left] = before[i]
+            left += 1
+        else:
+            order[right] = before[i]
+            right += 1
