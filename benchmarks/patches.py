@@ -19,6 +19,8 @@ from pipeline.texture.patches import centred
 from services.workflow import compress
 from storage import arrays
 
+PAUSE_S = 0.05
+
 
 class Silent:
     def begin(self, name, n_tasks): ...
@@ -64,13 +66,15 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def in_turns(works: dict[str, Callable[[], object]], rounds: int, processor: dict[str, float] | None = None) -> dict[str, float]:
-    """Median seconds of each, run in turns so that a busy machine hits all alike; one round before counts not.
+    """Median seconds of each, run in turns so that a busy machine hits all alike; one round before counts not. A pause goes
+    before each: threads of the last one's library (OpenBLAS, OpenMP) spin for 20 ms, on cores that are the next one's.
 
     `processor` is given the median seconds of processor time, of all threads: what a busy machine changes least.
     """
     taken: dict[str, list[tuple[float, float]]] = {name: [] for name in works}
     for round_ in range(rounds + 1):
         for name, work in works.items():
+            time.sleep(PAUSE_S)
             begun = time.process_time()
             found = seconds(work), time.process_time() - begun
             if round_:

@@ -91,7 +91,8 @@ class Knob:
         return value
 
     def _refusal(self, found) -> str:
-        return f"{self.name} is {found}; allowed: {self.allowed}"
+        whole = "whole numbers, " if self.kind is int and not self.choices else ""
+        return f"{self.name} is {found}; allowed: {whole}{self.allowed}"
 
 
 def _number(value: float) -> str:

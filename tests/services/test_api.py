@@ -362,7 +362,7 @@ def test_api__an_estimate_is_made_once_and_then_known(api, scan):
 
 
 @pytest.mark.parametrize(("parameters", "words"), [
-    ({"preset": "fast"}, "preset is 'fast'"), ({"iterations": "0"}, "iterations is 0; allowed: 1 to 1,000"), ({"colour": "1"}, "'colour' is no option"),
+    ({"preset": "fast"}, "preset is 'fast'"), ({"iterations": "0"}, "iterations is 0; allowed: whole numbers, 1 to 1,000"), ({"colour": "1"}, "'colour' is no option"),
     ({"scan": "0" * 64}, "no scan"), ({"scan": "x"}, "scan"), ({"radius": "--help"}, "radius is --help"),
 ])
 def test_api__an_estimate_of_nothing_allowed_is_refused(api, scan, parameters, words):
