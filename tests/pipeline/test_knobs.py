@@ -57,7 +57,7 @@ def test_knobs__a_text_becomes_the_value_it_stands_for(knob, text, value):
 
 @pytest.mark.parametrize(("knob", "texts", "allowed"), [
     (MIXED, ("9", "8.0", "Auto", "", "0x8"), "allowed: 8, 12, auto"), (FREE, ("0", "-1", "nan", "inf", "x"), "allowed: above 0"),
-    (SPAN, ("0", "6", "1.5", "1" * 5000), "allowed: 1 to 5"),
+    (SPAN, ("0", "6", "1.5", "1" * 5000), "allowed: whole numbers, 1 to 5"),
 ])
 def test_knobs__a_text_that_stands_for_nothing_allowed_is_refused(knob, texts, allowed):
     for text in texts:
@@ -89,7 +89,7 @@ def test_knobs__arguments_become_settings():
     add_settings(parser)
     found = settings_of(parser.parse_args(["--preset", "draft", "--dictionary-bits", "12", "--radius", "0.5"]))
     assert found == settings_for("draft", dictionary_bits=12, radius=0.5)
-    with pytest.raises(WrongArgument, match="iterations is many; allowed: 1 to 1,000"):
+    with pytest.raises(WrongArgument, match="iterations is many; allowed: whole numbers, 1 to 1,000"):
         settings_of(parser.parse_args(["--iterations", "many"]))
 
 

@@ -58,7 +58,7 @@ def test_cli__json_is_the_last_line_of_stdout(scan, tmp_path, capsys):
         (["render", "{tmp}/a.obj", "--orbit", "1", "--out", "{tmp}/o"], 3, "a.obj"),
         (["render", "{packed}", "--orbit", "1", "--size", "huge", "--out", "{tmp}/o"], 1, "'huge' is not WIDTHxHEIGHT"),
         (["render", "{packed}", "--orbit", "0", "--out", "{tmp}/o"], 1, "--orbit"),
-        (["render", "{packed}", "--orbit", "1", "--atoms", "99", "--out", "{tmp}/o"], 1, "atoms is 99; allowed: 0 to "),
+        (["render", "{packed}", "--orbit", "1", "--atoms", "99", "--out", "{tmp}/o"], 1, "atoms is 99; allowed: whole numbers, 0 to "),
         (["render", "{packed}", "--orbit", "1", "--precision", "24", "--out", "{tmp}/o"], 1, "precision is 24; allowed: auto, 16, 32"),
         (["render", "{packed}", "--camera", "x.png", "--out", "{tmp}/o"], 3, "no camera 'x.png'; allowed: 0000.png"),
     ],
