@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import threadpoolctl
-
+from pipeline.threads import one_thread_a_library
 from storage.errors import ResourceExhausted
 
 
@@ -23,7 +22,7 @@ def under_the_rules(name: str) -> Iterator[None]:
     """BLAS gets one thread: workers are as many as cores, and sums must not depend on how many threads share them. An
     error of the disk says which stage met it, and looks like none of the network between us and a worker."""
     try:
-        with threadpoolctl.threadpool_limits(1):
+        with one_thread_a_library():
             yield
     except OSError as error:
         raise error_of_disk(name, error) from error

@@ -1,11 +1,12 @@
-"""Work shared by the threads of one process, for callers outside the pipeline's tasks (those hold to one thread)."""
+"""How many threads the libraries of a process use, and work shared by threads, for callers outside the pipeline's tasks (those hold to one)."""
 
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import lru_cache
 
 import threadpoolctl
 
@@ -31,10 +32,16 @@ def run_all(work: Callable[[int], None], items: range, n_threads: int) -> None:
 
 def one_blas_thread():
     """A context in which BLAS keeps to one thread: factors of thin matrices take longer with more on a busy machine."""
-    return _loaded_libraries().limit(limits=1, user_api="blas")
+    return _loaded_libraries(len(sys.modules)).limit(limits=1, user_api="blas")
 
 
-@cache
-def _loaded_libraries() -> threadpoolctl.ThreadpoolController:
-    """Found once: looking through the libraries of a process takes 2 ms, setting their threads a hundredth of that."""
+def one_thread_a_library():
+    """A context in which BLAS and OpenMP, whichever are loaded, keep to one thread."""
+    return _loaded_libraries(len(sys.modules)).limit(limits=1)
+
+
+@lru_cache(maxsize=1)
+def _loaded_libraries(n_modules: int) -> threadpoolctl.ThreadpoolController:
+    """Those of this process, looked for again once more modules are imported, which may have brought one: a look takes 2 ms, setting
+    threads a hundredth of that."""
     return threadpoolctl.ThreadpoolController()

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import functools
+import math
 import os
 import shutil
 import uuid
@@ -104,9 +105,12 @@ def _opened_once(folder: Path, name: str, mode: str = "r") -> zarr.Array:
 
 
 def _chunk(folder: Path, name: str, array: zarr.Array, *index: int) -> np.memmap:
-    """A chunk by its first indices; the others are 0."""
-    path = folder / f"{name}.zarr" / "c" / "/".join([*map(str, index), *"0" * (len(array.shape) - len(index))])
-    return np.memmap(path, array.dtype, "r", shape=tuple(array.chunks))
+    return np.memmap(_path_of(folder, name, array, *index), array.dtype, "r", shape=tuple(array.chunks))
+
+
+def _path_of(folder: Path, name: str, array: zarr.Array, *index: int) -> Path:
+    """The file of a chunk by its first indices; the others are 0."""
+    return folder / f"{name}.zarr" / "c" / "/".join([*map(str, index), *"0" * (len(array.shape) - len(index))])
 
 
 def read_rows(folder: Path, name: str, rows: np.ndarray) -> np.ndarray:
@@ -147,8 +151,33 @@ def _piece(folder: Path, name: str, start: int, stop: int) -> np.ndarray:
 
 
 def write(folder: Path, name: str, start: int, rows: np.ndarray) -> None:
-    """Rows from `start` on. The caller owns every chunk that they touch."""
-    _opened_once(folder, name, "r+")[start : start + len(rows)] = rows
+    """Rows from `start` on. The caller owns every chunk that they touch.
+
+    Whole chunks of whole rows are written as the files they are: on their way through zarr 50 MB are copied twice into memory that is
+    new to the process, which took three quarters of the time.
+    """
+    array = _opened_once(folder, name, "r+")
+    n_rows, stop = array.chunks[0], start + len(rows)
+    if array.chunks[1:] != array.shape[1:] or start % n_rows or not (stop % n_rows == 0 or stop == array.shape[0]):
+        array[start:stop] = rows
+        return
+    rows = np.ascontiguousarray(rows, array.dtype)
+    for at in range(0, len(rows), n_rows):
+        _write_chunk(_path_of(folder, name, array, (start + at) // n_rows), rows[at : at + n_rows], array.chunks)
+
+
+def _write_chunk(path: Path, rows: np.ndarray, shape: tuple[int, ...]) -> None:
+    """A chunk's file, there whole or not at all; what it has beyond `rows` is zeros."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_name(_aside(path.name))
+    try:
+        with open(aside, "wb") as file:
+            file.write(rows.data)
+            file.truncate(rows.itemsize * math.prod(shape))
+        os.replace(aside, path)
+    except BaseException:
+        aside.unlink(missing_ok=True)
+        raise
 
 
 def block_range(index: int, n: int, rows: int = BLOCK) -> tuple[int, int]:
