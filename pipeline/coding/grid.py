@@ -42,6 +42,11 @@ def coefficients(patches: np.ndarray, size: int) -> np.ndarray:
     return _along_both(patches, axis_columns(size).T)
 
 
+def patches_of(coefficients: np.ndarray, size: int) -> np.ndarray:
+    """What atoms, given by their coefficients (k, 3 size^2), are on a patch, (k, PATCH_DIM) float32: as `shown` of their texels."""
+    return _along_both(coefficients, axis_columns(size))
+
+
 def axis_columns(size: int) -> np.ndarray:
     """Orthonormal columns (PATCH_SIZE, size) float64 of what `size` texels show along an axis, by frequency."""
     return _axis(size)[0]
@@ -105,9 +110,13 @@ def _along_both(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """`matrix` (m, s) applied along both axes of rows (n, 3 s^2): (n, 3 m^2) float32."""
     n, (m, s) = len(rows), matrix.shape
     matrix = matrix.astype(np.float32)
-    half = matrix @ rows.reshape(n, s, 3 * s).astype(np.float32, copy=False)  # (n, m, s 3)
     along_rows = np.kron(matrix.T, np.eye(3, dtype=np.float32))  # (s 3, m 3): thrice the products, and no array turned
-    return (half.reshape(n * m, 3 * s) @ along_rows).reshape(n, 3 * m * m)
+    rows = rows.astype(np.float32, copy=False)
+    if m < s:  # the fewer rows the thrice as many products are made of, the better
+        half = matrix @ rows.reshape(n, s, 3 * s)  # (n, m, s 3)
+        return (half.reshape(n * m, 3 * s) @ along_rows).reshape(n, 3 * m * m)
+    half = (rows.reshape(n * s, 3 * s) @ along_rows).reshape(n, s, 3 * m)
+    return (matrix @ half).reshape(n, 3 * m * m)
 
 
 @cache

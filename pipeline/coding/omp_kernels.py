@@ -207,13 +207,18 @@ def quantize_weights(levels, target, gram_support, weight, code, t):
         code[j] = nearest_level(levels[j], weight[j])
         weight[j] = levels[j, code[j]]
     for _ in range(2):
+        moved = False
         for j in range(t):
             optimum = target[j]
             for i in range(t):
                 if i != j:
                     optimum -= gram_support[j, i] * weight[i]
-            code[j] = nearest_level(levels[j], optimum / gram_support[j, j])
-            weight[j] = levels[j, code[j]]
+            nearest = nearest_level(levels[j], optimum / gram_support[j, j])
+            moved |= nearest != code[j]
+            code[j] = nearest
+            weight[j] = levels[j, nearest]
+        if not moved:
+            break
 
 
 @numba.njit(cache=True, nogil=True)
@@ -250,17 +255,28 @@ def pursue(patches, dictionary, initial, spread, rest, energy, gram, turns, tole
     target, forward, trial = np.empty(most), np.empty(most), np.empty(most)
     trial_code = np.zeros(most, np.int32)
     straight, turn, n_straight = np.empty(most, np.int64), np.empty(most, np.int64), gram.shape[0]
+    felt = np.empty(most)  # weights that the correlations have felt
+    moved_straight, moved_turn, moved = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
     for i in range(n):
         t = 0
         error = path[i, 0] = energy[i]
         for a in range(n_dictionary):
             slack[a] = spread[i] * rest[a]
+        anew = True
         while t < most and error > tolerance[i]:
-            correlation[:] = initial[i]
-            _subtract_gram_rows(correlation, gram, turns, straight, turn, weight[i], t)
+            if anew:
+                correlation[:] = initial[i]
+                felt[:] = 0
+            n_moved = 0
+            for j in range(t):
+                if weight[i, j] != felt[j]:
+                    moved_straight[n_moved], moved_turn[n_moved], moved[n_moved] = straight[j], turn[j], weight[i, j] - felt[j]
+                    felt[j] = weight[i, j]
+                    n_moved += 1
+            _subtract_gram_rows(correlation, gram, turns, moved_straight, moved_turn, moved, n_moved)
             for j in range(t):
                 correlation[atom[i, j]] = 0
-            pivot = 0.0
+            pivot, anew = 0.0, False
             while pivot <= SMALLEST_PIVOT:
                 best = _most_correlated(patches[i], dictionary, initial[i], correlation, slack, upper)
                 if best < 0 or np.float64(correlation[best]) ** 2 <= SMALLEST_CORRELATION**2 * energy[i]:
@@ -272,6 +288,7 @@ def pursue(patches, dictionary, initial, spread, rest, energy, gram, turns, tole
                 target[t] = initial[i, best]
                 pivot = append_to_cholesky(chol, gram_support, t)
                 correlation[best] = 0
+                anew = anew or pivot <= SMALLEST_PIVOT  # an atom that was passed over counts again in the next step
             if pivot <= SMALLEST_PIVOT:
                 break
             solve_cholesky(chol, target, forward, trial, t + 1)

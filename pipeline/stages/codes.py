@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.accuracy import psnr_db
-from pipeline.coding.grid import AtomForm, coefficients, shown, texels_of
+from pipeline.coding.grid import AtomForm, coefficients, patches_of
 from pipeline.coding.omp import Codes, Pursuit, reconstruct
 from pipeline.coding.omp_kernels import squared_norms
 from pipeline.stages.atoms import load_atoms
@@ -83,7 +83,7 @@ class Encode:
             short = coefficients(patches, size)
             found = atoms.pursue(short, self.max_atoms, self.tolerance, levels, self.price, self.search)
             beyond = np.maximum(squared_norms(patches) - squared_norms(short), 0)  # what atoms of this size cannot show
-            return found.beside(beyond), shown(texels_of(reconstruct(found.codes, atoms.dictionary), size), size)
+            return found.beside(beyond), patches_of(reconstruct(found.codes, atoms.dictionary), size)
 
         return encode
 

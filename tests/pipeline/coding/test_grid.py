@@ -41,6 +41,7 @@ def test_grid__coefficients_keep_norms_and_products_of_what_is_shown(size):
     found = grid.coefficients(patches, size)
     np.testing.assert_allclose(found @ found.T, patches @ patches.T, rtol=1e-4, atol=1e-2)
     np.testing.assert_allclose(found, grid.coefficients_of_texels(texels, size), atol=1e-4)
+    np.testing.assert_allclose(grid.patches_of(found, size), patches, atol=1e-4)
 
 
 @SIZES
