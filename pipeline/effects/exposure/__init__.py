@@ -23,15 +23,16 @@ def _measure_block(block: Block) -> dict:
 
 
 def _conclude(sums: list[dict], sources: Sources) -> Measured:
-    """Fields are solved from half the splats and judged by the other half; then solved from all."""
+    """Fields are solved from half the splats and judged by the other half; then solved from all, from there on."""
     seen = _joined([s for s in sums if s])
     n_photos = len(sources.cameras)
     if n_photos < 2 or not len(seen.splat):
         return Measured(0.0, 0.0, {"log_gain": []})
     even = seen.splat % 2 == 0
     judged = seen.only(~even)
-    before, after = spread(judged), spread(judged, solve_fields(seen.only(even), n_photos))
-    fields = solve_fields(seen, n_photos)
+    of_half = solve_fields(seen.only(even), n_photos)
+    before, after = spread(judged), spread(judged, of_half)
+    fields = solve_fields(seen, n_photos, of_half)
     changed = np.abs(fields[:, :, 0]).max(axis=1) > LEAST_SHARE
     return Measured(before - after, float(changed.mean()), {
         "log_gain": fields.round(5).tolist(), "spread_before": before, "spread_after": after})
