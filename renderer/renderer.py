@@ -64,6 +64,7 @@ class Renderer:
         with self.context:
             self._programs = Programs(self.context)
             self._view = self.context.buffer(reserve=_VIEW_BYTES)
+            self._none = self.context.simple_framebuffer((1, 1))  # bound when targets are released: moderngl would bind those again
         self._targets: Targets | None = None
 
     def render(
@@ -198,6 +199,7 @@ class Renderer:
         kept = self._targets
         if kept is None or (kept.size, kept.accumulation, kept.normals is not None) != (size, accumulation, smooth):
             if self._targets is not None:
+                self._none.use()
                 self._targets.release()
                 self._targets = None
             self._targets = make_targets(self.context, size, accumulation, smooth)

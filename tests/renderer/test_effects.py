@@ -95,6 +95,11 @@ def with_levels(scene, coarsest: int):
     return type(scene)(header, kept)
 
 
+def levels_off(a, b) -> int:
+    """Of 255, at the pixel where two pictures differ most."""
+    return int(np.abs(a.rgb.astype(int) - b.rgb).max())
+
+
 @pytest.mark.parametrize("distance, coarsest", [(0.6, 32), (3.0, 8), (6.0, 4)])
 def test_mip_levels__that_no_splat_reaches_change_no_pixel(renderer, distance, coarsest):
     rng = np.random.default_rng(3)
@@ -105,11 +110,12 @@ def test_mip_levels__that_no_splat_reaches_change_no_pixel(renderer, distance, c
         gpu_scene = GpuScene(shown, renderer.context)
         pictures[name] = renderer.render(gpu_scene, view)
         gpu_scene.release()
-    assert np.array_equal(pictures["all"].rgb, pictures["reached"].rgb) and pictures["all"].coverage.any()
+    assert levels_off(pictures["all"], pictures["reached"]) <= 1 and pictures["all"].coverage.any()  # the atlas is as high as it has levels:
+    # coordinates in it round otherwise, and GPUs filter by weights of 8 bits
     if coarsest == 32:
         assert not any("levels" in name for name in pictures["reached"].programs)
     else:
-        assert not np.array_equal(pictures["all"].rgb, pictures["one less"].rgb), "the level before does not do"
+        assert levels_off(pictures["all"], pictures["one less"]) > 1, "the level before does not do"
 
 
 def test_accumulation__asked_for_is_wide_from_the_start(renderer, plain):

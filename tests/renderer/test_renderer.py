@@ -7,7 +7,7 @@ import pytest
 
 from renderer.scene import DRAWS, GpuScene
 from storage.schema import GROUP, MAX_ATOMS
-from tests.renderer.reference_renderer import psnr_db, render
+from tests.renderer.reference_renderer import agreement_db, psnr_db, render
 from tests.scenes import (
     Dictionary, Settings, Splats, build_scene, camera_looking, coded, random_colors, random_dictionary, sheet,
 )
@@ -25,7 +25,7 @@ def assert_agrees(renderer, scene, view, max_atoms=MAX_ATOMS, least_covered=0.05
     expected, covered = render(scene, view, max_atoms)
     assert covered.mean() >= least_covered
     assert (picture.coverage != covered).mean() < 1e-3
-    assert psnr_db(picture.rgb / 255, expected) >= 45
+    assert agreement_db(picture.rgb, expected, lambda moved: render(scene, moved, max_atoms)[0], view) >= 45
     return picture
 
 
