@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from pipeline.accuracy import BEST_DB
+from pipeline.compiled import kernel, part
 
 PEAK = 255.0
 SSIM_WINDOW_PX = 11  # what a Gaussian of 1.5 pixels cut off at 3.5 sigma covers
@@ -85,7 +85,7 @@ def ssim(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float | None:
     return _similarity(a.reshape(len(a), -1), b.reshape(len(b), -1), mask, _WINDOW) / (3 * int(mask.sum()))
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+@part(fastmath={"contract", "reassoc", "nsz"})
 def _down_the_columns(a, b, y, window, sums):
     """Windowed sums down each column from row y on, (5, width): of a, b, a a, b b and a b."""
     sums[:] = 0
@@ -100,7 +100,7 @@ def _down_the_columns(a, b, y, window, sums):
             sums[4, x] += w * p * q
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+@part(fastmath={"contract", "reassoc", "nsz"})
 def _along_the_row(sums, window, means):
     for m in range(5):
         for x in range(means.shape[1]):
@@ -111,7 +111,7 @@ def _along_the_row(sums, window, means):
                 means[m, x] += w * sums[m, x + first]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _similarity(a, b, mask, window):
     """The sum of the SSIM map over mask (h, w) and channels; a and b (h + 10, 3 (w + 10)) float32, channels interleaved.
 

@@ -10,20 +10,20 @@ Papers: Rubinstein et al. 2008 for the batch form; the bound is the Cauchy-Schwa
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from pipeline.coding.omp_kernels import (
-    FAST, SMALLEST_CORRELATION, SMALLEST_PIVOT, append_to_cholesky, bound_groups, dot, n_groups, quantize_weights,
+    SMALLEST_CORRELATION, SMALLEST_PIVOT, append_to_cholesky, bound_groups, dot, n_groups, quantize_weights,
     residual_energy, solve_cholesky, subtract_rows,
 )
+from pipeline.compiled import FAST, kernel, part
 
 MOST_DEPENDENT = 64  # atoms in the span of the support that one step may pass over
 # Rounding of the squared norm of a residual that is a sum of float32 products, as a share of the patch's.
 ENERGY_ROUNDING = 4e-6
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@part(fastmath=FAST)
 def _four_dots(x, a, b, c, d):
     sa, sb, sc, sd = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
     for i in range(x.shape[0]):
@@ -34,14 +34,14 @@ def _four_dots(x, a, b, c, d):
     return np.float64(sa), np.float64(sb), np.float64(sc), np.float64(sd)
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def _silence(product, support, t):
     """Atoms of the support raise no bound of their group: with quantised weights the residual may still lean on them."""
     for j in range(t):
         product[support[j]] = 0
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def _is_in(values, n, value):
     for i in range(n):
         if values[i] == value:
@@ -49,7 +49,7 @@ def _is_in(values, n, value):
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def _products_with_support(atom, support, t, dictionary, into):
     """<atom, support_j> for every j < t, and for j = t with itself."""
     row = dictionary[atom]
@@ -64,7 +64,7 @@ def _products_with_support(atom, support, t, dictionary, into):
     into[t] = dot(row, row)
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def _highest_of_group(product, rest, rho, g, width, support, t, passed, n_passed, best, best_bound):
     for a in range(g, product.shape[0], width):
         bound = abs(product[a]) + rho * rest[a]
@@ -73,7 +73,7 @@ def _highest_of_group(product, rest, rho, g, width, support, t, passed, n_passed
     return best, best_bound
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def _highest_bound(product, rest, rho, upper, support, t, passed, n_passed):
     """The atom outside support and `passed` whose bound is highest; -1 for none."""
     width, top = upper.shape[0], 0
@@ -88,7 +88,7 @@ def _highest_bound(product, rest, rho, upper, support, t, passed, n_passed):
     return best
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def _best_atom(left, dictionary, product, rest, rho, margin, certify, upper, support, t, passed, n_passed):
     """The atom of largest |<r, a>| outside support and `passed`, of equals the first: its index (-1 for none), that
     size, and how many atoms were settled.
@@ -116,7 +116,7 @@ def _best_atom(left, dictionary, product, rest, rho, margin, certify, upper, sup
     return best, best_size, n_settled
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def _add_atom(patch, left, energy, dictionary, product, rest, rho, margin, certify, upper, levels, t, error,
               atom, weight, code, target, forward, gram_support, chol, trial, trial_code, passed):
     """One step of a pursuit: the new squared residual, or -1 where no atom lowers it; and how many atoms were settled."""
@@ -147,7 +147,7 @@ def _add_atom(patch, left, energy, dictionary, product, rest, rho, margin, certi
     return -1.0, n_settled
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def _what_is_left(patch, dictionary, atom, weight, t, left):
     """The residual, in `left` once there is a support."""
     if t == 0:
@@ -157,7 +157,7 @@ def _what_is_left(patch, dictionary, atom, weight, t, left):
     return left
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def _rest_norm(error, short_residual, energy):
     """The norm of what the components leave of a residual, rounded up."""
     inside = 0.0
@@ -166,7 +166,7 @@ def _rest_norm(error, short_residual, energy):
     return np.float32(np.sqrt(max(error - inside, 0.0) + ENERGY_ROUNDING * energy) * (1 + 1e-6))
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def _margin(rounding, energy, weight, t):
     """How far float32 may take a short product from its value: its terms have this norm at most."""
     total = np.sqrt(energy)
@@ -175,7 +175,7 @@ def _margin(rounding, energy, weight, t):
     return rounding * total
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def pursue_certified(patches, energy, dictionary, components, short, short_gram, product, rest, rounding, certify, tolerance,
                      price, levels, atom, weight, code, n_atoms, path):
     """Orthogonal matching pursuit of every patch, rows of the short Gram matrix following the residual.
@@ -219,7 +219,7 @@ def pursue_certified(patches, energy, dictionary, components, short, short_gram,
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def advance(patches, energy, dictionary, components, short, product, rest, rounding, certify, tolerance, price,
             levels, atom, weight, code, n_atoms, path, target, forward, gram_support, chol, active, n_active):
     """One step for each of the patches active[:n_active], whose current short products are the rows of `product`.

@@ -24,11 +24,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from pipeline.coding.omp import Pursuit, pursue_patches
 from pipeline.coding.omp_kernels import squared_norms, subtract_rows
+from pipeline.compiled import kernel, part
 
 BLOCK = 2048  # patches whose sums are made in one go; part of the result, as float sums depend on their order
 WORST = 512  # how many badly represented patches a block offers as replacements
@@ -222,14 +222,14 @@ def _measured(patches: np.ndarray, dictionary: np.ndarray, max_atoms: int, toler
     return merge_in_order(blocks.__getitem__, 0, len(blocks))
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@part(fastmath={"contract"})
 def _add_to_row(table, atom, row, x):
     a = np.uintp(atom)
     for d in range(np.uintp(row.shape[0])):
         table[a, d] += x * row[d]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _accumulate(patches, dictionary, atom_index, weight, n_atoms, moment, gain, n_users):
     """Add each patch's share to the sums of its atoms, with v_ik = x_ik. The residual lives for its patch alone: a
     matrix of them, written and read again, took twice as long."""
@@ -273,7 +273,7 @@ def _twin_of_an_earlier(atoms: np.ndarray, alive: np.ndarray) -> np.ndarray:
     return twin & alive
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _mark_twins(product, start, earlier, alive, twin):
     for i in range(product.shape[0]):
         for j in range(min(product.shape[1], start + i - earlier)):

@@ -7,8 +7,9 @@ numbers: an index that may be negative keeps the compiler from vector code.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from pipeline.compiled import FAST, kernel, part
 
 # A squared pivot below this says that the atom lies in the span of the support, as far as float32 can tell. The Gram
 # matrix is exact to 1e-7, so weights to 1e-7 / pivot: on differences of near-twins the residual norm was 5e-4 above the
@@ -20,10 +21,9 @@ SMALLEST_CORRELATION = 1e-6
 
 
 NO_TURNS = np.zeros((1, 1), np.int64)  # of a dictionary whose atoms are each their own
-FAST = {"nnan", "nsz", "reassoc", "contract"}
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@part(fastmath=FAST)
 def dot(x, y):
     total = np.float32(0)
     for i in range(x.shape[0]):
@@ -31,7 +31,7 @@ def dot(x, y):
     return np.float64(total)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@part(fastmath=FAST)
 def subtract_rows(row, table, support, weight, t):
     """row -= sum of weight_j * table[support_j]; four at a time, as loads and stores of `row` are what costs."""
     width, j = np.uintp(row.shape[0]), 0
@@ -49,7 +49,7 @@ def subtract_rows(row, table, support, weight, t):
         j += 1
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@part(fastmath=FAST)
 def _subtract_gram_rows(row, gram, turns, straight, turn, weight, t):
     """As `subtract_rows`, with rows of the Gram matrix of atoms in turns, of which `gram` has those of the straight ones."""
     k, n_turns, j = np.uintp(gram.shape[0]), turns.shape[0], 0
@@ -74,7 +74,7 @@ def _subtract_gram_rows(row, gram, turns, straight, turn, weight, t):
         j += 1
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def n_groups(k):
     """Groups of atoms that share a bound: about 4 sqrt(k), so that finding a group costs no more than a group."""
     n = 64
@@ -83,7 +83,7 @@ def n_groups(k):
     return n
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@part(fastmath=FAST)
 def bound_groups(product, rest, rho, upper):
     """The largest |product| + rho * rest of each group. Group g are the atoms g, g + w, g + 2w ... of w groups: maxima
     of whole rows are 10 times as fast as a maximum along a row, which no compiler here turns into vector code."""
@@ -96,7 +96,7 @@ def bound_groups(product, rest, rho, upper):
         start += width
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@part(fastmath=FAST)
 def _largest(values):
     largest = np.float32(0)
     for i in range(values.shape[0]):
@@ -104,7 +104,7 @@ def _largest(values):
     return largest
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def _of_highest_bound(correlation, slack, upper):
     """The atom of the highest bound, of equals the first of the first group that has it; -1 for none above zero."""
     top, best, highest = _largest(upper), -1, np.float32(-1)
@@ -118,7 +118,7 @@ def _of_highest_bound(correlation, slack, upper):
     return best
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def _settle(a, patch, dictionary, initial, correlation, slack):
     """Make the correlation of atom a exact by a product of full width."""
     exact = np.float32(dot(patch, dictionary[a]))
@@ -127,7 +127,7 @@ def _settle(a, patch, dictionary, initial, correlation, slack):
     slack[a] = 0
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def _most_correlated(patch, dictionary, initial, correlation, slack, upper):
     """The atom of largest exact |correlation|, -1 for none above zero.
 
@@ -152,7 +152,7 @@ def _most_correlated(patch, dictionary, initial, correlation, slack, upper):
     return best
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def append_to_cholesky(chol, gram_support, t):
     """Extend the factor of the support's Gram matrix by row t; returns the squared pivot. On its diagonal `chol` has the
     reciprocals of the factor's: divisions would take as long as all else."""
@@ -168,7 +168,7 @@ def append_to_cholesky(chol, gram_support, t):
     return pivot
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def solve_cholesky(chol, target, forward, weight, t):
     """Least squares on the support, chol @ chol.T @ weight = target, t wide: chol @ forward = target is solved for row t - 1
     alone, as those above it do not change with a further atom."""
@@ -183,7 +183,7 @@ def solve_cholesky(chol, target, forward, weight, t):
         weight[i] = value * chol[i, i]
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def nearest_level(levels, value):
     """Index of the level next to `value`; `levels` (w,) ascending."""
     low, high = 0, levels.shape[0] - 1
@@ -196,7 +196,7 @@ def nearest_level(levels, value):
     return high if levels[high] - value < value - levels[low] else low
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def quantize_weights(levels, target, gram_support, weight, code, t):
     """Replace least-squares weights by levels, then let each in turn take up what the others' rounding left.
 
@@ -221,7 +221,7 @@ def quantize_weights(levels, target, gram_support, weight, code, t):
             break
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def residual_energy(energy, target, gram_support, weight, t):
     """|y - sum of weight_j d_j|^2 by the Gram matrix."""
     for i in range(t):
@@ -231,7 +231,7 @@ def residual_energy(energy, target, gram_support, weight, t):
     return max(energy, 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def pursue(patches, dictionary, initial, spread, rest, energy, gram, turns, tolerance, price, levels, atom, weight, code, n_atoms,
            path):
     """Orthogonal matching pursuit of every row of patches (n, d), with weights from `levels` if there are any.
@@ -308,7 +308,7 @@ def pursue(patches, dictionary, initial, spread, rest, energy, gram, turns, tole
         n_atoms[i] = t
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def add_atoms(rows, dictionary, atom, weight, n_atoms):
     """Add to each row (n, d) float32 its weighted atoms: weight (n, r) float32 of dictionary (k, d) float32."""
     for i in range(rows.shape[0]):
@@ -319,7 +319,7 @@ def add_atoms(rows, dictionary, atom, weight, n_atoms):
                 row[d] += x * texels[d]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@kernel(fastmath=FAST)
 def squared_norms(rows):
     """The squared norm of each row (n, d) float32, summed in float64."""
     norms = np.empty(rows.shape[0])

@@ -13,10 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 
-import numba
 import numpy as np
 
 from pipeline.coding.grid import TURNS, in_all_turns, turned_texels
+from pipeline.compiled import kernel
 
 ROWS = 128  # patches at a time: their partial products and products stay in the second-level cache
 
@@ -88,7 +88,7 @@ def _differences() -> np.ndarray:
     return np.argsort(of, axis=1)
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"nnan", "nsz", "contract"})
+@kernel(fastmath={"nnan", "nsz", "contract"})
 def _sums_and_differences(partial, product):
     """product (n, 8 k) of partial (4, 2 n, k): rows of the patches, then rows of the patches with their axes exchanged."""
     n, k = product.shape[0], np.uintp(partial.shape[2])

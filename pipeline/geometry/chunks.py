@@ -8,9 +8,9 @@ are compact too.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from pipeline.compiled import kernel
 from storage.schema import CHUNK, GROUP
 
 
@@ -44,7 +44,7 @@ def median_split(position: np.ndarray) -> np.ndarray:
     return order
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _extent(axes, order, start, stop):
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for i in range(start, stop):
@@ -54,7 +54,7 @@ def _extent(axes, order, start, stop):
     return low, high
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _move_lowest(x, order, n):
     """Put the n of `order` (m,), indices into x, whose values a stable sort would have first, before the others; both as they were."""
     values = x[order]

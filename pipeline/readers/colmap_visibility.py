@@ -10,9 +10,9 @@ from __future__ import annotations
 import struct
 from typing import BinaryIO
 
-import numba
 import numpy as np
 
+from pipeline.compiled import kernel
 from storage.errors import InvalidScan
 
 _HEADER_BYTES = 8
@@ -106,7 +106,7 @@ class VisibilityStream:
         return counts, cameras.astype(np.int32)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _starts(words, word, most, n_cameras):
     """Where the next lists begin, at most so many, and where the last of them ends: before one that is cut off or too long."""
     starts = np.empty(min(most, words.shape[0] - word), np.int64)

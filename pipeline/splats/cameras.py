@@ -6,9 +6,9 @@ are weighed against each other as sharpness, not by taste.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from pipeline.compiled import kernel
 from storage.schema import NO_CAMERA, Camera
 
 N_CANDIDATES = 8  # of a point's cameras the best are kept: a fixed width that can be streamed and sorted
@@ -43,7 +43,7 @@ def rank_candidates(
     return ranked
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _rank(position, normal, visible_count, visible_camera, centre, scale, ranked):
     """Fill `ranked`, a point at a time, by insertion; of equals the one listed first comes first. Sharpness as above."""
     held = np.empty(ranked.shape[1])

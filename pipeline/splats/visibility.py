@@ -5,9 +5,9 @@ The map is coarse, so that a splat covers a few of its cells: holes between poin
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from pipeline.compiled import kernel
 from storage.schema import Camera
 
 CELLS_A_RADIUS = 1.5  # how many cells the radius spans at the median depth
@@ -66,7 +66,7 @@ def _on_map(depth_map: np.ndarray, camera: Camera, position: np.ndarray, radius:
     return x, y, depth, radius * camera.fx_px * scale_x / safe
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _draw(depth_map, x, y, depth, reach):
     height, width = depth_map.shape
     for i in range(x.shape[0]):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from pipeline.compiled import kernel
 from pipeline.texture.projection import homographies, is_in_front, is_whole, project_corners
 from pipeline.texture.resample import (
     PATCH_DIM, PROBES, Window, disc_weights, resample_into, resampling_error, window_bounds,
@@ -91,7 +91,7 @@ def texel_errors(texel: np.ndarray, other: np.ndarray) -> tuple[float, float]:
     return _texel_errors(texel.reshape(shape), other.reshape(shape), disc_weights()[::3])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _texel_errors(texel, other, weight):
     plain, weighted = 0.0, 0.0
     for i in range(texel.shape[0]):
@@ -105,7 +105,7 @@ def _texel_errors(texel, other, weight):
     return plain / 65025.0, weighted / 65025.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _measure(texel, average, energy):
     n_texels = texel.shape[1]
     for i in range(texel.shape[0]):
@@ -121,7 +121,7 @@ def _measure(texel, average, energy):
         energy[i] = total / 65025.0
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _centre(texel, average, result):
     step = np.float32(1 / 255)
     for i in range(texel.shape[0]):
@@ -130,7 +130,7 @@ def _centre(texel, average, result):
                 result[i, t, k] = (np.float32(texel[i, t, k]) - average[i, k]) * step
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+@kernel(fastmath={"contract", "reassoc", "nsz"})
 def _errors(texel, average, added, weight):
     step = np.float32(1 / 255)
     plain, weighted = 0.0, 0.0

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 
+from pipeline.compiled import kernel, part
 from storage.schema import PATCH_SIZE
 
 PATCH_DIM = 3 * PATCH_SIZE * PATCH_SIZE
@@ -96,7 +96,7 @@ def disc_weights() -> np.ndarray:
 # that does all for one texel after the other takes twice as long.
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@part(error_model="numpy", fastmath={"contract"})
 def _project_row(h, y, within, left, top, last_x, last_y, stride, place, right, down):
     """Where the photo is looked up at height y of the square, `within` (0 to 1) of each texel: the pixel's place in the
     array, clamped to the pixels there are, and the shares of its right and lower neighbours."""
@@ -112,7 +112,7 @@ def _project_row(h, y, within, left, top, last_x, last_y, stride, place, right, 
         right[i], down[i] = np.float32(at_x - column), np.float32(at_y - row)
 
 
-@numba.njit(cache=True, nogil=True)
+@part()
 def _fetch_row(flat, stride, place, corner):
     """The four pixels around each place. Unsigned indices spare numba's test for negative ones."""
     for i in range(PATCH_SIZE):
@@ -122,7 +122,7 @@ def _fetch_row(flat, stride, place, corner):
         corner[2, i], corner[3, i] = flat[below], flat[below + np.uint64(1)]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@part(error_model="numpy", fastmath={"contract"})
 def _add_row(corner, right, down, total):
     """Add the bilinear lookups to total (3, PATCH_SIZE)."""
     for k in range(3):
@@ -130,7 +130,7 @@ def _add_row(corner, right, down, total):
             total[k, i] += _between(corner[0, i], corner[1, i], corner[2, i], corner[3, i], right[i], down[i], np.uint32(8 * k))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, inline="always")
+@part(error_model="numpy", fastmath={"contract"})
 def _between(p, q, r, s, right, down, shift):
     """One channel of the bilinear lookup between the pixels p, q above and r, s below."""
     byte = np.uint32(255)
@@ -140,7 +140,7 @@ def _between(p, q, r, s, right, down, shift):
     return upper + down * (lower - upper)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@part(error_model="numpy", fastmath={"contract"})
 def _write_row(total, share, byte, texels):
     for k in range(3):
         for i in range(PATCH_SIZE):
@@ -149,7 +149,7 @@ def _write_row(total, share, byte, texels):
         texels[i, 0], texels[i, 1], texels[i, 2] = byte[0, i], byte[1, i], byte[2, i]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _lookups_a_texel(h):
     """How many photo pixels a texel covers along x and y, at the square's worst corner; at least 1."""
     step = 2.0 / PATCH_SIZE
@@ -164,7 +164,7 @@ def _lookups_a_texel(h):
     return min(int(np.ceil(most_x - 1e-9)), MOST_LOOKUPS), min(int(np.ceil(most_y - 1e-9)), MOST_LOOKUPS)
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _resample(pixels, left, top, homography, patches, rows, antialiased):
     flat, stride = pixels.reshape(-1), np.int32(pixels.shape[1])
     last_x, last_y = pixels.shape[1] - 2.0, pixels.shape[0] - 2.0
@@ -186,7 +186,7 @@ def _resample(pixels, left, top, homography, patches, rows, antialiased):
             _write_row(total, np.float32(1.0 / (n_x * n_y)), byte, patches[rows[i], row])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _uniform(state):
     """The next state of a splitmix64 stream and a number in [0, 1) (Steele et al. 2014)."""
     state = state + np.uint64(0x9E3779B97F4A7C15)
@@ -196,7 +196,7 @@ def _uniform(state):
     return state, np.float64(z >> np.uint64(11)) / 9007199254740992.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _probe(pixels, left, top, homography, patches, rows, first_splat, error):
     last_x, last_y = pixels.shape[1] - 2.0, pixels.shape[0] - 2.0
     for i in range(homography.shape[0]):
@@ -219,7 +219,7 @@ def _probe(pixels, left, top, homography, patches, rows, first_splat, error):
                 error[i] += ((photo - patch) / 255.0) ** 2
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _texel_between(patch, column, row, channel):
     """The bilinear lookup in a patch (s, s, 3), edge clamped."""
     last = PATCH_SIZE - 1

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi
 
-import numba
 import numpy as np
 
+from pipeline.compiled import kernel
 from pipeline.effects.block import Block, Sources
 from pipeline.splats.visibility import seen_points
 from storage import arrays
@@ -75,7 +75,7 @@ def seen_by_eye(block: Block, eye: int) -> np.ndarray:
     return seen_points(depth_map, s.cameras[eye], block.centre + s.origin, block.frame[2], s.radius)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def project(eye, around, px, py, pz):
     """Cell x and y at a scale of 1, and distance, of an absolute point; NaN for what an eye (its `numbers`) does not see."""
     x, y, z = px - eye[0], py - eye[1], pz - eye[2]
@@ -92,7 +92,7 @@ def project(eye, around, px, py, pz):
     return across / depth * eye[12] + eye[14], down / depth * eye[13] + eye[15], depth
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def cell_of(eye, around, scale, width, height, px, py, pz):
     """Row and column of the cell of a picture that an absolute point falls into, and its distance; -1 for none."""
     x, y, distance = project(eye, around, px, py, pz)

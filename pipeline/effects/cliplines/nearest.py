@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numba
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from pipeline.compiled import kernel
 from pipeline.effects.block import Sources
 from pipeline.effects.cliplines.eyes import cell_of, eyes_of, seen_by_eye
 from storage import arrays, work
@@ -59,7 +59,7 @@ class NearestPoints:
         return float(np.nanmedian(distance)) if np.isfinite(distance).any() else 1.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _keep_nearest(position, distance, eye, around, scale, points, origin, seen):
     """Let each cell have, of the points that fall into it, the one nearest to the eye; the first of equals."""
     height, width = distance.shape

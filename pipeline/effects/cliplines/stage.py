@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numba
 import numpy as np
 
+from pipeline.compiled import kernel
 from pipeline.effects.block import Block, Sources
 from pipeline.effects.cliplines.eyes import Eye, cell_of, eye_of_splats, eyes_of
 from pipeline.effects.cliplines.lines import best_lines, disc_points
@@ -80,7 +80,7 @@ def _foreign(block: Block, rows: np.ndarray, eye: Eye, scale: float, nearest: np
     return foreign
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _look_up(foreign, rows, centre, u, v, normal, points, radius, tolerance, eye, around, scale, origin, nearest):
     """Mark the points of discs whose nearest point lies further than `tolerance` from the disc's plane."""
     height, width, _ = nearest.shape

@@ -21,9 +21,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from pipeline.compiled import kernel
 from pipeline.effects.ellipsoids.fit import moments, principal_axes
 from pipeline.effects.ellipsoids.neighbourhoods import LEAST_AFTER_OUTLIERS, OUTLIER_REACHES, Neighbourhood, gather
 
@@ -114,7 +114,7 @@ def at_crossings(offset: np.ndarray) -> np.ndarray:
     return _share_of_tubes(offset, count) >= TUBES_SHARE
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _share_of_tubes(offset, count):
     """The share (n,) of the first `count` members that lie in the best tube through member 0 and the best one of the others."""
     n, most, _ = offset.shape
@@ -129,7 +129,7 @@ def _share_of_tubes(offset, count):
     return share
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _outside_best_tube(offset, left, n, through_first):
     """How many of the first `n` of `left` lie outside the tube along two of them that holds most; they become its first."""
     best, at, to = 0, -1, -1
@@ -146,7 +146,7 @@ def _outside_best_tube(offset, left, n, through_first):
     return outside
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _inside_tube(offset, left, n, a, b, through_first):
     """How many members lie in the tube along members `a` and `b`; 0 where those are too near to tell, or where it misses member 0."""
     length = 0.0
@@ -160,7 +160,7 @@ def _inside_tube(offset, left, n, a, b, through_first):
     return inside
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _off_line(offset, a, b, j):
     """The squared distance of member `j` from the line through members `a` and `b`."""
     d0, d1, d2 = offset[b, 0] - offset[a, 0], offset[b, 1] - offset[a, 1], offset[b, 2] - offset[a, 2]
@@ -169,7 +169,7 @@ def _off_line(offset, a, b, j):
     return (c0 * c0 + c1 * c1 + c2 * c2) / (d0 * d0 + d1 * d1 + d2 * d2)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _best_arcs(offset, count, tolerance, enough):
     """The longest arc (n,) of any hypothesis; stops at the first that is long enough."""
     n, most, _ = offset.shape
@@ -191,7 +191,7 @@ def _best_arcs(offset, count, tolerance, enough):
     return best
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _three(hypothesis, count):
     """Three members, by a fixed hash, so that equal neighbourhoods are decided equally."""
     state = np.uint64(hypothesis + 1) * np.uint64(0x9E3779B97F4A7C15)
@@ -200,12 +200,12 @@ def _three(hypothesis, count):
     return np.int64((state >> np.uint64(4)) % n), np.int64((state >> np.uint64(24)) % n), np.int64((state >> np.uint64(44)) % n)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _cross(p0, p1, p2, q0, q1, q2):
     return p1 * q2 - p2 * q1, p2 * q0 - p0 * q2, p0 * q1 - p1 * q0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _project(offset, count, a, b, c, height, x, y):
     """Members in the frame of the plane through members `a`, `b` and `c`; False where those are nearly on a line.
 
@@ -229,7 +229,7 @@ def _project(offset, count, a, b, c, height, x, y):
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _arc_of_plane(count, height, x, y, tolerance):
     """The longest arc on the kept side of any line that leaves all members above the plane behind, and the point not."""
     clean = True
@@ -254,7 +254,7 @@ def _arc_of_plane(count, height, x, y, tolerance):
     return best
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _insert(held, n, value):
     """Put a value among the first `n`, which are sorted."""
     while n > 0 and held[n - 1] > value:
@@ -263,7 +263,7 @@ def _insert(held, n, value):
     held[n] = value
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _longest_run(direction):
     """The longest arc whose sorted directions (m,) lie no further than WIDEST_GAP apart, around the turn."""
     m = len(direction)

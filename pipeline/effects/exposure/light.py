@@ -7,8 +7,9 @@ curvature; fountain_p11: 51, 61 and 65 %.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from pipeline.compiled import kernel
 
 N_TERMS = 6  # 1, x, y, x^2, xy, y^2; x and y run over [-1, 1] across the photograph
 MOST_GAIN = 4.0  # two stops; a field that goes beyond between its splats was not measured there
@@ -40,7 +41,7 @@ def relit(pixels: np.ndarray, log_gain: np.ndarray) -> np.ndarray:
     return result
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _relight(pixels, log_gain, most, by_level, by_root, result):
     height, width = pixels.shape[:2]
     last = by_root.shape[0] - 1

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from pipeline.compiled import kernel
 from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS, srgb_of, terms
 
 ROUNDS = 40  # of medians and fits in turn; the last of 40 moves no gain of monstree by 0.1 %
@@ -75,7 +75,7 @@ def spread(seen: Observations, fields: np.ndarray | None = None) -> float:
     return float(np.median(np.sqrt(square).mean(axis=1)))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _fitted(basis, wanted, field):
     """The field (N_TERMS,) that explains what its photograph's splats want, starting from the last one."""
     residual = np.empty(len(wanted))
@@ -105,7 +105,7 @@ def _by_splat(splat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return order, np.flatnonzero(np.diff(splat[order], prepend=-1, append=-1))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _corrected(log_light, basis, field, photo):
     """Light with the field (n_photos, N_TERMS) of its photograph on it, (m,), logarithmic."""
     result = np.empty(len(log_light))
@@ -117,7 +117,7 @@ def _corrected(log_light, basis, field, photo):
     return result
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _medians(order, start, value):
     """The median of each splat's values, at each of its rows; as many values as photographs: sorted by insertion."""
     result = np.empty(len(value))
