@@ -34,7 +34,7 @@ def arguments(about: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scan", type=Path, help="a scan with photographs, or a work folder of `compress --work`")
     parser.add_argument("--atoms", type=int, nargs="+", default=[256, 4096])
-    parser.add_argument("--patches", type=int, default=2048, help="how many are coded")
+    parser.add_argument("--patches", type=int, default=8192, help="how many are coded")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--json", action="store_true")
     return parser

@@ -1,6 +1,6 @@
 """How fast is OMP, against other libraries and against the one GEMM Y D^T?
 
-    python -m benchmarks.sparse_coding SCAN [--atoms 256 4096] [--patches 2048] [--json]
+    python -m benchmarks.sparse_coding SCAN [--atoms 256 4096] [--patches 8192] [--json]
 
 Patches of 3,072 float32 values, 8 atoms, no cut-off, all cores. All run in turns in this process; what is printed are
 medians and the ratios of them. What depends on the dictionary alone (its split, its Gram matrix) is made before, as a

@@ -28,7 +28,7 @@ import numpy as np
 
 from pipeline.coding.omp import Pursuit, pursue_patches
 from pipeline.coding.omp_kernels import squared_norms, subtract_rows
-from pipeline.compiled import kernel, part
+from pipeline.compiled import FAST, kernel, part
 
 BLOCK = 2048  # patches whose sums are made in one go; part of the result, as float sums depend on their order
 WORST = 512  # how many badly represented patches a block offers as replacements
@@ -132,6 +132,8 @@ def updated_dictionary(
         updated = _carried_on(updated, dictionary, before)
     alive &= ~_twin_of_an_earlier(updated, alive)
     vacant = np.flatnonzero(~alive)
+    if not len(vacant):
+        return updated, 0
     fresh = _distinct_directions(sums.worst_patch, updated[alive], len(vacant))
     updated[vacant[: len(fresh)]] = fresh
     return updated, len(fresh)
@@ -229,14 +231,29 @@ def _add_to_row(table, atom, row, x):
         table[a, d] += x * row[d]
 
 
+@part(fastmath=FAST)
+def _leave(row, patch, dictionary, support, weight, n):
+    """row = patch - sum of weight_j * dictionary[support_j], n of them, at least one: the first four on the way, those
+    there are not as the last with no weight. Rows that come from far caches are what costs."""
+    last = n - 1
+    a, b, c, d = np.uintp(support[0]), np.uintp(support[min(1, last)]), np.uintp(support[min(2, last)]), np.uintp(support[min(3, last)])
+    wa, wb = np.float32(weight[0]), np.float32(weight[1] if last > 0 else 0.0)
+    wc, wd = np.float32(weight[2] if last > 1 else 0.0), np.float32(weight[3] if last > 2 else 0.0)
+    for i in range(np.uintp(row.shape[0])):
+        row[i] = patch[i] - ((wa * dictionary[a, i] + wb * dictionary[b, i]) + (wc * dictionary[c, i] + wd * dictionary[d, i]))
+    if n > 4:
+        subtract_rows(row, dictionary, support[4:], weight[4:], n - 4)
+
+
 @kernel()
 def _accumulate(patches, dictionary, atom_index, weight, n_atoms, moment, gain, n_users):
     """Add each patch's share to the sums of its atoms, with v_ik = x_ik. The residual lives for its patch alone: a
     matrix of them, written and read again, took twice as long."""
     residual = np.empty(patches.shape[1], np.float32)
     for i in range(patches.shape[0]):
-        residual[:] = patches[i]
-        subtract_rows(residual, dictionary, atom_index[i], weight[i], n_atoms[i])
+        if n_atoms[i] == 0:
+            continue
+        _leave(residual, patches[i], dictionary, atom_index[i], weight[i], n_atoms[i])
         for t in range(n_atoms[i]):
             atom, x = atom_index[i, t], weight[i, t]
             _add_to_row(moment, atom, residual, x)
