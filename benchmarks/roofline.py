@@ -1,6 +1,6 @@
 """Where does each kernel of coding and learning stand between what memory and what arithmetic allow?
 
-    python -m benchmarks.roofline SCAN [--atoms 256 4096] [--patches 2048] [--json]
+    python -m benchmarks.roofline SCAN [--atoms 256 4096] [--patches 8192] [--json]
 
 One thread, processor time, the least of the rounds. First the machine: float32 GEMM `Y D^T`, and a sum of two long rows
 out of memory (three streams). Then each kernel: microseconds a patch, arithmetic and bytes it cannot do without (what its
@@ -67,10 +67,7 @@ def kernels(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray) -> d
 
 
 def _width_of_products(atoms: Atoms, whole: int) -> int:
-    for short in ("short", "shown"):
-        if hasattr(atoms.searched, short):
-            return getattr(atoms.searched, short).shape[1]
-    return whole
+    return atoms.searched.short.shape[1] if hasattr(atoms.searched, "short") else whole
 
 
 def measure(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray, rounds: int) -> dict:

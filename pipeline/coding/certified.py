@@ -1,4 +1,4 @@
-"""Certified OMP: the atoms of exact OMP, found by products that are 24 to 48 times shorter than a patch.
+"""Certified OMP without a Gram matrix: the atoms of exact OMP, found by products that are 24 to 48 times shorter than a patch.
 
 Atoms and patches are split into a few principal components and a rest. Short products and the norms of the rests bound
 every correlation; the few atoms that may be the best are settled by products of full width (`certified_kernels`).
@@ -12,15 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.coding.certified_kernels import advance, pursue_certified
+from pipeline.coding.certified_kernels import advance
 from pipeline.coding.omp_kernels import squared_norms
 from pipeline.coding.turned import TurnedDictionary
 from pipeline.threads import one_blas_thread
 
-# Up to here the rows of a k x k Gram matrix of short products follow the residual: 1 GiB. Beyond, every step takes a
-# GEMM of its own, and memory grows with k alone.
+# Up to here the rows of a k x k Gram matrix follow the residual: 1 GiB. Beyond, every step takes a GEMM of its own, and
+# memory grows with k alone.
 MOST_WITH_GRAM = 16384
-FEWEST_ATOMS = 1024  # below, all products of full width take no longer than the search for the few that count
 COMPONENTS = 128  # of 64, 128, 192 and 256 the fastest for 4,096 atoms of 3,072 texels
 SAMPLE = 2048  # atoms that the components are found from
 # Share of a unit atom outside the components above which certified search settles too many atoms to pay: of fountain_p11 and
@@ -38,38 +37,35 @@ class ShortDictionary:
     basis: np.ndarray  # (d, p) float32, orthonormal columns
     short: np.ndarray  # (k, p) float32: dictionary @ basis
     rest: np.ndarray  # (k,) float32: norm of what the components leave of each atom, rounded up
-    short_gram: np.ndarray  # (k, k) float32: short @ short.T; (0, 0) beyond MOST_WITH_GRAM atoms
     turned: TurnedDictionary | None = None  # the same atoms, where they are those of fewer in all turns
 
 
 def shorten(dictionary: np.ndarray, components: int | None = None) -> ShortDictionary | None:
-    """Split a dictionary (k, d) float32 with unit rows; None where that does not pay: it is small, or its atoms do not
+    """Split a dictionary (k, d) float32 with unit rows; None where that does not pay: its rows are short, or its atoms do not
     lie in few components. A number of `components` says to split it all the same.
     """
     n_atoms, dim = dictionary.shape
-    if components is None and (n_atoms < FEWEST_ATOMS or dim < 4 * COMPONENTS):
+    if components is None and dim < 4 * COMPONENTS:
         return None
     with one_blas_thread():
-        basis = principal_components(dictionary[:: -(-n_atoms // SAMPLE)], components or COMPONENTS)
+        basis = principal_components(sampled(dictionary), components or COMPONENTS)
     short, rest = dictionary @ basis, np.empty(n_atoms, np.float32)
     for start in range(0, n_atoms, 1024):
         rows = slice(start, start + 1024)
         rest[rows] = np.sqrt(squared_norms(dictionary[rows] - short[rows] @ basis.T)) + 1e-5
     if components is None and np.median(rest) > MOST_REST:
         return None
-    return split_by(dictionary, basis, short, rest)
-
-
-def split_by(dictionary: np.ndarray, basis: np.ndarray, short: np.ndarray, rest: np.ndarray) -> ShortDictionary:
-    """A dictionary that has been split before."""
-    return ShortDictionary(
-        dictionary, basis, short, rest, short @ short.T if len(dictionary) <= MOST_WITH_GRAM else _none())
+    return ShortDictionary(dictionary, basis, short, rest)
 
 
 def unshortened(dictionary: np.ndarray, turned: TurnedDictionary | None = None) -> ShortDictionary:
-    """The dictionary in its own components, which leave no rest: for exact search beyond MOST_WITH_GRAM atoms, where every step
-    takes a GEMM."""
-    return ShortDictionary(dictionary, _none(), dictionary, np.zeros(len(dictionary), np.float32), _none(), turned)
+    """The dictionary in its own components, which leave no rest: for exact search beyond MOST_WITH_GRAM atoms."""
+    return ShortDictionary(dictionary, np.empty((0, 0), np.float32), dictionary, np.zeros(len(dictionary), np.float32), turned)
+
+
+def sampled(dictionary: np.ndarray) -> np.ndarray:
+    """Atoms that components are found from, SAMPLE at most."""
+    return dictionary[:: -(-len(dictionary) // SAMPLE)]
 
 
 def principal_components(rows: np.ndarray, n: int) -> np.ndarray:
@@ -92,20 +88,12 @@ def rows_at_a_time(split: ShortDictionary) -> int:
 
 
 def pursue_rows(rows, energy, split: ShortDictionary, certify, tolerance, price, levels, atom, weight, code, n_atoms, path):
-    """`pursue` for a block of patches (n, d), in place. Returns how many products of full width with patches it took."""
+    """`pursue` for a block of patches (n, d), in place. Returns how many products of full width with patches it took.
+
+    All patches take their first atom, then their second: each step is one GEMM of the residuals' components.
+    """
     components = rows @ split.basis if len(split.basis) else rows.copy()
     rounding = 2.0**-23 * (split.short.shape[1] + 32)
-    if len(split.short_gram):
-        return pursue_certified(
-            rows, energy, split.dictionary, components, split.short, split.short_gram, components @ split.short.T,
-            split.rest, rounding, certify, tolerance, price, levels, atom, weight, code, n_atoms, path)
-    return _pursue_in_step(rows, energy, split, components, rounding, certify, tolerance, price, levels, atom, weight, code,
-                           n_atoms, path)
-
-
-def _pursue_in_step(rows, energy, split, components, rounding, certify, tolerance, price, levels, atom, weight, code, n_atoms,
-                    path):
-    """All patches take their first atom, then their second: each step is one GEMM of the residuals' components."""
     n, most = atom.shape
     n_atoms[:], path[:, 0] = 0, energy
     active = np.flatnonzero(energy > tolerance)
@@ -122,6 +110,3 @@ def _pursue_in_step(rows, energy, split, components, rounding, certify, toleranc
         total += n_settled
     return total
 
-
-def _none() -> np.ndarray:
-    return np.empty((0, 0), np.float32)

@@ -176,50 +176,6 @@ def _margin(rounding, energy, weight, t):
 
 
 @kernel()
-def pursue_certified(patches, energy, dictionary, components, short, short_gram, product, rest, rounding, certify, tolerance,
-                     price, levels, atom, weight, code, n_atoms, path):
-    """Orthogonal matching pursuit of every patch, rows of the short Gram matrix following the residual.
-
-    patches (n, d), dictionary (k, d), components (n, p) of the patches, short (k, p) of the atoms, short_gram (k, k),
-    product (n, k) = components @ short.T, rest (k,), all float32; the others as `pursue` has them.
-    `certify` False trusts the short products. Returns how many products of full width with patches it took.
-    """
-    n, k = product.shape
-    most = atom.shape[1]
-    current, short_residual = np.empty(k, np.float32), np.empty(short.shape[1], np.float32)
-    upper, passed = np.empty(n_groups(k), np.float32), np.empty(MOST_DEPENDENT, np.int64)
-    gram_support, chol = np.empty((most, most)), np.empty((most, most))
-    target, forward, trial, trial_code = np.empty(most), np.empty(most), np.empty(most), np.zeros(most, np.int32)
-    left = np.empty(patches.shape[1], np.float32)
-    total = 0
-    for i in range(n):
-        t = 0
-        error = path[i, 0] = energy[i]
-        while t < most and error > tolerance[i]:
-            current[:] = product[i]
-            subtract_rows(current, short_gram, atom[i], weight[i], t)
-            rho, margin = np.float32(0), 0.0
-            if certify:
-                short_residual[:] = components[i]
-                subtract_rows(short_residual, short, atom[i], weight[i], t)
-                rho = _rest_norm(error, short_residual, energy[i])
-                margin = _margin(rounding, energy[i], weight[i], t)
-            _silence(current, atom[i], t)
-            bound_groups(current, rest, rho, upper)
-            residue = _what_is_left(patches[i], dictionary, atom[i], weight[i], t, left)
-            lowered, n_settled = _add_atom(
-                patches[i], residue, energy[i], dictionary, current, rest, rho, margin, certify, upper, levels, t,
-                error - price, atom[i], weight[i], code[i], target, forward, gram_support, chol, trial, trial_code, passed)
-            total += n_settled
-            if lowered < 0:
-                break
-            t += 1
-            error = path[i, t] = lowered
-        n_atoms[i] = t
-    return total
-
-
-@kernel()
 def advance(patches, energy, dictionary, components, short, product, rest, rounding, certify, tolerance, price,
             levels, atom, weight, code, n_atoms, path, target, forward, gram_support, chol, active, n_active):
     """One step for each of the patches active[:n_active], whose current short products are the rows of `product`.

@@ -95,8 +95,8 @@ def sparse_encode(
     `search` is how the atom of largest correlation is found: "exact" by all products; "certified" by short products
     that prove most atoms smaller, and products of full width with the few others: the same atoms, but where two
     correlations differ by less than float32's rounding; "approximate" by short products alone: an atom may be taken
-    whose correlation is below the largest by twice the share of the residual outside the components times that of the
-    atom, while weights stay those of the full patches. `n_threads` None takes all cores.
+    whose correlation is below the largest by the share of the patch (beyond 16,384 atoms, of the residual) outside the
+    components times those of both atoms, while weights stay those of the full patches. `n_threads` None takes all cores.
 
     Guarantees: no atom twice in a support; the residual never rises with an atom; exact weights are the least squares
     of their support; scaling a patch (and its tolerance, by the square) scales its weights; the result of a patch
@@ -142,7 +142,7 @@ def pursue_patches(
     weight_code, path = np.zeros((n, max_atoms), np.int32), np.zeros((n, max_atoms + 1))
     tolerance = np.broadcast_to(np.asarray(tolerance, np.float64), (n,))
     in_components = isinstance(dictionary, ShortDictionary)
-    certify = search == "certified" and in_components and len(dictionary.basis) > 0
+    certify = search == "certified"
     step = rows_at_a_time(dictionary) if in_components else dictionary.rows
 
     def pursue_block(start: int) -> None:
@@ -160,10 +160,10 @@ def pursue_patches(
         found = (np.zeros((len(todo), max_atoms), np.int32), np.zeros((len(todo), max_atoms)),
                  np.zeros((len(todo), max_atoms), np.int32), np.zeros(len(todo), np.int32), np.zeros((len(todo), max_atoms + 1)))
         if in_components:
-            pursue_rows(rows, energy, dictionary, certify, tolerance[todo], price, levels, *found)
+            pursue_rows(rows, energy, dictionary, certify and len(dictionary.basis) > 0, tolerance[todo], price, levels, *found)
         else:
-            pursue(rows, dictionary.dictionary, *dictionary.products(rows, energy), dictionary.rest, energy, dictionary.gram,
-                   dictionary.turns, tolerance[todo], price, levels, *found)
+            pursue(rows, dictionary.dictionary, *dictionary.products(rows, energy), dictionary.rest, certify, energy,
+                   dictionary.gram, dictionary.turns, tolerance[todo], price, levels, *found)
             if isinstance(dictionary, TurnedDictionary):
                 found[0][:] = dictionary.numbers(found[0])
         for whole, rows_found in zip((codes.atom_index, codes.weight, weight_code, codes.n_atoms, path), found):
@@ -182,9 +182,9 @@ def reconstruct(codes: Codes, dictionary: np.ndarray) -> np.ndarray:
 
 def ready_for(search: str, dictionary: np.ndarray, gram: np.ndarray | None = None) -> Searched:
     """A dictionary (k, d) float32 of unit rows, with what its `search` needs; `gram` is its Gram matrix, where it is at hand."""
-    found = None if search == "exact" else shorten(dictionary) or coarsen(dictionary, gram)
-    if found is None and len(dictionary) > MOST_WITH_GRAM:
-        found = unshortened(dictionary)
+    if len(dictionary) > MOST_WITH_GRAM:
+        return (None if search == "exact" else shorten(dictionary)) or unshortened(dictionary)
+    found = None if search == "exact" else coarsen(dictionary, gram)
     return found or WholeDictionary(dictionary, dictionary @ dictionary.T if gram is None else gram)
 
 

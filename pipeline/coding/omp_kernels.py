@@ -20,6 +20,7 @@ SMALLEST_PIVOT = 2e-3
 SMALLEST_CORRELATION = 1e-6
 
 
+TRUSTED = np.float32(1e-6)  # share of its slack that a product keeps which is not to be certified: it decides nothing, but is no zero
 NO_TURNS = np.zeros((1, 1), np.int64)  # of a dictionary whose atoms are each their own
 
 
@@ -128,8 +129,8 @@ def _settle(a, patch, dictionary, initial, correlation, slack):
 
 
 @part()
-def _most_correlated(patch, dictionary, initial, correlation, slack, upper):
-    """The atom of largest exact |correlation|, -1 for none above zero.
+def _most_correlated(patch, dictionary, initial, correlation, slack, certify, upper):
+    """The atom of largest exact |correlation|, -1 for none above zero; not to `certify`, that of the highest bound, settled.
 
     The atom of the highest bound is settled first: only those with bounds above its size can beat it.
     """
@@ -138,6 +139,8 @@ def _most_correlated(patch, dictionary, initial, correlation, slack, upper):
     if best < 0 or slack[best] == 0:
         return best
     _settle(best, patch, dictionary, initial, correlation, slack)
+    if not certify:
+        return best
     size = abs(correlation[best])
     for g in range(upper.shape[0]):
         if upper[g] < size:
@@ -232,12 +235,12 @@ def residual_energy(energy, target, gram_support, weight, t):
 
 
 @kernel()
-def pursue(patches, dictionary, initial, spread, rest, energy, gram, turns, tolerance, price, levels, atom, weight, code, n_atoms,
-           path):
+def pursue(patches, dictionary, initial, spread, rest, certify, energy, gram, turns, tolerance, price, levels, atom, weight, code,
+           n_atoms, path):
     """Orthogonal matching pursuit of every row of patches (n, d), with weights from `levels` if there are any.
 
     dictionary (k, d); initial (n, k): correlations of patches and atoms, no further off than spread (n,) times rest (k,), and
-    made exact where that may decide, in place; gram (k / m, k) of the first k / m atoms, all float32; turns (m, m) int64: the
+    made exact where that may decide, in place (not to `certify`, of atoms that are taken alone); gram (k / m, k) of the first k / m atoms, all float32; turns (m, m) int64: the
     k / m atoms of turn t and of turn s have the products that those of turn 0 and of turn turns[t, s] have, so
     turns is ((0,),) where each atom is its own. energy (n,) float64: squared norms; tolerance
     (n,) float64: squared residual at which a patch is done; price: by how much more than that an atom must lower it;
@@ -260,8 +263,9 @@ def pursue(patches, dictionary, initial, spread, rest, energy, gram, turns, tole
     for i in range(n):
         t = 0
         error = path[i, 0] = energy[i]
+        trust = np.float32(1) if certify else TRUSTED
         for a in range(n_dictionary):
-            slack[a] = spread[i] * rest[a]
+            slack[a] = trust * spread[i] * rest[a]
         anew = True
         while t < most and error > tolerance[i]:
             if anew:
@@ -278,7 +282,7 @@ def pursue(patches, dictionary, initial, spread, rest, energy, gram, turns, tole
                 correlation[atom[i, j]] = 0
             pivot, anew = 0.0, False
             while pivot <= SMALLEST_PIVOT:
-                best = _most_correlated(patches[i], dictionary, initial[i], correlation, slack, upper)
+                best = _most_correlated(patches[i], dictionary, initial[i], correlation, slack, certify, upper)
                 if best < 0 or np.float64(correlation[best]) ** 2 <= SMALLEST_CORRELATION**2 * energy[i]:
                     break
                 straight[t], turn[t] = best % n_straight, best // n_straight

@@ -1,8 +1,8 @@
 """A dictionary in a stage's folder, with what its search needs: made once, read once by every process that searches.
 
 Arrays: dictionary (k, d) float32 unit rows; where atoms are turned too, turned (8 k, d), and the others are of those;
-where it is searched by short products basis (d, p), short (k, p) and rest (k,), all float32. Gram matrices are made where
-they are needed, which takes no longer than reading them. Beyond 16,384 atoms there is no k x k array anywhere.
+beyond 16,384 atoms, where there is no k x k array anywhere, basis (d, p), short (k, p) and rest (k,) of short products, all
+float32. Gram matrices are made where they are needed, which takes no longer than reading them.
 """
 
 from __future__ import annotations
@@ -13,10 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coding.certified import MOST_WITH_GRAM, ShortDictionary, shorten, split_by, unshortened
-from pipeline.coding.coarse import coarsen
+from pipeline.coding.certified import MOST_WITH_GRAM, ShortDictionary, shorten, unshortened
 from pipeline.coding.grid import AtomForm
-from pipeline.coding.omp import Pursuit, Searched, WholeDictionary, by_whole_products, pursue_patches
+from pipeline.coding.omp import Pursuit, Searched, by_whole_products, pursue_patches, ready_for
 from pipeline.coding.turned import turn_all
 from storage import arrays
 
@@ -38,8 +37,8 @@ class Atoms:
 
     @property
     def n_bytes(self) -> int:
-        gram = self.searched.short_gram if isinstance(self.searched, ShortDictionary) else self.searched.gram
-        return self.dictionary.nbytes + gram.nbytes
+        gram_bytes = 0 if isinstance(self.searched, ShortDictionary) else self.searched.gram.nbytes
+        return self.dictionary.nbytes + gram_bytes
 
     def pursue(self, patches: np.ndarray, max_atoms: int, tolerance: float | np.ndarray,
                levels: np.ndarray | None = None, price: float = 0.0, search: str = "certified") -> Pursuit:
@@ -58,8 +57,8 @@ def store_atoms(folder: Path, dictionary: np.ndarray, form: AtomForm = AtomForm(
     stored = {"dictionary": dictionary}
     if form.n_turns > 1:
         stored["turned"] = dictionary = form.in_turns(dictionary)
-    split = None if form.n_turns > 1 else shorten(dictionary)  # products with all turns of an atom take no longer than short ones
-    if split is not None:
+    # Products with all turns of an atom take no longer than short ones.
+    if form.n_turns == 1 and len(dictionary) > MOST_WITH_GRAM and (split := shorten(dictionary)):
         stored |= {"basis": split.basis, "short": split.short, "rest": split.rest}
     for name, rows in stored.items():
         arrays.store(folder, name, rows.astype(np.float32, copy=False), (4096, *rows.shape[1:]))
@@ -85,8 +84,5 @@ def _read_atoms(folder: Path) -> Atoms:
         found = turn_all(dictionary, size, turned, with_gram)
         return Atoms(found if with_gram else unshortened(turned, found))
     if arrays.exists(folder, "basis"):
-        return Atoms(split_by(dictionary, *(arrays.read(folder, n) for n in ("basis", "short", "rest"))))
-    if len(dictionary) > MOST_WITH_GRAM:
-        return Atoms(unshortened(dictionary))
-    gram = dictionary @ dictionary.T
-    return Atoms(coarsen(dictionary, gram) or WholeDictionary(dictionary, gram))
+        return Atoms(ShortDictionary(dictionary, *(arrays.read(folder, n) for n in ("basis", "short", "rest"))))
+    return Atoms(unshortened(dictionary) if len(dictionary) > MOST_WITH_GRAM else ready_for("certified", dictionary))

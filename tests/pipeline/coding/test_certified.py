@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pipeline.coding import certified, omp
-from pipeline.coding.certified import MOST_WITH_GRAM, principal_components, shorten
+from pipeline.coding.certified import principal_components, shorten
+from pipeline.coding.coarse import coarsen
 from pipeline.coding.omp import pursue_patches, reconstruct, sparse_encode
 from pipeline.texture.patches import centred
 from pipeline.texture.resample import PATCH_DIM
@@ -63,13 +64,14 @@ def assert_greedy(patches, atoms, codes, most_loss: float = 1e-5) -> None:
             residual = patch - np.linalg.lstsq(kept.T, patch, rcond=None)[0] @ kept
 
 
-@pytest.mark.parametrize("in_step", [False, True], ids=["gram", "in step"])
+both_ways = pytest.mark.parametrize("split_by", [coarsen, shorten], ids=["gram", "in step"])
+
+
+@both_ways
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.__name__)
-def test_certified__takes_the_atoms_of_the_float64_twin(case, in_step, monkeypatch):
-    monkeypatch.setattr(certified, "MOST_WITH_GRAM", 0 if in_step else MOST_WITH_GRAM)
+def test_certified__takes_the_atoms_of_the_float64_twin(case, split_by):
     patches, atoms = case(np.random.default_rng(0))
-    split = shorten(atoms, components=12)
-    found = pursue_patches(patches, split, max_atoms=MOST, search="certified")
+    found = pursue_patches(patches, split_by(atoms, components=12), max_atoms=MOST, search="certified")
     exact = pursue_patches(patches, atoms, max_atoms=MOST)
     assert_greedy(patches, atoms, found.codes)
     assert found.residual.sum() == pytest.approx(exact.residual.sum(), rel=1e-3)
@@ -77,23 +79,23 @@ def test_certified__takes_the_atoms_of_the_float64_twin(case, in_step, monkeypat
     np.testing.assert_allclose(found.residual, lost, rtol=1e-3, atol=1e-5 * (patches**2).sum(axis=1).max())
 
 
+@both_ways
 @pytest.mark.parametrize("case", CASES[1:], ids=lambda c: c.__name__)
-def test_certified__takes_the_supports_of_exact_search_where_no_atoms_are_twins(case):
+def test_certified__takes_the_supports_of_exact_search_where_no_atoms_are_twins(case, split_by):
     patches, atoms = case(np.random.default_rng(1))
-    split = shorten(atoms, components=12)
+    split = split_by(atoms, components=12)
     found, exact = (pursue_patches(patches, d, max_atoms=MOST, search=s).codes for d, s in ((split, "certified"), (atoms, "exact")))
     assert (found.atom_index == exact.atom_index).all(axis=1).mean() > 0.98
     assert (found.n_atoms == exact.n_atoms).all()
 
 
-@pytest.mark.parametrize("in_step", [False, True], ids=["gram", "in step"])
+@both_ways
 @pytest.mark.parametrize("quantised", [False, True], ids=["exact weights", "quantised"])
-def test_certified__cuts_off_and_quantises_as_exact_search_does(quantised, in_step, monkeypatch):
-    monkeypatch.setattr(certified, "MOST_WITH_GRAM", 0 if in_step else MOST_WITH_GRAM)
+def test_certified__cuts_off_and_quantises_as_exact_search_does(quantised, split_by):
     patches, atoms = learned(np.random.default_rng(2))
     levels = np.tile(np.linspace(-3, 3, 64), (MOST, 1)) if quantised else None
     options = {"max_atoms": MOST, "tolerance": 0.02, "weight_levels": levels}
-    found = pursue_patches(patches, shorten(atoms, components=12), search="certified", **options)
+    found = pursue_patches(patches, split_by(atoms, components=12), search="certified", **options)
     exact = pursue_patches(patches, atoms, **options)
     assert len(set(exact.codes.n_atoms.tolist())) > 3
     assert (found.codes.n_atoms == exact.codes.n_atoms).mean() > 0.98
@@ -119,9 +121,11 @@ def test_certified__settles_few_atoms_of_smooth_patches():
     assert n * most <= n_settled < 0.1 * n * most * N_ATOMS
 
 
-def test_certified__approximate_search_loses_little_and_says_its_residual():
+@both_ways
+def test_certified__approximate_search_loses_little_and_says_its_residual(split_by):
     patches, atoms = learned(np.random.default_rng(4))
-    found = pursue_patches(patches, shorten(atoms, components=24), max_atoms=MOST, search="approximate")
+    found, certain = (pursue_patches(patches, split_by(atoms, components=24), max_atoms=MOST, search=s) for s in ("approximate", "certified"))
+    assert (found.codes.atom_index != certain.codes.atom_index).any()
     exact = pursue_patches(patches, atoms, max_atoms=MOST)
     assert found.residual.sum() < 1.05 * exact.residual.sum()
     lost = ((patches - reconstruct(found.codes, atoms)).astype(np.float64) ** 2).sum(axis=1)
@@ -133,14 +137,15 @@ def test_certified__recovers_through_atoms_in_the_span_of_the_support():
     atoms = unit_rows(rng, 20, DIM)
     twice = np.concatenate([atoms, atoms, -atoms])
     found = sparse_encode(smooth_patches(rng, 50), twice, max_atoms=8, search="certified")
-    split = pursue_patches(smooth_patches(rng, 50), shorten(twice, components=8), max_atoms=8, search="certified").codes
-    for codes in (found, split):
+    split = [pursue_patches(smooth_patches(rng, 50), by(twice, components=8), max_atoms=8, search="certified").codes for by in (coarsen, shorten)]
+    for codes in (found, *split):
         assert all(len(set(a[:n] % 20)) == n for a, n in zip(codes.atom_index, codes.n_atoms))
 
 
-def test_certified__a_patch_depends_on_neither_neighbours_nor_threads():
+@both_ways
+def test_certified__a_patch_depends_on_neither_neighbours_nor_threads(split_by):
     patches, atoms = learned(np.random.default_rng(6))
-    split = shorten(atoms, components=12)
+    split = split_by(atoms, components=12)
     patches = np.tile(patches, (20, 1))
     alone, threads = (pursue_patches(patches, split, max_atoms=MOST, search="certified", n_threads=n) for n in (1, 3))
     for a, b in zip((*alone.codes, alone.residual), (*threads.codes, threads.residual)):
@@ -175,8 +180,9 @@ def test_certified__basis_is_orthonormal_and_holds_what_svd_says():
 
 def test_certified__a_dictionary_without_few_components_is_searched_exactly():
     rng = np.random.default_rng(9)
-    assert shorten(unit_rows(rng, 2048, 1024)) is None
-    assert shorten(unit_rows(rng, 100, 1024)) is None
+    assert shorten(unit_rows(rng, 2048, 1024)) is None and coarsen(unit_rows(rng, 2048, 1024)) is None
+    assert coarsen(unit_rows(rng, 100, 1024)) is None
+    assert shorten(normalised(smooth_patches(rng, 300, 192))) is None
 
 
 @pytest.mark.parametrize("search", ["exact", "certified", "approximate"])

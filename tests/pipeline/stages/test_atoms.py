@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.coding import omp
 from pipeline.coding.certified import ShortDictionary
-from pipeline.coding.omp import SEARCHES
+from pipeline.coding.coarse import CoarseDictionary
+from pipeline.coding.omp import SEARCHES, by_whole_products
 from pipeline.stages import atoms as module
 from pipeline.stages.atoms import load_atoms, store_atoms
 
@@ -19,11 +21,16 @@ def few_components(n: int, rank: int = 40) -> np.ndarray:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-@pytest.fixture(scope="module")
-def split(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("atoms")
-    store_atoms(folder, few_components(N_ATOMS).astype(np.float32))
-    return load_atoms(folder)
+@pytest.fixture(params=[CoarseDictionary, ShortDictionary], ids=["gram", "in step"])
+def split(request, tmp_path, monkeypatch):
+    """As a dictionary with a Gram matrix is searched, and as one too large for it."""
+    if request.param is ShortDictionary:
+        for owner in (module, omp):
+            monkeypatch.setattr(owner, "MOST_WITH_GRAM", N_ATOMS - 1)
+    store_atoms(tmp_path, few_components(N_ATOMS).astype(np.float32))
+    atoms = load_atoms(tmp_path)
+    assert isinstance(atoms.searched, request.param)
+    return atoms
 
 
 def pursued(atoms, search: str):
@@ -32,7 +39,6 @@ def pursued(atoms, search: str):
 
 
 def test_atoms__certified_search_takes_the_atoms_of_exact_search(split):
-    assert isinstance(split.searched, ShortDictionary)
     exact, certified = (pursued(split, s) for s in ("exact", "certified"))
     assert exact.codes.n_atoms.mean() > 1
     assert (exact.codes.atom_index == certified.codes.atom_index).all()
@@ -43,7 +49,7 @@ def test_atoms__each_search_is_the_one_that_is_asked_for(split, search, monkeypa
     asked, pursue = [], module.pursue_patches
     monkeypatch.setattr(module, "pursue_patches", lambda *a, **k: asked.append((k["search"], type(a[1]).__name__)) or pursue(*a, **k))
     found = pursued(split, search)
-    assert asked == [(search, "WholeDictionary" if search == "exact" else "ShortDictionary")]
+    assert asked == [(search, type(split.searched if search != "exact" else by_whole_products(split.searched)).__name__)]
     assert found.residual.mean() < 0.5
 
 
