@@ -81,8 +81,8 @@ def make_previews(
     try:
         with ThreadPoolExecutor(1) as pool:  # compares and writes a view while the next one is drawn
             for i, view in enumerate(views):
-                if i == 0:  # compiles the shaders, so that the passes of the first view are timed as the others are
-                    _draw(renderer, gpu_scene, photos, view_of(view, WARM_UP_PX))
+                if i == 0:
+                    _compile(renderer, gpu_scene, photos, view)
                 waiting.append(pool.submit(finish, i, view, *_draw(renderer, gpu_scene, photos, view)))
                 if i:  # no more than two views' pictures at a time
                     waiting[i - 1].result()
@@ -130,6 +130,14 @@ def safe_names(names: Sequence[str]) -> list[str]:
         taken.add(unique.lower())
         result.append(unique)
     return result
+
+
+def _compile(renderer: Renderer, gpu_scene: GpuScene, photos: PhotoSplats | None, view: Camera) -> None:
+    """Draw a small picture, so that the passes of the first view are timed as the others are. Splats so small may overdraw a
+    pixel, which says nothing of the views."""
+    accumulation = gpu_scene.accumulation
+    _draw(renderer, gpu_scene, photos, view_of(view, WARM_UP_PX))
+    gpu_scene.accumulation = accumulation
 
 
 def _draw(

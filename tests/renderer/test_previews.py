@@ -9,7 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.readers.photos import decode_photo
-from renderer.previews import FIGURES, MAX_NAME, PreviewOptions, even_choice, make_previews, safe_names
+from renderer.previews import FIGURES, MAX_NAME, WARM_UP_PX, PreviewOptions, even_choice, make_previews, safe_names
+from renderer.scene import GpuScene
+from renderer.targets import NARROW, WIDE
+from renderer.views import view_of
 from tests.scenes import Settings, Splats, build_scene, camera_looking, random_dictionary
 
 SIZE = (120, 90)
@@ -50,6 +53,18 @@ def test_previews__of_photographed_scans_show_packed_baseline_and_photo(renderer
         assert 0.1 < row["coverage"] < 0.9
     assert len({path for row in rows for path in row["pictures"].values()}) == 9
     assert not list(tmp_path.rglob("*.partial"))
+
+
+def test_previews__sums_are_as_wide_as_the_views_call_for(renderer, tmp_path):
+    """Splats that overdraw the small picture by which shaders are compiled, and no view."""
+    rng, n = np.random.default_rng(4), 20_000
+    position = np.stack([rng.uniform(-1, 1, n), np.zeros(n), rng.uniform(-1, 1, n)], axis=1)
+    camera = camera_looking((0, -2.5, 0.2), (0, 0, 0), (480, 360), (440, 440))
+    scene = build_scene(Splats(position, np.tile([0.0, -1, 0], (n, 1))), Settings(radius=0.01, cameras=(camera,)))
+    gpu_scene = GpuScene(scene, renderer.context)
+    small = renderer.render(gpu_scene, view_of(camera, WARM_UP_PX)).accumulation
+    gpu_scene.release()
+    assert (small, make_previews(scene, tmp_path, renderer=renderer)[0]["accumulation"]) == (WIDE, NARROW)
 
 
 def test_previews__write_the_pictures_that_they_measure(renderer, tmp_path):
