@@ -17,13 +17,14 @@ from pathlib import Path
 from pipeline.coding.ksvd import BLOCK as TRAINING_BLOCK
 from pipeline.executors import MOST_A_CALL, tasks_a_call
 from pipeline.stages.pack import TASK_SPLATS as PACK_BLOCK
+from pipeline.stages.partition import IN_MEMORY as MOST_HELD  # units that any stage has in memory at once
 from storage.arrays import BLOCK
 from storage.schema import ATOM_SIZES
 
 DISPATCH_S = 1e-3  # of Dask's scheduler, a task: its documentation says "about 1 ms", and one process does it all
-# Times as long that a task takes beside others: two processes that coded blocks side by side, without Dask, took 4.84 s where
-# one after the other they took 8.61 s; two cores share caches and memory.
-CROWDED = 1.12
+# Times as long that a task takes beside others: two processes that coded blocks side by side, without Dask, took 3.08 s where
+# one after the other they took 5.25 s; two cores share caches and memory, and each reads ahead on the other's.
+CROWDED = 1.17
 MOST_SIMULATED = 20_000  # tasks of a stage; more go on as the last of these did
 SAMPLED = 16  # blocks that effects are measured on
 KILO, SMALLEST = 1024, min(ATOM_SIZES)  # indices of atoms, and texels to a side of the smallest
@@ -60,7 +61,7 @@ class StageCost:
     once_us_a_unit: float
     written_bytes_a_unit: float
     memory_bytes: float  # of the worker that needs most, at any size
-    memory_bytes_a_unit: float  # what comes to that with the size of the scan
+    memory_bytes_a_unit: float  # what comes to that with the size of the scan, up to MOST_HELD
     task_us_a_unit_a_kilo: float = 0.0
     once_s_a_kilo: float = 0.0
     written_bytes_a_kilo: float = 0.0
@@ -135,7 +136,7 @@ def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dic
     return StagePlan(
         name, passes * n_tasks, together, task_s, passes * (once_s + busy_s), passes * once_s, passes * n_calls * DISPATCH_S,
         passes * read, passes * written[name],
-        cost.memory_bytes + cost.memory_bytes_a_unit * units)
+        cost.memory_bytes + cost.memory_bytes_a_unit * min(units, MOST_HELD))
 
 
 def _units(name: str, job: Job) -> float:

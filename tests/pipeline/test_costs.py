@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.costs import BLOCKS, BY_ATOMS, KILO, TASKS, Job, StageCost, first_limit, known_costs, makespan, plan_job
+from pipeline.costs import BLOCKS, BY_ATOMS, KILO, MOST_HELD, TASKS, Job, StageCost, first_limit, known_costs, makespan, plan_job
 from pipeline.executors import CALLS_A_WORKER, MOST_A_CALL, tasks_a_call
 from services.plan import as_text, plan
 from pipeline.probe import probe_seconds
@@ -73,13 +73,19 @@ def test_probe__tells_a_machine_by_a_fraction_of_a_second():
 
 
 @pytest.mark.parametrize(("change", "workers", "words"), [
-    ({}, 1, "nothing"), ({"memory_bytes_a_unit": 100.0}, 1, "memory"), ({}, 5000, "what one process does alone"),
+    ({}, 1, "nothing"), ({"memory_bytes": 5e9}, 1, "memory"), ({}, 5000, "what one process does alone"),
     ({"task_us_a_unit": 0.001}, 1000, "the scheduler"),
 ])
 def test_plan__says_what_breaks_first(change, workers, words):
     job = Job(100_000_000, workers, 10)
     costs = {name: replace(cost, **change) for name, cost in FLAT.items()}
     assert first_limit(job, plan_job(job, costs), 4 << 30)[0].startswith(words)
+
+
+def test_plan__no_worker_holds_more_of_a_large_scan_than_of_one_that_fits():
+    costs = {name: replace(cost, memory_bytes_a_unit=100.0) for name, cost in FLAT.items()}
+    fits, large = ({p.name: p.worker_bytes for p in plan_job(Job(n, 4, 10), costs)} for n in (MOST_HELD, 10**10))
+    assert large == fits and large["partition"] == FLAT["partition"].memory_bytes + 100.0 * MOST_HELD
 
 
 def test_plan__the_costs_that_are_known_are_of_all_stages_and_sound():
