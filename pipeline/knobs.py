@@ -131,8 +131,8 @@ KNOBS = (
          "encode", low=0.0, optional=True, above_low=True),
     Knob("atom_search", str, "how a splat's next atom is found, of 128 or more of whole patches: by products with all of them; by short products, "
          "certified by whole ones with the few atoms that may be the best; or by short ones alone. Atoms in turns are found by products with all of them",
-         "certified: the atoms of exact search, in a third of its time (256 atoms of 32x32 texels), a sixth (4,096); approximate: hardly any more time",
-         "exact: that time; approximate: now and then an atom that is nearly the best, 0.0004 dB there",
+         "certified: the atoms of exact search, in a third of its time (256 atoms of 32x32 texels), a sixth (4,096); approximate: a tenth less",
+         "exact: that time; approximate: now and then an atom that is nearly the best, 0.01 dB there",
          "encode", choices=("exact", "certified", "approximate")),
     Knob("iterations", int, "passes of k-SVD", "a dictionary nearer to its best; each pass gives less than the one before",
          "time of learning, in proportion", "ksvd-update", low=1, high=1000, ladder=(3, 1, 12)),

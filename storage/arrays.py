@@ -151,14 +151,16 @@ def _piece(folder: Path, name: str, start: int, stop: int) -> np.ndarray:
 
 
 def write(folder: Path, name: str, start: int, rows: np.ndarray) -> None:
-    """Rows from `start` on. The caller owns every chunk that they touch.
+    """Rows from `start` on. The caller owns every chunk that they touch. Raises ValueError where they do not fit.
 
     Whole chunks of whole rows are written as the files they are: on their way through zarr 50 MB are copied twice into memory that is
     new to the process, which took three quarters of the time.
     """
     array = _opened_once(folder, name, "r+")
     n_rows, stop = array.chunks[0], start + len(rows)
-    if array.chunks[1:] != array.shape[1:] or start % n_rows or not (stop % n_rows == 0 or stop == array.shape[0]):
+    if rows.shape[1:] != array.shape[1:] or stop > array.shape[0]:
+        raise ValueError(f"{name} from row {start} on: {rows.shape}; allowed: rows of {array.shape}")
+    if array.chunks[1:] != array.shape[1:] or start % n_rows or (stop % n_rows and stop != array.shape[0]):
         array[start:stop] = rows
         return
     rows = np.ascontiguousarray(rows, array.dtype)

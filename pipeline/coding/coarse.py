@@ -31,7 +31,7 @@ FEWEST_ATOMS = 128  # below, all products of full width take no longer; of princ
 FEWEST_FOR_COMPONENTS = 1024
 LEAST_WIDTH = 4 * COMPONENTS  # of rows that principal components are shorter than
 # Share of a unit atom that may be left, in the median, above which too many products are settled to pay: of fountain_p11
-# it is 0.05, of monstree 0.09.
+# it is 0.03, of monstree 0.07.
 MOST_REST = 0.2
 REST_ROUNDING = 1e-3  # of a unit atom's rest; with ENERGY_ROUNDING of a patch's, their product is float32's rounding
 ROWS = 128  # patches at a time: 64 cost a tenth more for calls, 512 as much for memory

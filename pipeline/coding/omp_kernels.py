@@ -323,9 +323,9 @@ def add_atoms(rows, dictionary, atom, weight, n_atoms):
                 row[d] += x * texels[d]
 
 
-@kernel(fastmath=FAST)
+@kernel(fastmath={"nsz", "reassoc", "contract"})
 def squared_norms(rows):
-    """The squared norm of each row (n, d) float32, summed in float64."""
+    """The squared norm of each row (n, d) float32, summed in float64; not finite where a value is not."""
     norms = np.empty(rows.shape[0])
     for i in range(rows.shape[0]):
         total = 0.0

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import zarr
 
 from storage import arrays
 
@@ -16,3 +17,46 @@ def test_arrays__pieces_are_the_rows_in_order_across_chunks(tmp_path, start, sto
 def test_arrays__what_cannot_be_read_ahead_is_raised_where_it_is_asked_for(tmp_path):
     with pytest.raises(FileNotFoundError):
         next(arrays.pieces(tmp_path, "missing", 0, 4, 2))
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32", "bool"])
+def test_arrays__chunks_are_files_that_zarr_reads_and_writes_alike(tmp_path, dtype):
+    rows = np.random.default_rng(0).integers(0, 2, (23, 3)).astype(dtype)
+    arrays.create(tmp_path, "ours", rows.shape, dtype, (8, 3))
+    arrays.create(tmp_path, "zarr", rows.shape, dtype, (8, 3))
+    arrays.write(tmp_path, "ours", 0, rows[:16])
+    arrays.write(tmp_path, "ours", 16, np.asfortranarray(rows[16:]))  # the last chunk, which is not full
+    zarr.open_array(store=str(tmp_path / "zarr.zarr"), mode="r+")[:] = rows
+    ours, theirs = ({p.name: p.read_bytes() for p in (tmp_path / f"{name}.zarr" / "c").rglob("*") if p.is_file()} for name in ("ours", "zarr"))
+    assert ours == theirs and len(list(tmp_path.rglob("*.partial*"))) == 0
+    assert (np.asarray(zarr.open_array(store=str(tmp_path / "ours.zarr"), mode="r")[:]) == rows).all()
+    for start, stop in ((0, None), (5, 19), (16, 23), (22, 30), (4, 4)):
+        assert (arrays.read(tmp_path, "zarr", start, stop) == rows[start:stop]).all()
+
+
+def test_arrays__rows_within_a_chunk_leave_the_others(tmp_path):
+    arrays.create(tmp_path, "some", (20,), "int32", (8,))
+    arrays.write(tmp_path, "some", 3, np.arange(1, 8, dtype=np.int32))
+    assert arrays.read(tmp_path, "some").tolist() == [0] * 3 + [*range(1, 8)] + [0] * 10
+
+
+def test_arrays__chunks_never_written_are_zeros(tmp_path):
+    arrays.create(tmp_path, "some", (20, 2), "float32", (8, 2))
+    arrays.write(tmp_path, "some", 8, np.ones((8, 2), np.float32))
+    assert arrays.read(tmp_path, "some").tolist() == [[0.0, 0.0]] * 8 + [[1.0, 1.0]] * 8 + [[0.0, 0.0]] * 4
+
+
+@pytest.mark.parametrize("rows", [np.ones((8, 3), np.float32), np.ones((24, 2), np.float32)], ids=["too wide", "too many"])
+def test_arrays__rows_that_do_not_fit_are_refused(tmp_path, rows):
+    arrays.create(tmp_path, "some", (20, 2), "float32", (8, 2))
+    with pytest.raises(ValueError):
+        arrays.write(tmp_path, "some", 0, rows)
+    assert not arrays.read(tmp_path, "some").any()
+
+
+def test_arrays__a_chunk_is_there_whole_or_not_at_all(tmp_path, monkeypatch):
+    arrays.create(tmp_path, "some", (8,), "int32", (8,))
+    monkeypatch.setattr("os.replace", lambda *a: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    with pytest.raises(OSError, match="No space"):
+        arrays.write(tmp_path, "some", 0, np.arange(8, dtype=np.int32))
+    assert not [p for p in (tmp_path / "some.zarr").rglob("*") if p.is_file() and p.name != "zarr.json"]
