@@ -19,7 +19,7 @@ from pipeline.coding.omp import Pursuit, Searched, by_whole_products, pursue_pat
 from pipeline.coding.turned import turn_all
 from storage import arrays
 
-KEPT_BYTES = 256 << 20  # of a dictionary with its Gram matrix, what a process may keep for its next task
+KEPT_BYTES = 1280 << 20  # of a dictionary with its Gram matrix, what a process may keep for its next task: 16,384 atoms of whole patches
 
 _kept: dict[Path, Atoms] = {}  # the dictionary that this process read last; a complete stage's folder never changes
 
