@@ -20,6 +20,7 @@ import numpy as np
 import zarr
 
 from storage import zarr_config  # noqa: F401 (for its effect)
+from storage.whole import whole
 
 BLOCK = 16384  # splats a task: two groups
 
@@ -171,15 +172,9 @@ def write(folder: Path, name: str, start: int, rows: np.ndarray) -> None:
 def _write_chunk(path: Path, rows: np.ndarray, shape: tuple[int, ...]) -> None:
     """A chunk's file, there whole or not at all; what it has beyond `rows` is zeros."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(_aside(path.name))
-    try:
-        with open(aside, "wb") as file:
-            file.write(rows.data)
-            file.truncate(rows.itemsize * math.prod(shape))
-        os.replace(aside, path)
-    except BaseException:
-        aside.unlink(missing_ok=True)
-        raise
+    with whole(path) as partial, open(partial, "wb") as file:
+        file.write(rows.data)
+        file.truncate(rows.itemsize * math.prod(shape))
 
 
 def block_range(index: int, n: int, rows: int = BLOCK) -> tuple[int, int]:

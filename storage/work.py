@@ -14,25 +14,21 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 import shutil
-import uuid
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-LAYOUT_VERSION = 9  # raised when a stage's output changes for equal inputs
+from storage.whole import whole
+
+LAYOUT_VERSION = 10  # raised when a stage's output changes for equal inputs
 
 
 def write_json(path: Path, data: Any) -> None:
     """Strict JSON under its name only when it is whole."""
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    try:
+    with whole(path) as partial:
         partial.write_text(json.dumps(data, allow_nan=False))
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def read_json(path: Path) -> Any:
@@ -41,13 +37,8 @@ def read_json(path: Path) -> Any:
 
 def write_parts(path: Path, **arrays: np.ndarray) -> None:
     """Arrays as one .npz, under its name only when it is whole."""
-    partial = path.with_name(f"{path.name}.{uuid.uuid4().hex}.partial")
-    try:
-        with open(partial, "wb") as stream:
-            np.savez(stream, **arrays)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with whole(path) as partial, open(partial, "wb") as stream:
+        np.savez(stream, **arrays)
 
 
 def stage_folder(work: Path, stage: Any) -> Path:

@@ -21,6 +21,7 @@ from pipeline.threads import one_blas_thread
 # memory grows with k alone.
 MOST_WITH_GRAM = 16384
 COMPONENTS = 128  # of 64, 128, 192 and 256 the fastest for 4,096 atoms of 3,072 texels
+LEAST_WIDTH = 4 * COMPONENTS  # of rows that components are shorter than
 SAMPLE = 2048  # atoms that the components are found from
 # Share of a unit atom outside the components above which certified search settles too many atoms to pay: of fountain_p11 and
 # monstree it is 0.006 to 0.011; of 3,000 points of fountain_p11, whose patches lie in no few components, 0.3, and there certified
@@ -45,7 +46,7 @@ def shorten(dictionary: np.ndarray, components: int | None = None) -> ShortDicti
     lie in few components. A number of `components` says to split it all the same.
     """
     n_atoms, dim = dictionary.shape
-    if components is None and dim < 4 * COMPONENTS:
+    if components is None and dim < LEAST_WIDTH:
         return None
     with one_blas_thread():
         basis = principal_components(sampled(dictionary), components or COMPONENTS)

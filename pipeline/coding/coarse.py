@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.coding.certified import COMPONENTS, principal_components, sampled
+from pipeline.coding.certified import COMPONENTS, LEAST_WIDTH, principal_components, sampled
 from pipeline.coding.certified_kernels import ENERGY_ROUNDING
 from pipeline.coding.grid import axis_columns
 from pipeline.coding.omp_kernels import NO_TURNS, squared_norms
@@ -29,7 +29,6 @@ SIZE = 12  # with 8, monstree has 27 atoms settled; 16 cost more than they spare
 KEPT = 128
 FEWEST_ATOMS = 128  # below, all products of full width take no longer; of principal components, FEWEST_FOR_COMPONENTS
 FEWEST_FOR_COMPONENTS = 1024
-LEAST_WIDTH = 4 * COMPONENTS  # of rows that principal components are shorter than
 # Share of a unit atom that may be left, in the median, above which too many products are settled to pay: of fountain_p11
 # it is 0.03, of monstree 0.07.
 MOST_REST = 0.2
@@ -82,7 +81,7 @@ class CoarseDictionary:
         return kept @ self.short.T, np.sqrt(left).astype(np.float32)
 
 
-def coarsen(dictionary: np.ndarray, gram: np.ndarray | None = None, components: int | None = None) -> CoarseDictionary | None:
+def coarsen(dictionary: np.ndarray, components: int | None = None) -> CoarseDictionary | None:
     """A dictionary (k, d) float32 with unit rows split so; None where that would not pay: there are few
     atoms, or few coefficients leave too much of them. A number of principal `components` says to split it by them all the same."""
     with one_blas_thread():  # others would go on spinning beside the threads that then code
@@ -90,8 +89,7 @@ def coarsen(dictionary: np.ndarray, gram: np.ndarray | None = None, components: 
             short = coefficients.of(dictionary)
             rest = np.sqrt(np.maximum(squared_norms(dictionary) - squared_norms(short), 0)) + REST_ROUNDING
             if components or np.median(rest) <= MOST_REST:
-                gram = dictionary @ dictionary.T if gram is None else gram
-                return CoarseDictionary(dictionary, coefficients, short, rest.astype(np.float32), gram)
+                return CoarseDictionary(dictionary, coefficients, short, rest.astype(np.float32), dictionary @ dictionary.T)
     return None
 
 

@@ -180,12 +180,12 @@ def reconstruct(codes: Codes, dictionary: np.ndarray) -> np.ndarray:
     return result
 
 
-def ready_for(search: str, dictionary: np.ndarray, gram: np.ndarray | None = None) -> Searched:
-    """A dictionary (k, d) float32 of unit rows, with what its `search` needs; `gram` is its Gram matrix, where it is at hand."""
+def ready_for(search: str, dictionary: np.ndarray) -> Searched:
+    """A dictionary (k, d) float32 of unit rows, with what its `search` needs."""
     if len(dictionary) > MOST_WITH_GRAM:
         return (None if search == "exact" else shorten(dictionary)) or unshortened(dictionary)
-    found = None if search == "exact" else coarsen(dictionary, gram)
-    return found or WholeDictionary(dictionary, dictionary @ dictionary.T if gram is None else gram)
+    found = None if search == "exact" else coarsen(dictionary)
+    return found or WholeDictionary(dictionary, dictionary @ dictionary.T)
 
 
 def by_whole_products(dictionary: Searched) -> Searched:
