@@ -15,9 +15,10 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from pipeline.coding.ksvd import BLOCK as TRAINING_BLOCK
-from pipeline.executors import MOST_A_CALL, tasks_a_call
+from pipeline.executors import MOST_A_CALL, calls_of
 from pipeline.stages.pack import TASK_SPLATS as PACK_BLOCK
 from pipeline.stages.partition import IN_MEMORY as MOST_HELD  # units that any stage has in memory at once
+from pipeline.task import CALL_S
 from storage.arrays import BLOCK
 from storage.schema import ATOM_SIZES
 
@@ -127,14 +128,16 @@ def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dic
     task_s = 1e-6 * (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos) * units / max(1, n_tasks)
     task_s *= CROWDED if min(n_tasks, job.n_workers) > 1 else 1.0
     once_s = cost.once_s + 1e-6 * cost.once_us_a_unit * units + cost.once_s_a_kilo * kilos
-    together = tasks_a_call(n_tasks, job.n_workers)
-    n_calls = -(-n_tasks // together)
-    busy_s = makespan(n_calls, together * task_s, job.n_workers)
+    calls = calls_of(n_tasks, job.n_workers)
+    most = max(1, int(CALL_S / task_s)) if task_s else MOST_A_CALL  # then a call hands the others back
+    n_calls = sum(-(-size // most) for size in calls)
+    dispatch_s = DISPATCH_S * n_calls / max(1, n_tasks)
+    busy_s = makespan(n_tasks, task_s, job.n_workers, dispatch_s)
     read = sum(written.get(source, 0.0) for source in READS.get(name, ()))
     if name == "training-set":
         read = written[name] + 4.0 * job.n_splats
     return StagePlan(
-        name, passes * n_tasks, together, task_s, passes * (once_s + busy_s), passes * once_s, passes * n_calls * DISPATCH_S,
+        name, passes * n_tasks, min(most, max(calls, default=1)), task_s, passes * (once_s + busy_s), passes * once_s, passes * n_calls * DISPATCH_S,
         passes * read, passes * written[name],
         cost.memory_bytes + cost.memory_bytes_a_unit * min(units, MOST_HELD))
 

@@ -8,6 +8,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterable
 from concurrent.futures import wait
+from itertools import accumulate, pairwise
 from pathlib import Path
 
 from pipeline.calls import run_call
@@ -16,12 +17,18 @@ from pipeline.task import run_task, run_tasks
 from storage.errors import ResourceExhausted
 
 WATCH_S = 0.5  # how often a waiting executor asks whether it is still wanted
-MOST_A_CALL = 8  # tasks of a second each: a call stays below 10 s
-CALLS_A_WORKER = 64  # of a stage, before calls grow: the last ones then keep no worker waiting for over 2 % of it
+MOST_A_CALL = 8  # tasks: one of 0.3 s each, as coding takes, stays below 3 s
 GRACE_S = 3.0  # what running tasks get to end by themselves once they are not
-THREAD_LIMITS = {name: "1" for name in (
-    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS",
-)}
+DASK_SETTINGS = {
+    "distributed.nanny.pre-spawn-environ": {name: "1" for name in (
+        "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")},
+    "distributed.worker.memory.spill": False,
+    # What Dask does by itself, five to fifty times as often by default, took 3 % of two busy cores.
+    "distributed.worker.profile.interval": "100ms",
+    "distributed.worker.memory.monitor-interval": "500ms",
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "2s",
+}
 
 
 class SerialExecutor:
@@ -66,7 +73,7 @@ class DaskExecutor:
 
         self._cluster = None
         if self._scheduler is None:
-            with dask.config.set({"distributed.nanny.pre-spawn-environ": THREAD_LIMITS, "distributed.worker.memory.spill": False}):
+            with dask.config.set(DASK_SETTINGS):
                 self._cluster = LocalCluster(
                     n_workers=self._n_workers, threads_per_worker=1, processes=True, dashboard_address=":0",
                     silence_logs="ERROR",
@@ -91,21 +98,28 @@ class DaskExecutor:
             self._cluster.close()
 
     def run(self, stage: Stage, folder: Path, indices: list[int], on_done: Callable[[int, dict], None]) -> None:
-        size = tasks_a_call(len(indices), self.n_workers)
-        parts = [indices[i : i + size] for i in range(0, len(indices), size)]
+        ends = list(accumulate(calls_of(len(indices), self.n_workers)))
+        parts = [indices[begin:end] for begin, end in pairwise([0, *ends])]
 
-        def on_part(part: int, results: list[dict]) -> None:
-            for index, result in zip(parts[part], results, strict=True):
+        def on_call(arguments: tuple, results: list[dict]) -> list[tuple]:
+            part = arguments[-1]
+            for index, result in zip(part, results):
                 on_done(index, result)
+            size = len(results)
+            return [(stage, folder, part[at : at + size]) for at in range(size, len(part), size)]
 
-        self._gather(stage.name, {i: (run_tasks, stage, folder, part) for i, part in enumerate(parts)}, self._resources, on_part)
+        self._gather(stage.name, run_tasks, [(stage, folder, part) for part in parts], self._resources, on_call)
 
     def call(self, name: str, function: Callable, *arguments, resources: dict[str, float] | None = None,
              meanwhile: Callable[[], None] = lambda: None):
         """The result of one call on a worker that has `resources`; `meanwhile` is called while it runs."""
-        results: dict[int, object] = {}
-        calls = {0: (run_call, name, function, *arguments)}
-        self._gather(name, calls, resources or self._resources, results.__setitem__, meanwhile)
+        results: list[object] = []
+
+        def on_call(_, result: object) -> list[tuple]:
+            results.append(result)
+            return []
+
+        self._gather(name, run_call, [(name, function, *arguments)], resources or self._resources, on_call, meanwhile)
         return results[0]
 
     def _hear(self, event: tuple[float, dict]) -> None:
@@ -115,29 +129,38 @@ class DaskExecutor:
             if lost:
                 self._on_lost(message["worker"], lost)
 
-    def _gather(self, name: str, calls: dict[int, tuple], resources: dict[str, float] | None,
-                on_done: Callable[[int, dict], None], meanwhile: Callable[[], None] = lambda: None) -> None:
+    def _gather(self, name: str, function: Callable, calls: list[tuple], resources: dict[str, float] | None,
+                on_call: Callable[[tuple, object], list[tuple]], meanwhile: Callable[[], None] = lambda: None) -> None:
+        """Call `function` with each of these arguments; `on_call(arguments, result)` says what is to be called besides."""
         import dask
         from distributed import KilledWorker
 
         unique = uuid.uuid4().hex[:8]
-        with dask.annotate(job=self._job):
-            futures = {
-                self._client.submit(*call, key=f"{name}-{unique}-{i}", pure=False, resources=resources): i
-                for i, call in calls.items()
-            }
         ready: queue.SimpleQueue = queue.SimpleQueue()
-        self._wanted = {f.key for f in futures}
-        for future in futures:
-            future.add_done_callback(ready.put)
+        waiting: dict = {}  # future -> arguments
+        self._wanted = set()
+
+        def submit(calls: list[tuple], priority: int) -> None:
+            keys = [f"{name}-{unique}-{len(self._wanted) + i}" for i in range(len(calls))]
+            self._wanted.update(keys)
+            with dask.annotate(job=self._job):
+                futures = self._client.map(function, *zip(*calls), key=keys, pure=False, resources=resources, priority=priority)
+            waiting.update(zip(futures, calls))
+            for future in futures:
+                future.add_done_callback(ready.put)
+
         try:
-            while futures:
+            if calls:
+                submit(calls, 0)
+            while waiting:
                 self._watch()
                 meanwhile()
-                for future in _waiting(ready):
-                    result = self._result(future)
-                    on_done(futures.pop(future), result)
-                    future.release()
+                done = list(_waiting(ready))
+                if not done:
+                    continue
+                more = [call for future, result in zip(done, self._results(done)) for call in on_call(waiting.pop(future), result)]
+                if more:
+                    submit(more, 1)  # what is left of a large call, before the small ones
         except KilledWorker as error:
             raise ResourceExhausted(
                 f"stage {name}, task {error.task}", "the workers that ran it died",
@@ -145,13 +168,15 @@ class DaskExecutor:
             ) from error
         finally:
             self._wanted = set()
-            if futures:
-                self._stop(list(futures))
+            if waiting:
+                self._stop(list(waiting))
 
-    def _result(self, future):
-        """Of a task that is done; its worker may hang before it hands it over, and `watch` is called meanwhile."""
+    def _results(self, futures: list) -> list:
+        """Of tasks that are done, or what the first that failed raised; a worker may hang before it hands one over, and `watch` is
+        called meanwhile."""
+        failed = [future for future in futures if future.status != "finished"]
         fetching = asyncio.run_coroutine_threadsafe(
-            self._client.gather(future, asynchronous=True), self._client.loop.asyncio_loop)
+            self._client.gather(failed[:1] or futures, asynchronous=True), self._client.loop.asyncio_loop)
         try:
             while not wait([fetching], WATCH_S).done:
                 self._watch()
@@ -184,14 +209,19 @@ class DaskExecutor:
         return [worker for worker, found in running.items() if keys & set(found)]
 
 
-def tasks_a_call(n_tasks: int, n_workers: int) -> int:
-    """How many tasks go to a worker at once: more where there are many, so that one scheduler, at about 1 ms a call, stays
-    ahead of a thousand workers; few enough that the last calls keep none waiting long.
+def calls_of(n_tasks: int, n_workers: int) -> list[int]:
+    """How many tasks go to a worker at once, call after call: half of a worker's share of what is left (guided self-scheduling,
+    Polychronopoulos and Kuck 1987). So a scheduler, at about a millisecond a call, stays ahead of a thousand workers, and the
+    last calls, of one task, keep no worker waiting for long.
 
-    >>> tasks_a_call(21, 2), tasks_a_call(4334, 24), tasks_a_call(610_352, 1000)
-    (1, 2, 8)
+    >>> calls_of(21, 2)
+    [5, 4, 3, 2, 1, 1, 1, 1, 1, 1, 1]
     """
-    return max(1, min(MOST_A_CALL, n_tasks // (CALLS_A_WORKER * n_workers)))
+    sizes = []
+    while n_tasks:
+        sizes.append(min(MOST_A_CALL, max(1, n_tasks // (2 * n_workers))))
+        n_tasks -= sizes[-1]
+    return sizes
 
 
 def _waiting(ready: queue.SimpleQueue) -> Iterable:

@@ -10,7 +10,7 @@ import os
 from contextlib import contextmanager
 from pathlib import Path
 
-from pipeline.executors import THREAD_LIMITS
+from pipeline.executors import DASK_SETTINGS
 
 CPU, GL = {"CPU": 1}, {"GL": 1}
 
@@ -22,10 +22,7 @@ def own_cluster(n_workers: int, scratch: Path):
     from distributed import LocalCluster, Nanny
 
     scratch.mkdir(parents=True, exist_ok=True)
-    with dask.config.set({
-        "distributed.nanny.pre-spawn-environ": THREAD_LIMITS, "distributed.worker.memory.spill": False,
-        "temporary-directory": str(scratch),
-    }):
+    with dask.config.set(DASK_SETTINGS | {"temporary-directory": str(scratch)}):
         n_workers = n_workers or os.cpu_count() or 1
         with LocalCluster(n_workers=n_workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
                           silence_logs="ERROR", resources=CPU) as cluster:

@@ -23,6 +23,8 @@ from storage import zarr_config  # noqa: F401 (for its effect)
 from storage.whole import whole
 
 BLOCK = 16384  # splats a task: two groups
+# Chunks are files c.0.0 of the array's folder: zarr's usual c/0/0 is a new folder a chunk, which takes longer than most chunks' bytes.
+CHUNK_KEYS = {"name": "default", "separator": "."}
 
 
 def create(
@@ -32,7 +34,7 @@ def create(
     chunks = tuple(max(1, min(c, s)) for c, s in zip(chunks or (BLOCK, *shape[1:]), shape))
     return zarr.create_array(
         store=str(folder / f"{name}.zarr"), shape=shape, chunks=chunks, dtype=dtype, compressors=None, overwrite=True,
-        fill_value=0,
+        fill_value=0, chunk_key_encoding=CHUNK_KEYS,
     )
 
 
@@ -111,7 +113,7 @@ def _chunk(folder: Path, name: str, array: zarr.Array, *index: int) -> np.memmap
 
 def _path_of(folder: Path, name: str, array: zarr.Array, *index: int) -> Path:
     """The file of a chunk by its first indices; the others are 0."""
-    return folder / f"{name}.zarr" / "c" / "/".join([*map(str, index), *"0" * (len(array.shape) - len(index))])
+    return folder / f"{name}.zarr" / ".".join(["c", *map(str, index), *"0" * (len(array.shape) - len(index))])
 
 
 def read_rows(folder: Path, name: str, rows: np.ndarray) -> np.ndarray:
@@ -164,14 +166,17 @@ def write(folder: Path, name: str, start: int, rows: np.ndarray) -> None:
     if array.chunks[1:] != array.shape[1:] or start % n_rows or (stop % n_rows and stop != array.shape[0]):
         array[start:stop] = rows
         return
-    rows = np.ascontiguousarray(rows, array.dtype)
+    _write_chunks(folder, name, array, start, np.ascontiguousarray(rows, array.dtype))
+
+
+def _write_chunks(folder: Path, name: str, array: zarr.Array, start: int, rows: np.ndarray) -> None:
+    n_rows = array.chunks[0]
     for at in range(0, len(rows), n_rows):
         _write_chunk(_path_of(folder, name, array, (start + at) // n_rows), rows[at : at + n_rows], array.chunks)
 
 
 def _write_chunk(path: Path, rows: np.ndarray, shape: tuple[int, ...]) -> None:
     """A chunk's file, there whole or not at all; what it has beyond `rows` is zeros."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     with whole(path) as partial, open(partial, "wb") as file:
         file.write(rows.data)
         file.truncate(rows.itemsize * math.prod(shape))
@@ -193,27 +198,26 @@ class Appender:
         self._folder, self._name, self._made_as = folder, name, _aside(name)
         self._array = zarr.create_array(
             store=str(folder / f"{self._made_as}.zarr"), shape=(0, *row_shape), chunks=(rows, *row_shape), dtype=dtype,
-            compressors=None, overwrite=True, fill_value=0,
+            compressors=None, overwrite=True, fill_value=0, chunk_key_encoding=CHUNK_KEYS,
         )
-        self._rows, self._waiting, self._n_waiting = rows, [], 0
+        self._rows, self._waiting, self._n_waiting, self._n_written = rows, [], 0, 0
 
     def append(self, rows: np.ndarray) -> None:
         self._waiting.append(rows)
         self._n_waiting += len(rows)
         if self._n_waiting >= self._rows:
-            self._flush(self._n_waiting - self._n_waiting % self._rows)
+            self._write(self._n_waiting - self._n_waiting % self._rows)
 
     def close(self) -> int:
         """Write what waits; returns the number of rows."""
-        self._flush(self._n_waiting)
+        self._write(self._n_waiting)
+        self._array.resize((self._n_written, *self._array.shape[1:]))
         _give_name(self._folder, self._made_as, self._name)
-        return self._array.shape[0]
+        return self._n_written
 
-    def _flush(self, n: int) -> None:
+    def _write(self, n: int) -> None:
         if not n:
             return
         rows = np.concatenate(self._waiting)
-        start = self._array.shape[0]
-        self._array.resize((start + n, *self._array.shape[1:]))
-        self._array[start:] = rows[:n]
-        self._waiting, self._n_waiting = [rows[n:]], len(rows) - n
+        _write_chunks(self._folder, self._made_as, self._array, self._n_written, np.ascontiguousarray(rows[:n], self._array.dtype))
+        self._waiting, self._n_waiting, self._n_written = [rows[n:]], len(rows) - n, self._n_written + n

@@ -49,11 +49,15 @@ class Partition:
 
     def run(self, folder: Path, index: int) -> dict:
         points = work.summary(self.ingest)
-        n = self._n_kept()
+        n, origin = self._n_kept(), np.array(_origin(points))
+        if n <= IN_MEMORY:
+            pieces = list(_pieces_of(self.ingest, self.density, origin))
+            _write_in_order(folder, 0, {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]})
+            return {"n_splats": n}
         scratch = [work.parts(folder) / f"{uuid.uuid4().hex}.bin" for _ in range(2)]
         record = np.dtype([(name, dtype.base, dtype.shape) for name, dtype in _columns(self.ingest).items()])
         try:
-            _copy_records(self.ingest, scratch[0], record, self.density, np.array(_origin(points)))
+            _copy_records(self.ingest, scratch[0], record, self.density, origin)
             _split(scratch, record, 0, n, folder)
         except OSError as error:
             raise ResourceExhausted(f"stage {self.name}", f"{error.strerror or error}", f"room for {2 * n * record.itemsize} bytes") from error
@@ -101,27 +105,39 @@ def _kept_rows(n: int, density: float) -> Iterator[np.ndarray]:
         yield rows if density >= 1 else rows[uniform_hash(rows, DENSITY_SEED) < density]
 
 
+def _pieces_of(ingest: Path, density: float, origin: np.ndarray) -> Iterator[dict[str, np.ndarray]]:
+    """The points that are kept, by column, a block of the ingest at a time."""
+    names = columns_of(ingest)
+    for kept in _kept_rows(work.summary(ingest)["n_points"], density):
+        if not len(kept):
+            continue
+        start, stop = kept[0], kept[-1] + 1
+        every = stop - start == len(kept)
+        rows = {name: arrays.read(ingest, name, start, stop) for name in names}
+        rows = {name: column if every else column[kept - start] for name, column in rows.items()}
+        yield rows | {"point": kept.astype(np.uint32), "position": rows["position"] - origin}
+
+
 def _copy_records(ingest: Path, scratch: Path, record: np.dtype, density: float, origin: np.ndarray) -> None:
     with open(scratch, "wb") as file:
-        for kept in _kept_rows(work.summary(ingest)["n_points"], density):
-            if not len(kept):
-                continue
-            start, stop = kept[0], kept[-1] + 1
-            rows = np.empty(len(kept), record)
-            for name in columns_of(ingest):
-                rows[name] = arrays.read(ingest, name, start, stop)[kept - start]
-            rows["point"] = kept
-            rows["position"] -= origin
+        for columns in _pieces_of(ingest, density, origin):
+            rows = np.empty(len(columns["point"]), record)
+            for name, column in columns.items():
+                rows[name] = column
             rows.tofile(file)
+
+
+def _write_in_order(folder: Path, start: int, columns: dict[str, np.ndarray]) -> None:
+    order = median_split(columns["position"])
+    for name, column in columns.items():
+        arrays.write(folder, name, start, column[order])
 
 
 def _split(scratch: list[Path], record: np.dtype, start: int, stop: int, folder: Path) -> None:
     """Split rows start..stop of scratch[0]; scratch[1] is free to use in the same rows."""
     if stop - start <= IN_MEMORY:
         rows = _read(scratch[0], record, start, stop)
-        ordered = rows[median_split(rows["position"])]
-        for name in record.names:
-            arrays.write(folder, name, start, ordered[name])
+        _write_in_order(folder, start, {name: rows[name] for name in record.names})
         return
     low, high = _extent(scratch[0], record, start, stop)
     axis = longest_axis(low, high)

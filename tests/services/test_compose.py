@@ -11,7 +11,9 @@ from pathlib import Path
 import httpx
 import psutil
 import pytest
+from dask.config import collect_env, get
 
+from pipeline.executors import DASK_SETTINGS
 from tests.services.composed import COMPOSE, OURS, composed_in
 from tests.services.scans import packed_by_compress, photo_scan
 from tests.services.service_process import ROOT
@@ -28,6 +30,17 @@ def test_compose__only_the_api_is_published_and_every_service_has_a_health_check
     assert COMPOSE["networks"]["inside"]["internal"] is True
     assert all(s["restart"] == "unless-stopped" and s["healthcheck"]["test"] for s in services.values())
     assert all(services[name]["user"] == "10001:10001" for name in OURS)
+
+
+def test_compose__dask_runs_there_as_in_one_command():
+    for name in ("worker", "render-worker", "scheduler"):
+        environment = COMPOSE["services"][name]["environment"]
+        told = collect_env(environment)
+        for key, value in DASK_SETTINGS.items():
+            if key == "distributed.nanny.pre-spawn-environ":
+                assert name == "scheduler" or value.items() <= environment.items()
+            else:
+                assert get(key, config=told) == value, (name, key)
 
 
 def test_compose__the_image_is_debians_and_runs_as_no_root():
