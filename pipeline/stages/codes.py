@@ -35,7 +35,7 @@ class Encode:
     name = "encode"
 
     def init(self, folder: Path) -> int:
-        n = arrays.opened(self.patches, "energy").shape[0]
+        n = arrays.layout_of(self.patches, "energy").shape[0]
         arrays.create(folder, "n_atoms", (n,), "uint8")
         arrays.create(folder, "atom", (n, self._n_ranks), "uint16")
         arrays.create(folder, "weight_code", (n, self._n_ranks), "uint8")
@@ -43,7 +43,7 @@ class Encode:
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:
-        start, stop = arrays.block_range(index, arrays.opened(self.patches, "energy").shape[0])
+        start, stop = arrays.block_range(index, arrays.layout_of(self.patches, "energy").shape[0])
         encode = self._encoder()
         average = arrays.read(self.colors, "average", start, stop)
         n_atoms = np.zeros(stop - start, np.uint8)

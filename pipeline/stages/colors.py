@@ -25,7 +25,7 @@ class Colors:
     name = "colors"
 
     def init(self, folder: Path) -> int:
-        n = arrays.opened(self.patches, "energy").shape[0]
+        n = arrays.layout_of(self.patches, "energy").shape[0]
         arrays.create(folder, "average", (n, 3), "float32")
         arrays.create(folder, "energy", (n,), "float32")
         if self.step:
@@ -35,7 +35,7 @@ class Colors:
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:
-        start, stop = arrays.block_range(index, arrays.opened(self.patches, "energy").shape[0])
+        start, stop = arrays.block_range(index, arrays.layout_of(self.patches, "energy").shape[0])
         exact = arrays.read(self.patches, "average", start, stop).astype(np.float64)
         average = self._in_boxes(folder, start, exact) if self.step else np.floor(exact + 0.5).astype(np.float32)
         lost = ((average - exact) ** 2).sum(axis=1) * (PATCH_DIM // 3 / 255**2)

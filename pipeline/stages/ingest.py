@@ -44,7 +44,7 @@ class Ingest:
         source = _source(self.scan_path, self.fingerprint)
         if index == 0:
             return _store_points(source, folder)
-        arrays.opened(folder, f"photo_{index - 1}", "r+")[:] = source.read_photo(index - 1)
+        arrays.write_picture(folder, f"photo_{index - 1}", source.read_photo(index - 1))
         return {}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:

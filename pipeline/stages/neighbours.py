@@ -55,12 +55,9 @@ class Neighbourhoods:
         return {"n_splats": stop - start, "n_degenerate": int(degenerate.sum())}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
-        spacing = arrays.opened(folder, "spacing")
-        n = spacing.shape[0]
+        n = arrays.layout_of(folder, "spacing").shape[0]
         stride = -(-n // MOST_SPACINGS)
-        values = np.concatenate([
-            np.asarray(spacing[slice(*arrays.block_range(i, n))])[::stride] for i in range(arrays.n_blocks(n))
-        ])
+        values = np.concatenate([arrays.read(folder, "spacing", *arrays.block_range(i, n))[::stride] for i in range(arrays.n_blocks(n))])
         finite = values[np.isfinite(values)]
         return {"median_spacing": float(np.median(finite)) if len(finite) else None,
                 "n_degenerate": sum(r["n_degenerate"] for r in results)}

@@ -85,8 +85,8 @@ def _origin(points: dict) -> list[float]:
 
 def columns_of(points: Path) -> dict[str, np.dtype]:
     names = ("position", "normal", "color", "intensity", "station", "candidate", "point")
-    found = {name: arrays.opened(points, name) for name in names if arrays.exists(points, name)}
-    return {name: np.dtype((array.dtype, array.shape[1:])) for name, array in found.items()}
+    found = {name: arrays.layout_of(points, name) for name in names if arrays.exists(points, name)}
+    return {name: np.dtype((layout.dtype, layout.shape[1:])) for name, layout in found.items()}
 
 
 def _columns(ingest: Path) -> dict[str, np.dtype]:

@@ -26,7 +26,7 @@ class PatchSample:
         return 1
 
     def run(self, folder: Path, index: int) -> dict:
-        n = arrays.opened(self.patches, "energy").shape[0]
+        n = arrays.layout_of(self.patches, "energy").shape[0]
         sources = {"texel": self.patches, "average": self.colors, "energy": self.colors, "point": self.patches}
         kept: dict[str, list[np.ndarray]] = {name: [] for name in sources}
         for block in range(arrays.n_blocks(n)):
@@ -36,7 +36,7 @@ class PatchSample:
                 rows.append(arrays.read(sources[name], name, start, stop)[chosen])
         for name, rows in kept.items():
             joined = np.concatenate(rows)
-            arrays.create(folder, name, joined.shape, str(joined.dtype))[:] = joined
+            arrays.store(folder, name, joined)
         return {"n_splats": sum(map(len, kept["energy"]))}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:

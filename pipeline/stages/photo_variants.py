@@ -40,7 +40,7 @@ class PhotoVariant:
         rgb = halved(arrays.read(self.ingest, f"photo_{index}"), self.lod)
         budget = None if self.bytes_per_pixel is None else self.bytes_per_pixel * rgb.shape[0] * rgb.shape[1]
         decoded, n_bytes = CODECS[self.codec].coded(rgb, budget)
-        arrays.opened(folder, f"photo_{index}", "r+")[:] = decoded
+        arrays.write_picture(folder, f"photo_{index}", decoded)
         return {"bytes": n_bytes}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
@@ -74,10 +74,10 @@ class VariantErrors:
     name = "variant-errors"
 
     def init(self, folder: Path) -> int:
-        return arrays.n_blocks(arrays.opened(self.patches, "energy").shape[0])
+        return arrays.n_blocks(arrays.layout_of(self.patches, "energy").shape[0])
 
     def run(self, folder: Path, index: int) -> dict:
-        start, stop = arrays.block_range(index, arrays.opened(self.patches, "energy").shape[0])
+        start, stop = arrays.block_range(index, arrays.layout_of(self.patches, "energy").shape[0])
         found = resampled_block(self.variant, self.partition, self.splats, self.radius, self.up, self.ahead, index)
         squared, weighted = texel_errors(arrays.read(self.patches, "texel", start, stop), found.texel)
         return {"n_splats": stop - start, "squared_error": squared, "weighted_error": weighted}

@@ -83,6 +83,6 @@ class Quantization:
         train = uniform_weight_levels if self.form is None else train_weight_levels
         levels = train(ranks, 2**self.weight_bits)
         arrays.store(folder, "weight_levels", levels.astype(np.float32, copy=False))
-        return {"n_atoms": arrays.opened(folder, "atom_scale").shape[0],
+        return {"n_atoms": arrays.layout_of(folder, "atom_scale").shape[0],
                 "atom_size": self.form.size if self.form else PATCH_SIZE, "n_turns": self.form.n_turns if self.form else 1,
                 "squared_error": sum(r["squared_error"] for r in results)}

@@ -34,10 +34,10 @@ class Sampled:
         rows = (chunks[:, None] * CHUNK + np.arange(CHUNK)).ravel()
         rows = rows[rows < n]
         for path in sorted(self.source.glob("*.zarr")):
-            array = arrays.opened(self.source, path.stem)
-            taken = {n: rows, -(-n // CHUNK): chunks}.get(array.shape[0])
+            layout = arrays.layout_of(self.source, path.stem)
+            taken = {n: rows, -(-n // CHUNK): chunks}.get(layout.shape[0])
             if taken is not None:
-                arrays.store(folder, path.stem, arrays.read_rows(self.source, path.stem, taken), array.chunks)
+                arrays.store(folder, path.stem, arrays.read_rows(self.source, path.stem, taken), layout.chunks)
         return {"n_splats": len(rows)}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:

@@ -112,7 +112,7 @@ class Components:
 
     def run(self, folder: Path, index: int) -> dict:
         basis, dtype = arrays.read(folder, "basis"), work.read_json(folder / "components.json")["dtype"]
-        n = arrays.opened(self.training, f"average_{index}").shape[0]
+        n = arrays.layout_of(self.training, f"average_{index}").shape[0]
         coefficients, rest = np.empty((n, basis.shape[1]), np.float32), np.empty(n)
         for at in range(0, n, ROWS):
             rows = slice(at, at + ROWS)
@@ -124,7 +124,7 @@ class Components:
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         found = work.read_json(folder / "components.json")
         n = sum(r["n_splats"] for r in results)
-        floor = psnr_db(sum(r["rest"] for r in results), n * arrays.opened(folder, "basis").shape[0])
+        floor = psnr_db(sum(r["rest"] for r in results), n * arrays.layout_of(folder, "basis").shape[0])
         return {"n_tasks": len(results), "n_patches": n, "n_components": found["n_components"], "dtype": found["dtype"],
                 "floor_psnr_db": floor}
 
@@ -145,7 +145,7 @@ class Coefficients:
         return work.summary(self.training)["n_tasks"]
 
     def run(self, folder: Path, index: int) -> dict:
-        n = arrays.opened(self.training, f"average_{index}").shape[0]
+        n = arrays.layout_of(self.training, f"average_{index}").shape[0]
         values, rest = np.empty((n, 3 * self.size**2), np.float32), np.empty(n, np.float32)
         for at in range(0, n, ROWS):
             rows = slice(at, at + ROWS)
@@ -177,5 +177,5 @@ def training_part(folder: Path, index: int) -> TrainingPart:
 
 
 def _patches(training: Path, index: int, rows: slice) -> np.ndarray:
-    texel, average = (arrays.opened(training, f"{name}_{index}")[rows] for name in ("texel", "average"))
-    return centred(np.asarray(texel), np.asarray(average))
+    texel, average = (arrays.read(training, f"{name}_{index}", rows.start or 0, rows.stop) for name in ("texel", "average"))
+    return centred(texel, average)

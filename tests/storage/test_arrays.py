@@ -1,3 +1,5 @@
+import json
+
 import numpy as np
 import pytest
 import zarr
@@ -19,19 +21,56 @@ def test_arrays__what_cannot_be_read_ahead_is_raised_where_it_is_asked_for(tmp_p
         next(arrays.pieces(tmp_path, "missing", 0, 4, 2))
 
 
-@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32", "bool"])
-def test_arrays__chunks_are_files_that_zarr_reads_and_writes_alike(tmp_path, dtype):
+def zarrs_own(folder, name: str, shape: tuple, dtype: str, chunks: tuple) -> zarr.Array:
+    return zarr.create_array(store=str(folder / f"{name}.zarr"), shape=shape, chunks=chunks, dtype=dtype, compressors=None, fill_value=0,
+                             chunk_key_encoding={"name": "default", "separator": "."})
+
+
+def files_of(folder, name: str) -> dict[str, bytes | dict]:
+    found = {str(p.relative_to(folder / f"{name}.zarr")): p.read_bytes() for p in (folder / f"{name}.zarr").rglob("*") if p.is_file()}
+    return found | {"zarr.json": json.loads(found["zarr.json"])}
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "int64", "float16", "float32", "float64", "bool"])
+def test_arrays__are_files_as_zarr_writes_them(tmp_path, dtype):
     rows = np.random.default_rng(0).integers(0, 2, (23, 3)).astype(dtype)
     arrays.create(tmp_path, "ours", rows.shape, dtype, (8, 3))
-    arrays.create(tmp_path, "zarr", rows.shape, dtype, (8, 3))
     arrays.write(tmp_path, "ours", 0, rows[:16])
     arrays.write(tmp_path, "ours", 16, np.asfortranarray(rows[16:]))  # the last chunk, which is not full
-    zarr.open_array(store=str(tmp_path / "zarr.zarr"), mode="r+")[:] = rows
-    ours, theirs = ({p.name: p.read_bytes() for p in (tmp_path / f"{name}.zarr" / "c").rglob("*") if p.is_file()} for name in ("ours", "zarr"))
-    assert ours == theirs and len(list(tmp_path.rglob("*.partial*"))) == 0
-    assert (np.asarray(zarr.open_array(store=str(tmp_path / "ours.zarr"), mode="r")[:]) == rows).all()
+    arrays.store(tmp_path, "stored", rows, (8, 3))
+    appended = arrays.Appender(tmp_path, "appended", (3,), dtype, rows=8)
+    for part in np.split(rows, [1, 5, 18]):
+        appended.append(part)
+    assert appended.close() == 23
+    zarrs_own(tmp_path, "zarr", rows.shape, dtype, (8, 3))[:] = rows
+    for name in ("ours", "stored", "appended"):
+        assert files_of(tmp_path, name) == files_of(tmp_path, "zarr"), name
+        assert (np.asarray(arrays.opened(tmp_path, name)[:]) == rows).all()
     for start, stop in ((0, None), (5, 19), (16, 23), (22, 30), (4, 4)):
         assert (arrays.read(tmp_path, "zarr", start, stop) == rows[start:stop]).all()
+    assert len(list(tmp_path.rglob("*.partial*"))) == 0
+
+
+def test_arrays__pictures_are_files_as_zarr_writes_them(tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 256, (21, 37, 3), np.uint8)
+    arrays.create(tmp_path, "ours", pixels.shape, "uint8", (8, 16, 3))
+    arrays.write_picture(tmp_path, "ours", pixels)
+    zarrs_own(tmp_path, "zarr", pixels.shape, "uint8", (8, 16, 3))[:] = pixels
+    assert files_of(tmp_path, "ours") == files_of(tmp_path, "zarr")
+    assert (arrays.read_window(tmp_path, "ours", 3, 20, 10, 37) == pixels[3:20, 10:37]).all()
+    with pytest.raises(ValueError, match=r"\(21, 37, 3\)"):
+        arrays.write_picture(tmp_path, "ours", pixels[:20])
+
+
+def test_arrays__an_empty_one_has_no_chunks(tmp_path):
+    arrays.store(tmp_path, "none", np.empty((0, 5), np.float32))
+    assert list(files_of(tmp_path, "none")) == ["zarr.json"] and arrays.read(tmp_path, "none").shape == (0, 5)
+
+
+def test_arrays__one_that_is_packed_another_way_is_not_misread(tmp_path):
+    zarr.create_array(store=str(tmp_path / "other.zarr"), shape=(8,), chunks=(8,), dtype="int32")[:] = np.arange(8)
+    with pytest.raises(AssertionError, match="not an array that is made here"):
+        arrays.read(tmp_path, "other")
 
 
 def test_arrays__rows_within_a_chunk_leave_the_others(tmp_path):

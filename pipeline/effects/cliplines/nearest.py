@@ -45,7 +45,7 @@ class NearestPoints:
         if np.isfinite(distance).any():
             row, column = distance_transform_edt(~np.isfinite(distance), return_distances=False, return_indices=True)
             position = position[row, column]
-        arrays.create(folder, f"nearest_{index}", position.shape, "float32", position.shape)[:] = position
+        arrays.store(folder, f"nearest_{index}", position, position.shape)
         return {"scale": scale}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:

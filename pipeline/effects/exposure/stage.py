@@ -29,7 +29,7 @@ class Exposed:
 
     def run(self, folder: Path, index: int) -> dict:
         photo = arrays.read(self.ingest, f"photo_{index}")
-        arrays.opened(folder, f"photo_{index}", "r+")[:] = relit(photo, np.array(self.log_gain[index]))
+        arrays.write_picture(folder, f"photo_{index}", relit(photo, np.array(self.log_gain[index])))
         return {}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:

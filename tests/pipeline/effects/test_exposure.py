@@ -80,7 +80,8 @@ def test_solve__a_photograph_that_shares_no_splat_is_left_as_it_is():
 
 def test_read_window__is_that_part_of_a_picture_whatever_its_tiles(tmp_path):
     picture = np.random.default_rng(7).integers(0, 256, (23, 31, 3)).astype(np.uint8)
-    arrays.store(tmp_path, "picture", picture, (8, 10, 3))
+    arrays.create(tmp_path, "picture", picture.shape, str(picture.dtype), (8, 10, 3))
+    arrays.write_picture(tmp_path, "picture", picture)
     for top, bottom, left, right in ((0, 23, 0, 31), (7, 9, 9, 11), (8, 16, 10, 20), (22, 23, 30, 31), (3, 20, 5, 29)):
         found = arrays.read_window(tmp_path, "picture", top, bottom, left, right)
         assert np.array_equal(found, picture[top:bottom, left:right])

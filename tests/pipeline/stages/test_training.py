@@ -46,7 +46,7 @@ def test_strata__a_small_scan_is_taken_whole_and_an_empty_one_not_at_all():
 @pytest.mark.parametrize("rows", [[], [0], [9], [3, 4, 5, 9], list(range(10))])
 def test_arrays__rows_alone_are_those_of_the_whole(tmp_path, rows):
     whole = np.arange(10 * 6, dtype=np.float32).reshape(10, 6)
-    arrays.create(tmp_path, "rows", whole.shape, "float32", (4, 6))[:] = whole
+    arrays.store(tmp_path, "rows", whole.astype(np.float32), (4, 6))
     found = arrays.read_rows(tmp_path, "rows", np.array(rows, int))
     assert found.dtype == whole.dtype and (found == whole[rows]).all()
 
@@ -62,7 +62,7 @@ def test_training__neither_the_choice_nor_its_order_turns_with_the_chunks(tmp_pa
         if not patches.exists():
             work.begin(patches)
             for name, values in rows.items():
-                arrays.create(patches, name, values.shape, str(values.dtype))[:] = values[order]
+                arrays.store(patches, name, values[order])
             work.complete(patches, {"census": census(rows["energy"]).tolist()})
         return arrays.read(run_stage(TrainingSet(patches, patches, 8.0, 700, seed, 1.0), tmp_path, SerialExecutor(), Heard()).folder, "texel_0")
 
