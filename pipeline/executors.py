@@ -23,6 +23,7 @@ DASK_SETTINGS = {
     "distributed.nanny.pre-spawn-environ": {name: "1" for name in (
         "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")},
     "distributed.worker.memory.spill": False,
+    "distributed.worker.preload": ["pipeline.warm"],
     # What Dask does by itself, five to fifty times as often by default, took 3 % of two busy cores.
     "distributed.worker.profile.interval": "100ms",
     "distributed.worker.memory.monitor-interval": "500ms",
