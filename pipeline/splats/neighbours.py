@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from pipeline.compiled import kernel
+
 
 @dataclass(frozen=True)
 class Neighbours:
@@ -52,17 +54,29 @@ def find_neighbours(
 
 def _ask(there: np.ndarray, needy: np.ndarray, points: np.ndarray, distance: np.ndarray, position: np.ndarray) -> None:
     """Merge the neighbours that the `needy` points have among `there` into `distance` and `position`."""
-    k = distance.shape[1]
-    tree = cKDTree(there, balanced_tree=False)
-    found_distance, found = tree.query(points[needy], k=min(k + 1, len(there)))
-    found_distance, found = found_distance.reshape(len(needy), -1), found.reshape(len(needy), -1)
-    found_distance = np.where(found_distance > 0, found_distance, np.inf)  # the point itself
-    both = np.concatenate([distance[needy], found_distance], axis=1)
-    places = np.concatenate([position[needy], there[found]], axis=1)
-    nearest = np.argsort(both, axis=1, kind="stable")[:, :k]
-    distance[needy] = np.take_along_axis(both, nearest, axis=1)
-    kept = np.take_along_axis(places, nearest[:, :, None], axis=1)
-    position[needy] = np.where(np.isfinite(distance[needy])[:, :, None], kept, points[needy, None])
+    n_asked = min(distance.shape[1] + 1, len(there))
+    found_distance, found = cKDTree(there, balanced_tree=False).query(points[needy], k=n_asked)
+    _merge(there, needy, found_distance.reshape(len(needy), -1), found.reshape(len(needy), -1), distance, position)
+
+
+@kernel()
+def _merge(there, needy, found_distance, found, distance, position):
+    """Put what was found, (m, a) nearest first, between what rows `needy` (m,) of `distance` (n, k) and `position` (n, k, 3) have; of
+    equally near ones what they have comes first. One at no distance is the point itself."""
+    k, n_found = distance.shape[1], found.shape[1]
+    old_distance, old_position = np.empty(k), np.empty((k, 3))
+    for row, i in enumerate(needy):
+        old_distance[:], old_position[:] = distance[i], position[i]
+        old, new = 0, 0
+        for j in range(k):
+            while new < n_found and found_distance[row, new] <= 0:
+                new += 1
+            if new < n_found and found_distance[row, new] < old_distance[old]:
+                distance[i, j], position[i, j] = found_distance[row, new], there[found[row, new]]
+                new += 1
+            else:
+                distance[i, j], position[i, j] = old_distance[old], old_position[old]
+                old += 1
 
 
 def _distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
