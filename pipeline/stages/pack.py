@@ -17,6 +17,7 @@ from storage.scene import streams_of
 from storage.schema import BY_NAME, CHUNK, EXTRAS, GROUP, Batch, Header, arrays_of, color_bits
 
 TASK_SPLATS = GROUP * GROUPS_PER_ZARR_CHUNK
+KIND_DIGITS = 2 ** np.arange(len(EXTRAS), -1, -1)  # of `Batch.kind` as one number: a bit for each extra, above them the atoms
 
 
 @dataclass(frozen=True)
@@ -96,9 +97,10 @@ class Pack:
     def _batches(self, n_atoms: np.ndarray, start: int, stop: int) -> np.ndarray:
         """The batch of each splat, (n,) int64."""
         kinds = kinds_of(n_atoms, self.extras, start, stop)
-        batch = np.full(len(n_atoms), -1)
-        for i, kind in enumerate(self.header.batches):
-            batch[(kinds == kind.kind).all(axis=1)] = i
+        known = np.array([batch.kind for batch in self.header.batches], np.int64) @ KIND_DIGITS
+        of_kind = np.full(max(kinds.max(), known.max()) + 1, -1)
+        of_kind[known] = np.arange(len(known))
+        batch = of_kind[kinds]
         assert (batch >= 0).all()
         return batch
 
@@ -138,14 +140,14 @@ def _in_rows(fields: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def kinds_of(n_atoms: np.ndarray, extras: tuple[tuple[str, Path], ...], start: int, stop: int) -> np.ndarray:
-    """What tells the batch of each splat start..stop, as `Batch.kind` has it: (n, 1 + len(EXTRAS)) int64."""
+    """What tells the batch of each splat start..stop, `Batch.kind` as one number by KIND_DIGITS: (n,) int64."""
     flags = dict(extras)
     columns = [arrays.read(flags[e.flag], f"has_{e.flag}", start, stop) if e.flag in flags else np.zeros(stop - start, bool)
                for e in EXTRAS]
     if {"clipline", "ellipsoid"} <= flags.keys():
         clipline, ellipsoid = ([e.flag for e in EXTRAS].index(flag) for flag in ("clipline", "ellipsoid"))
         columns[clipline] = columns[clipline] & ~columns[ellipsoid]  # the disc that would have been cut is not drawn
-    return np.stack([n_atoms, *columns], axis=1).astype(np.int64)
+    return sum(digit * column.astype(np.int64) for digit, column in zip(KIND_DIGITS, [n_atoms, *columns], strict=True))
 
 
 def batches_of(n_splats: int, codes: Path | None, extras: tuple[tuple[str, Path], ...]) -> tuple[Batch, ...]:
@@ -154,9 +156,9 @@ def batches_of(n_splats: int, codes: Path | None, extras: tuple[tuple[str, Path]
     for start in range(0, n_splats, arrays.BLOCK):
         stop = min(start + arrays.BLOCK, n_splats)
         n_atoms = np.zeros(stop - start, np.uint8) if codes is None else arrays.read(codes, "n_atoms", start, stop)
-        found |= set(map(tuple, np.unique(kinds_of(n_atoms, extras, start, stop), axis=0).tolist()))
-    return tuple(Batch(n, **{e.flag: bool(has) for e, has in zip(EXTRAS, flags, strict=True)})
-                 for n, *flags in sorted(found, key=lambda kind: (kind[1:], kind[0])))
+        found |= {(*(int(kind) // KIND_DIGITS[1:] % 2), kind // KIND_DIGITS[0])
+                  for kind in np.flatnonzero(np.bincount(kinds_of(n_atoms, extras, start, stop)))}
+    return tuple(Batch(int(n), **{e.flag: bool(has) for e, has in zip(EXTRAS, flags, strict=True)}) for *flags, n in sorted(found))
 
 
 def array_bytes(root, header: Header) -> dict[str, int]:
