@@ -12,11 +12,11 @@ import errno
 import functools
 import json
 import math
+import mmap
 import os
 import shutil
 import uuid
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -179,16 +179,24 @@ def read_rows(folder: Path, name: str, rows: np.ndarray) -> np.ndarray:
 
 
 def pieces(folder: Path, name: str, start: int, stop: int, rows: int) -> Iterator[tuple[int, np.ndarray]]:
-    """Rows start..stop of an array of whole rows, `rows` at a time, each with its first row; while one is worked on the next
-    is read."""
-    with ThreadPoolExecutor(1) as reader:
-        begins = range(start, stop, rows)
-        ahead = [reader.submit(_piece, folder, name, at, min(at + rows, stop)) for at in begins[:1]]
-        for at, following in zip(begins, [*begins[1:], stop]):
-            piece = ahead.pop().result()
-            if following < stop:
-                ahead.append(reader.submit(_piece, folder, name, following, min(following + rows, stop)))
-            yield at, piece
+    """Rows start..stop of an array of whole rows, `rows` at a time and less at the end of a chunk, each with its first row, not to be
+    written to: they are not copied out of the disk cache, and while one is worked on the disk is told to read the next."""
+    layout = layout_of(folder, name)
+    assert layout.of_whole_rows, layout
+    n_rows = layout.chunks[0]
+    for chunk in range(start // n_rows, -(-stop // n_rows)):
+        first, end = max(start, chunk * n_rows), min(stop, (chunk + 1) * n_rows)
+        there = _chunk(folder, name, layout, chunk)
+        for at in range(first, end, rows):
+            _read_ahead(there, at + rows - chunk * n_rows, rows)
+            yield at, np.asarray(there[at - chunk * n_rows : min(at + rows, end) - chunk * n_rows])
+
+
+def _read_ahead(there: np.memmap, start: int, n: int) -> None:
+    begin, end = (min(i, len(there)) * there[0].nbytes for i in (start, start + n))
+    begin -= begin % mmap.PAGESIZE
+    if begin < end and hasattr(mmap, "MADV_WILLNEED"):
+        there._mmap.madvise(mmap.MADV_WILLNEED, begin, end - begin)
 
 
 def _piece(folder: Path, name: str, start: int, stop: int) -> np.ndarray:

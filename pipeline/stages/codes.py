@@ -51,7 +51,7 @@ class Encode:
         weight_code, error = np.zeros((stop - start, self._n_ranks), np.uint8), np.zeros(stop - start, np.float32)
         squared, weighted = 0.0, 0.0
         for at, texel in arrays.pieces(self.patches, "texel", start, stop, ROWS):
-            rows = slice(at - start, at - start + ROWS)
+            rows = slice(at - start, at - start + len(texel))
             found, decoded = encode(centred(texel, average[rows]))
             used = found.weight_code.shape[1]
             n_atoms[rows], atom[rows, :used] = found.codes.n_atoms, found.codes.atom_index
