@@ -44,11 +44,12 @@ class TurnedDictionary:
 
     def products(self, patches: np.ndarray, energy: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Correlations (n, 8 k) float32 of patches (n, 3 size^2), and by how much they are off: not at all."""
-        n, grid = len(patches), patches.reshape(-1, self.size, self.size, 3)
-        both = np.concatenate([grid, grid.swapaxes(1, 2)]).reshape(2 * n, -1)
+        n = len(patches)
+        both = np.empty((4, 2 * n, patches.shape[1] // 4), np.float32)
+        _by_parity(patches, self.size, both)
         partial = np.empty((4, 2 * n, len(self.parts[0])), np.float32)
-        for into, columns, part in zip(partial, _parities(self.size), self.parts):
-            np.matmul(both[:, columns], part.T, out=into)
+        for into, rows, part in zip(partial, both, self.parts):
+            np.matmul(rows, part.T, out=into)
         product = np.empty((n, len(self.dictionary)), np.float32)
         _sums_and_differences(partial, product)
         return product, np.zeros(n, np.float32)
@@ -86,6 +87,21 @@ def _differences() -> np.ndarray:
     seen = {turned_texels(marked, turn).tobytes(): turn for turn in range(TURNS)}
     of = [[seen[turned_texels(turned_texels(marked, u), t).tobytes()] for u in range(TURNS)] for t in range(TURNS)]  # first u, then t
     return np.argsort(of, axis=1)
+
+
+@kernel()
+def _by_parity(patches, size, both):
+    """both (4, 2 n, 3 size^2 / 4): coefficients of patches (n, 3 size^2) by `_parities`, and of the patches with their axes exchanged."""
+    n, half = patches.shape[0], size // 2
+    for i in range(n):
+        for row in range(size):
+            for column in range(size):
+                straight, exchanged = 2 * (row % 2) + column % 2, 2 * (column % 2) + row % 2
+                at, to = (row // 2 * half + column // 2) * 3, (column // 2 * half + row // 2) * 3
+                for k in range(3):
+                    value = patches[i, (row * size + column) * 3 + k]
+                    both[straight, i, at + k] = value
+                    both[exchanged, n + i, to + k] = value
 
 
 @kernel(fastmath={"nnan", "nsz", "contract"})
