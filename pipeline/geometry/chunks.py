@@ -20,6 +20,12 @@ def split_rank(n: int) -> int:
     return round(n / 2 / unit) * unit
 
 
+def bounds(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner of points (n, 3), n at least 1: axis by axis, which takes a tenth of extremes of three columns."""
+    axes = np.ascontiguousarray(position.T)
+    return axes.min(axis=1), axes.max(axis=1)
+
+
 def longest_axis(low: np.ndarray, high: np.ndarray) -> int:
     """The axis of the largest extent; the first of equals."""
     return int(np.argmax(high - low))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.geometry.chunks import bounds
 from pipeline.limits import check_bounds
 from pipeline.readers import open_scan
 from pipeline.readers.check import black_points
@@ -82,8 +83,8 @@ def _store_points(source: ScanSource, folder: Path) -> dict:
         if not len(columns["position"]):
             continue
         n_kept += len(columns["position"])
-        low = np.minimum(low, columns["position"].min(axis=0))
-        high = np.maximum(high, columns["position"].max(axis=0))
+        of_piece = bounds(columns["position"])
+        low, high = np.minimum(low, of_piece[0]), np.maximum(high, of_piece[1])
         for name, rows in columns.items():
             if name not in writers:
                 writers[name] = arrays.Appender(folder, name, rows.shape[1:], str(rows.dtype))

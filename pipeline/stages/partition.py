@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.geometry.chunks import longest_axis, median_split, split_rank
+from pipeline.geometry.chunks import bounds, longest_axis, median_split, split_rank
 from pipeline.hashing import uniform_hash
 from storage import arrays, work
 from storage.errors import InvalidScan, ResourceExhausted
@@ -69,8 +69,8 @@ class Partition:
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         points = work.summary(self.ingest)
         n = self._n_kept()
-        bounds = [_bounds(folder, *arrays.block_range(i, n)) for i in range(arrays.n_blocks(n))]
-        low, high = np.array(bounds).transpose(1, 0, 2)
+        of_blocks = [bounds(arrays.read(folder, "position", *arrays.block_range(i, n))) for i in range(arrays.n_blocks(n))]
+        low, high = np.array(of_blocks).transpose(1, 0, 2)
         return {"n_splats": n, "origin": _origin(points), "block_low": low.tolist(), "block_high": high.tolist()}
 
     def _n_kept(self) -> int:
@@ -91,11 +91,6 @@ def columns_of(points: Path) -> dict[str, np.dtype]:
 
 def _columns(ingest: Path) -> dict[str, np.dtype]:
     return columns_of(ingest) | {"point": np.dtype(np.uint32)}
-
-
-def _bounds(folder: Path, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-    position = arrays.read(folder, "position", start, stop)
-    return position.min(axis=0), position.max(axis=0)
 
 
 def _kept_rows(n: int, density: float) -> Iterator[np.ndarray]:
@@ -137,7 +132,7 @@ def _split(scratch: list[Path], record: np.dtype, start: int, stop: int, folder:
     """Split rows start..stop of scratch[0]; scratch[1] is free to use in the same rows."""
     if stop - start <= IN_MEMORY:
         rows = _read(scratch[0], record, start, stop)
-        _write_in_order(folder, start, {name: rows[name] for name in record.names})
+        _write_in_order(folder, start, {name: np.ascontiguousarray(rows[name]) for name in record.names})
         return
     low, high = _extent(scratch[0], record, start, stop)
     axis = longest_axis(low, high)
@@ -160,8 +155,8 @@ def _pieces(path: Path, record: np.dtype, start: int, stop: int):
 def _extent(path: Path, record: np.dtype, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for rows in _pieces(path, record, start, stop):
-        low = np.minimum(low, rows["position"].min(axis=0))
-        high = np.maximum(high, rows["position"].max(axis=0))
+        of_piece = bounds(rows["position"])
+        low, high = np.minimum(low, of_piece[0]), np.maximum(high, of_piece[1])
     return low, high
 
 
