@@ -1,6 +1,6 @@
 """Fit the cost model of `pipeline/costs.py` to runs of `benchmarks/scaling.py`, or check it on runs it has not seen.
 
-    python -m benchmarks.scaling SCAN --splats 100000 400000 1000000 --workers 1 --out rows.jsonl
+    python -m benchmarks.scaling SCAN --splats 100000 400000 1000000 4000000 --workers 1 --out rows.jsonl
     python -m benchmarks.scaling SCAN --splats 200000 --workers 1 --dictionary-bits 8 --out rows.jsonl
     python -m benchmarks.fit_costs rows.jsonl --write           # pipeline/costs.json
     python -m benchmarks.fit_costs others.jsonl --check [--json]
@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.costs import (
-    BY_ATOMS, COSTS, PHOTOS, SAMPLE, SAMPLED, SEED, TASKS, TRAINING, Job, StageCost, kilos_of, known_costs, known_probe_s,
+    BY_ATOMS, COSTS, PHOTOS, SAMPLE, SAMPLED, SEED, TASKS, TRAINING, Job, StageCost, halvings, kilos_of, known_costs, known_probe_s,
     plan_job,
 )
 from storage.arrays import BLOCK
@@ -42,13 +42,15 @@ def _fit(name: str, rows: list[dict]) -> StageCost:
     by_atoms = name in BY_ATOMS
     once, once_a_unit, once_a_kilo = _sum(
         np.maximum([f["once_s"] for f in found], 0) / passes, units, kilos if by_atoms else None)
-    task, task_a_kilo = _line(kilos, [f["tasks_s"] for f in found] / (units * passes)) if by_atoms else (
-        np.median([f["tasks_s"] for f in found] / (units * passes)), 0.0)
+    a_unit, halved = np.array([f["tasks_s"] for f in found]) / (units * passes), np.array([halvings(n) for n in units])
+    in_memory = halved == 0 if name == "partition" else np.ones(len(units), bool)
+    task, task_a_kilo = _line(kilos, a_unit) if by_atoms else (np.median(a_unit[in_memory]), 0.0)
+    a_halving = 0.0 if in_memory.all() else np.median((a_unit - task)[~in_memory] / halved[~in_memory])
     written = np.array([f["written"] for f in found]) / passes
     _, written_a_unit, written_a_kilo = _sum(written, units, kilos) if by_atoms else (0.0, np.median(written / units), 0.0)
     memory, memory_a_unit = _memory(np.array([row["splats"] for row in rows]), units, np.array([f["peak"] for f in found]))
     return StageCost(*map(float, (1e6 * task, once, 1e6 * once_a_unit, written_a_unit, memory, memory_a_unit,
-                                  1e6 * task_a_kilo, once_a_kilo, written_a_kilo)))
+                                  1e6 * task_a_kilo, once_a_kilo, written_a_kilo, 1e6 * max(0.0, a_halving))))
 
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import heapq
 import json
+import math
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -23,9 +24,9 @@ from storage.arrays import BLOCK
 from storage.schema import ATOM_SIZES
 
 DISPATCH_S = 1e-3  # of Dask's scheduler, a task: its documentation says "about 1 ms", and one process does it all
-# Times as long that a task takes beside others: two processes that coded blocks side by side, without Dask, took 3.08 s where
-# one after the other they took 5.25 s; two cores share caches and memory, and each reads ahead on the other's.
-CROWDED = 1.17
+# Times as long that a task takes beside others: two processes that coded blocks side by side, without Dask, took 2.88 s where
+# one after the other they took 5.26 s; two cores share caches and memory.
+CROWDED = 1.10
 MOST_SIMULATED = 20_000  # tasks of a stage; more go on as the last of these did
 SAMPLED = 16  # blocks that effects are measured on
 KILO, SMALLEST = 1024, min(ATOM_SIZES)  # indices of atoms, and texels to a side of the smallest
@@ -66,6 +67,7 @@ class StageCost:
     task_us_a_unit_a_kilo: float = 0.0
     once_s_a_kilo: float = 0.0
     written_bytes_a_kilo: float = 0.0
+    task_us_a_unit_a_halving: float = 0.0  # of points beyond MOST_HELD, each time that they are halved on the disk
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,7 @@ def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dic
     passes = job.iterations if name == "ksvd-update" else 1
     units, n_tasks = _units(name, job), _n_tasks(name, job)
     task_s = 1e-6 * (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos) * units / max(1, n_tasks)
+    task_s += 1e-6 * cost.task_us_a_unit_a_halving * halvings(units) * units / max(1, n_tasks)
     task_s *= CROWDED if min(n_tasks, job.n_workers) > 1 else 1.0
     once_s = cost.once_s + 1e-6 * cost.once_us_a_unit * units + cost.once_s_a_kilo * kilos
     calls = calls_of(n_tasks, job.n_workers)
@@ -140,6 +143,11 @@ def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dic
         name, passes * n_tasks, min(most, max(calls, default=1)), task_s, passes * (once_s + busy_s), passes * once_s, passes * n_calls * DISPATCH_S,
         passes * read, passes * written[name],
         cost.memory_bytes + cost.memory_bytes_a_unit * min(units, MOST_HELD))
+
+
+def halvings(units: float) -> int:
+    """How often points are halved until a part of them fits into memory."""
+    return max(0, math.ceil(math.log2(max(1.0, units) / MOST_HELD)))
 
 
 def _units(name: str, job: Job) -> float:

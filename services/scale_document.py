@@ -22,7 +22,7 @@ A stage costs what its tasks take on the workers, dealt out by one scheduler tha
 (simulated, `pipeline/costs.py`), and what one process does before and after them. Seconds a splat and an index, bytes and memory are
 fitted by `benchmarks/fit_costs.py` to: {fitted}. Tasks count by their processor seconds.
 
-    python -m benchmarks.scaling SCAN --splats 100000 400000 1000000 --workers 1 --out rows.jsonl
+    python -m benchmarks.scaling SCAN --splats 100000 400000 1000000 4000000 --workers 1 --out rows.jsonl
     python -m benchmarks.scaling SCAN --splats 200000 --workers 1 --dictionary-bits 8 --out rows.jsonl
     python -m benchmarks.fit_costs rows.jsonl --write && python -m services.scale_document
     python -m benchmarks.scaling ANOTHER --workers 2 --out others.jsonl
