@@ -15,8 +15,6 @@ from typing import Protocol
 from pipeline.calls import run_call
 from storage import work
 
-COST = "cost.json"
-
 
 class Stage(Protocol):
     """The three steps. `n_splats` of a result is what the progress counts.
@@ -85,24 +83,18 @@ def run_stage(stage: Stage, work_folder: Path, executor: Executor, progress: Pro
     reused = work.is_complete(folder)
     if not reused:
         _bring_into_being(stage, folder, executor, progress)
-        work.write_json(folder / COST, {"seconds": time.perf_counter() - begun})
     results = [r for _, r in sorted(work.finished_tasks(folder).items())]
     record = StageRecord(
         stage.name, folder, work.summary(folder), time.perf_counter() - begun,
         max((r["peak_rss_bytes"] for r in results), default=0), len(results),
-        sum(r.get("n_splats", 0) for r in results), reused, _made_seconds(folder),
+        sum(r.get("n_splats", 0) for r in results), reused, work.made_seconds(folder),
     )
     progress.end(record)
     return record
 
 
-def _made_seconds(folder: Path) -> float:
-    """Of a stage that was cut off and gone on with: its last part alone."""
-    return work.read_json(folder / COST)["seconds"] if (folder / COST).is_file() else 0.0
-
-
 def _bring_into_being(stage: Stage, folder: Path, executor: Executor, progress: Progress) -> None:
-    plan = folder / "plan.json"
+    begun, plan = time.perf_counter(), folder / "plan.json"
     if plan.is_file():
         work.sweep(folder)
     else:
@@ -120,7 +112,7 @@ def _bring_into_being(stage: Stage, folder: Path, executor: Executor, progress: 
     try:
         executor.run(stage, folder, [i for i in range(n_tasks) if i not in results], on_done)
         summary = executor.call(stage.name, stage.finalise, folder, [results[i] for i in range(n_tasks)])
-        run_call(stage.name, work.complete, folder, summary)
+        run_call(stage.name, work.complete, folder, summary, time.perf_counter() - begun)
     except BaseException:
         work.sweep(folder)
         raise

@@ -3,7 +3,9 @@
     work/<stage>-<hash>/   the stage's arrays
         results/<i>.json   one a finished task, so that a restart does only what is missing
         parts/             what tasks leave for finalise alone; goes once the stage is complete, so finalise may run again
-        summary.json       written last: the stage is complete
+        summary.json       written last: the stage is complete; and the seconds that it took
+
+Folders and files are few: where workers write gigabytes, a new one takes a disk's journal milliseconds.
 
 A worker that was given up may still run its task while another repeats it. Both make the same bytes, so whatever has a
 name of its own is written aside (`*.partial*`) and given its name whole, or not at all where it is there already.
@@ -37,8 +39,16 @@ def read_json(path: Path) -> Any:
 
 def write_parts(path: Path, **arrays: np.ndarray) -> None:
     """Arrays as one .npz, under its name only when it is whole."""
+    path.parent.mkdir(exist_ok=True)
     with whole(path) as partial, open(partial, "wb") as stream:
         np.savez(stream, **arrays)
+
+
+def write_part(path: Path, array: np.ndarray) -> None:
+    """One array as .npy, which can be mapped, under its name only when it is whole."""
+    path.parent.mkdir(exist_ok=True)
+    with whole(path) as partial, open(partial, "wb") as stream:
+        np.save(stream, array)
 
 
 def stage_folder(work: Path, stage: Any) -> Path:
@@ -62,7 +72,6 @@ def is_complete(folder: Path) -> bool:
 
 def begin(folder: Path) -> None:
     (folder / "results").mkdir(parents=True, exist_ok=True)
-    parts(folder).mkdir(exist_ok=True)
 
 
 def parts(folder: Path) -> Path:
@@ -97,13 +106,18 @@ def _result_path(folder: Path, index: int) -> Path:
     return folder / "results" / f"{index:06d}.json"
 
 
-def complete(folder: Path, summary: dict) -> None:
-    write_json(folder / "summary.json", summary)
+def complete(folder: Path, summary: dict, seconds: float) -> None:
+    write_json(folder / "summary.json", {"seconds": seconds, "summary": summary})
     shutil.rmtree(parts(folder), ignore_errors=True)
 
 
 def summary(folder: Path) -> dict:
-    return read_json(folder / "summary.json")
+    return read_json(folder / "summary.json")["summary"]
+
+
+def made_seconds(folder: Path) -> float:
+    """What a stage took when it was made; of one that was cut off and gone on with, its last part alone."""
+    return read_json(folder / "summary.json")["seconds"]
 
 
 def discard(folder: Path) -> None:

@@ -111,7 +111,7 @@ def _merged(folder: Path, n_tasks: int, shape: tuple[int, int]) -> Sums:
 
 def _store_sums(folder: Path, name: str, sums: Sums) -> None:
     work.write_parts(folder / f"{name}.npz", **{k: v for k, v in vars(sums).items() if k != "moment"})
-    arrays.store(folder, f"{name}-moment", np.asarray(sums.moment), sums.moment.shape)
+    work.write_part(_moment_path(folder, name), np.asarray(sums.moment))
 
 
 def _load_sums(folder: Path, name: str) -> Sums:
@@ -124,4 +124,8 @@ def _load_sums(folder: Path, name: str) -> Sums:
 
 def _moment(folder: Path, name: str) -> np.ndarray:
     """The moment of stored sums, read where it is looked at."""
-    return arrays.mapped(folder, f"{name}-moment")
+    return np.load(_moment_path(folder, name), mmap_mode="r")
+
+
+def _moment_path(folder: Path, name: str) -> Path:
+    return folder / f"{name}-moment.npy"

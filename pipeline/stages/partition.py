@@ -54,6 +54,7 @@ class Partition:
             pieces = list(_pieces_of(self.ingest, self.density, origin))
             _write_in_order(folder, 0, {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]})
             return {"n_splats": n}
+        work.parts(folder).mkdir(exist_ok=True)
         scratch = [work.parts(folder) / f"{uuid.uuid4().hex}.bin" for _ in range(2)]
         record = np.dtype([(name, dtype.base, dtype.shape) for name, dtype in _columns(self.ingest).items()])
         try:

@@ -20,7 +20,7 @@ def ingested(folder, position: np.ndarray):
     color = np.column_stack([index & 255, index >> 8 & 255, index >> 16]).astype(np.uint8)
     for name, rows in (("position", position), ("color", color)):
         arrays.store(folder, name, rows)
-    work.complete(folder, {"n_points": len(position), "low": position.min(axis=0).tolist(), "high": position.max(axis=0).tolist()})
+    work.complete(folder, {"n_points": len(position), "low": position.min(axis=0).tolist(), "high": position.max(axis=0).tolist()}, 0.0)
     return folder
 
 

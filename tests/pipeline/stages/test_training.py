@@ -63,7 +63,7 @@ def test_training__neither_the_choice_nor_its_order_turns_with_the_chunks(tmp_pa
             work.begin(patches)
             for name, values in rows.items():
                 arrays.store(patches, name, values[order])
-            work.complete(patches, {"census": census(rows["energy"]).tolist()})
+            work.complete(patches, {"census": census(rows["energy"]).tolist()}, 0.0)
         return arrays.read(run_stage(TrainingSet(patches, patches, 8.0, 700, seed, 1.0), tmp_path, SerialExecutor(), Heard()).folder, "texel_0")
 
     still, turned = chosen(np.arange(n)), chosen(rng.permutation(n))
