@@ -16,12 +16,12 @@ from pipeline.texture.resample import PATCH_DIM
 from pipeline.threads import one_blas_thread
 
 N_PATCHES, N_ATOMS, N_POINTS = 1024, 1024, 32_768
-ROUNDS = 5
+ROUNDS = 15
 
 
 def probe_seconds() -> float:
     """Processor seconds of one thread for a fixed piece of work like that of the stages: patches to floats and to
-    coefficients, a pursuit, points split. The least of a few rounds, about a tenth of a second each; kernels are compiled before."""
+    coefficients, a pursuit, points split. The least of some rounds of 15 ms, which a neighbour of a moment does not fill; kernels are compiled before."""
     rng = np.random.default_rng(0)
     texel = rng.integers(0, 256, (N_PATCHES, PATCH_DIM), np.uint8)
     average = rng.integers(0, 256, (N_PATCHES, 3), np.uint8)
