@@ -23,22 +23,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.coding.grid import coefficients
 from pipeline.coding.omp import Pursuit, pursue_patches
-from pipeline.coding.omp_kernels import dot, squared_norms, subtract_rows
+from pipeline.coding.omp_kernels import squared_norms, subtract_rows
+from pipeline.coding.twins import distinct_directions, twins_of_earlier
 from pipeline.compiled import FAST, kernel, part
-from pipeline.texture.resample import PATCH_DIM
 
 BLOCK = 2048  # patches whose sums are made in one go; part of the result, as float sums depend on their order
 WORST = 512  # how many badly represented patches a block offers as replacements
-TWIN_COHERENCE = 0.99  # above it two atoms are one (as KSVD-Box)
-TWIN_SIZE = 4  # texels to a side of the grid whose coefficients tell which whole patches may be twins
-NO_END = 1 << 40  # more rows than there are
-TWIN_ROUNDING = 1e-3  # of what they leave of a unit atom: products of two of these are float32's rounding
 TOLERATED_RISE = 0.05  # of the error over the best so far, before a trial is taken back
 MERGED_ATOMS = 4096  # whose moments are merged at a time
 MOMENTUM = 0.5  # share of an atom's last move that it goes on by
@@ -65,7 +59,7 @@ def initial_dictionary(patches: np.ndarray, n_atoms: int, seed: int) -> np.ndarr
     Fewer than `n_atoms` where there are fewer different patches.
     """
     order = np.random.default_rng(seed).permutation(len(patches))
-    return _distinct_directions(patches[order], np.empty((0, patches.shape[1]), np.float32), n_atoms)
+    return distinct_directions(patches[order], np.empty((0, patches.shape[1]), np.float32), n_atoms)
 
 
 def block_sums(patches: np.ndarray, dictionary: np.ndarray, pursuit: Pursuit) -> Sums:
@@ -136,11 +130,11 @@ def updated_dictionary(
     alive = used & ((norms > 0) | (fewest == 0))
     if before is not None:
         updated = _carried_on(updated, dictionary, before)
-    alive &= ~_twin_of_an_earlier(updated, alive)
+    alive &= ~twins_of_earlier(updated, alive)
     vacant = np.flatnonzero(~alive)
     if not len(vacant):
         return updated, 0
-    fresh = _distinct_directions(sums.worst_patch, updated[alive], len(vacant))
+    fresh = distinct_directions(sums.worst_patch, updated[alive], len(vacant))
     updated[vacant[: len(fresh)]] = fresh
     return updated, len(fresh)
 
@@ -282,63 +276,3 @@ def _accumulate(patches, dictionary, atom_index, weight, n_atoms, moment, gain, 
             _add_to_row(moment, atom, residual, x)
             gain[atom] += np.float64(x) * x
             n_users[atom] += 1
-
-
-def _distinct_directions(candidates: np.ndarray, taken: np.ndarray, n_wanted: int) -> np.ndarray:
-    """The first `n_wanted` candidates, normalised, that are no twin of `taken` or of each other."""
-    chosen = np.empty((len(taken) + n_wanted, candidates.shape[1]), np.float32)
-    chosen[: len(taken)] = taken
-    others, n_chosen = [_sketched(chosen[: len(taken)])], len(taken)
-    for start in range(0, len(candidates), 256):
-        rows = candidates[start : start + 256].astype(np.float32)
-        norms = np.linalg.norm(rows, axis=1, keepdims=True)
-        rows = rows / np.where(norms > 0, norms, 1)
-        twin, sketch = norms[:, 0] == 0, _sketched(rows)
-        for other in others:
-            _mark_twins(sketch.short @ other.short.T, *sketch, *other, np.ones(len(other.rows), bool), NO_END, twin)
-        fresh_from = n_chosen
-        for row in rows[~twin]:
-            if n_chosen == len(chosen):
-                return chosen[len(taken) :]
-            if (np.abs(chosen[fresh_from:n_chosen] @ row) < TWIN_COHERENCE).all():
-                chosen[n_chosen] = row
-                n_chosen += 1
-        others.append(_sketched(chosen[fresh_from:n_chosen]))
-    return chosen[len(taken) : n_chosen]
-
-
-def _twin_of_an_earlier(atoms: np.ndarray, alive: np.ndarray) -> np.ndarray:
-    """Which atoms point (or point away) like a living one of lower index; (k,) bool. Block by block, in 4 MiB."""
-    twin = np.zeros(len(atoms), bool)
-    blocks = [(start, _sketched(atoms[start : start + 1024])) for start in range(0, len(atoms), 1024)]
-    for i, (start, rows) in enumerate(blocks):
-        for earlier, others in blocks[: i + 1]:
-            _mark_twins(rows.short @ others.short.T, *rows, *others, alive[earlier : earlier + 1024], start - earlier,
-                        twin[start : start + 1024])
-    return twin & alive
-
-
-class _Sketched(NamedTuple):
-    """Unit rows, and what short products need to tell which of them may be twins: what the short ones leave of two rows adds no
-    more to their product than the product of its norms (Cauchy-Schwarz). So only few pairs of whole patches are multiplied whole."""
-
-    rows: np.ndarray  # (n, d) float32
-    short: np.ndarray  # (n, s) float32
-    left: np.ndarray  # (n,) float32: norms of what they leave; zeros where they are the rows themselves
-
-
-def _sketched(rows: np.ndarray) -> _Sketched:
-    if rows.shape[1] != PATCH_DIM:
-        return _Sketched(rows, rows, np.zeros(len(rows), np.float32))
-    short = coefficients(rows, TWIN_SIZE)
-    left = np.sqrt(np.maximum(squared_norms(rows) - squared_norms(short), 0)) + TWIN_ROUNDING
-    return _Sketched(rows, short, left.astype(np.float32))
-
-
-@kernel()
-def _mark_twins(product, rows, short, left, others, others_short, others_left, alive, n_before, twin):
-    """Mark row i where it is a twin of a living one among the first `n_before` + i of `others`; `product` are short products."""
-    for i in range(product.shape[0]):
-        for j in range(min(product.shape[1], n_before + i)):
-            if abs(product[i, j]) + left[i] * others_left[j] >= TWIN_COHERENCE and alive[j]:
-                twin[i] |= left[i] == 0 or abs(dot(rows[i], others[j])) >= TWIN_COHERENCE

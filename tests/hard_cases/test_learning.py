@@ -9,8 +9,9 @@ import pytest
 
 from pipeline.coding import ksvd
 from pipeline.coding.ksvd import (
-    MOMENTUM, TWIN_COHERENCE, Best, Sums, block_sums, initial_dictionary, judge, learn_dictionary, next_trial, updated_dictionary,
+    MOMENTUM, Best, Sums, block_sums, initial_dictionary, judge, learn_dictionary, next_trial, updated_dictionary,
 )
+from pipeline.coding.twins import TWIN_COHERENCE
 from pipeline.coding.omp import pursue_patches
 from pipeline.stage import run_stage
 from pipeline.stages import dictionary as stages

@@ -7,8 +7,9 @@ import pytest
 
 from pipeline.coding import ksvd
 from pipeline.coding.ksvd import (
-    TWIN_COHERENCE, block_sums, initial_dictionary, learn_dictionary, merge_in_order, merge_sums, updated_dictionary,
+    block_sums, initial_dictionary, learn_dictionary, merge_in_order, merge_sums, updated_dictionary,
 )
+from pipeline.coding.twins import TWIN_COHERENCE
 from pipeline.coding.omp import pursue_patches
 from tests import reference
 from tests.pipeline.coding.test_omp import unit_rows
