@@ -23,7 +23,7 @@ from pipeline.task import CALL_S
 from storage.arrays import BLOCK
 from storage.schema import ATOM_SIZES
 
-DISPATCH_S = 1e-3  # of Dask's scheduler, a task: its documentation says "about 1 ms", and one process does it all
+DISPATCH_S = 1e-3  # of Dask's scheduler, a call: its documentation says "about 1 ms", and one process does it all
 # Times as long that a task takes beside others: two processes that coded blocks side by side, without Dask, took 2.88 s where
 # one after the other they took 5.26 s; two cores share caches and memory.
 CROWDED = 1.10

@@ -18,6 +18,7 @@ from storage.errors import ResourceExhausted
 
 WATCH_S = 0.5  # how often a waiting executor asks whether it is still wanted
 MOST_A_CALL = 8  # tasks: one of 0.3 s each, as coding takes, stays below 3 s
+MOST_SERVED = 500  # workers that one scheduler, at about a millisecond a call, hands a call of half a second each; calls get no smaller for more
 CLIENT_INTERVAL_S = 1e-3  # what is submitted waits no longer for more: Dask's 10 ms, twice a stage, were 3 % of a small job
 GRACE_S = 3.0  # what running tasks get to end by themselves once they are not
 DASK_SETTINGS = {
@@ -161,6 +162,8 @@ class DaskExecutor:
                 done = list(_waiting(ready))
                 if not done:
                     continue
+                if any(future.status != "finished" for future in done):  # Dask blames what waited behind a call that killed its worker too
+                    done = [future for future in waiting if future.status == "error"][:1] or done
                 more = [call for future, result in zip(done, self._results(done)) for call in on_call(waiting.pop(future), result)]
                 if more:
                     submit(more, 1)  # what is left of a large call, before the small ones
@@ -175,11 +178,10 @@ class DaskExecutor:
                 self._stop(list(waiting))
 
     def _results(self, futures: list) -> list:
-        """Of tasks that are done, or what the first that failed raised; a worker may hang before it hands one over, and `watch` is
-        called meanwhile."""
-        failed = [future for future in futures if future.status != "finished"]
+        """Of tasks that are done, or what one that failed raised; a worker may hang before it hands one over, and `watch` is called
+        meanwhile."""
         fetching = asyncio.run_coroutine_threadsafe(
-            self._client.gather(failed[:1] or futures, asynchronous=True), self._client.loop.asyncio_loop)
+            self._client.gather(futures, asynchronous=True), self._client.loop.asyncio_loop)
         try:
             while not wait([fetching], WATCH_S).done:
                 self._watch()
@@ -222,7 +224,7 @@ def calls_of(n_tasks: int, n_workers: int) -> list[int]:
     """
     sizes = []
     while n_tasks:
-        sizes.append(min(MOST_A_CALL, max(1, n_tasks // (2 * n_workers))))
+        sizes.append(min(MOST_A_CALL, max(1, n_tasks // (2 * min(n_workers, MOST_SERVED)))))
         n_tasks -= sizes[-1]
     return sizes
 

@@ -1,8 +1,10 @@
 """Taking in scans: an uploaded file is validated, named by its hash, and put in place; or it leaves nothing behind.
 
-    data/scans/<sha256>/<file name>
-    data/work/<sha256>/<stage>-<hash>/   the stages' outputs, shared by the jobs on a scan
-    data/incoming/<random>/              an upload until it is accepted
+In the data folder:
+
+    scans/<sha256>/<file name>
+    work/<sha256>/<stage>-<hash>/   the stages' outputs, shared by the jobs on a scan
+    incoming/<random>/              an upload until it is accepted
 """
 
 from __future__ import annotations
