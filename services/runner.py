@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -146,15 +147,19 @@ def _is_under_way(handle) -> bool:
 
 def _beside(settings: ServiceSettings, store: Store, stop: threading.Event) -> None:
     """Webhooks and retention, in a thread of their own: neither may hold up a job, nor end with an error."""
-    tidied = 0.0
+    tidied = float("-inf")
     while not stop.wait(1.0):
-        try:
-            deliver_due(settings, store, lambda job: job_document(job, settings))
-            if time.monotonic() - tidied > TIDY_EVERY_S:
-                tidied = time.monotonic()
-                tidy(settings, store)
-        except Exception as error:
-            _complain(error)
+        _or_complain(deliver_due, settings, store, lambda job: job_document(job, settings))
+        if time.monotonic() - tidied > TIDY_EVERY_S:
+            tidied = time.monotonic()
+            _or_complain(tidy, settings, store)
+
+
+def _or_complain(what: Callable, *arguments) -> None:
+    try:
+        what(*arguments)
+    except Exception as error:
+        _complain(error)
 
 
 def tidy(settings: ServiceSettings, store: Store) -> None:

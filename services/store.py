@@ -251,9 +251,13 @@ class Store:
 
     # --- webhooks
 
-    def due_webhooks(self, limit: int) -> list[dict]:
+    def due_webhooks(self, limit: int, of_one_owner: int) -> list[dict]:
+        """Those that are due for longest, at most so many of one owner."""
         due = (JOBS.c.webhook.is_not(None)) & (JOBS.c.webhook_due <= time.time())
-        return self._all(sa.select(JOBS).where(due).order_by(JOBS.c.webhook_due).limit(limit))
+        place = sa.func.row_number().over(partition_by=JOBS.c.owner, order_by=(JOBS.c.webhook_due, JOBS.c.id))
+        ranked = sa.select(JOBS.c.id, place.label("place")).where(due).subquery()
+        query = sa.select(JOBS).join(ranked, ranked.c.id == JOBS.c.id).where(ranked.c.place <= of_one_owner)
+        return self._all(query.order_by(JOBS.c.webhook_due, JOBS.c.id).limit(limit))
 
     def note_webhook(self, id: str, attempt: int, next_due: float | None) -> None:
         mine = (JOBS.c.id == id) & (JOBS.c.attempt == attempt)
