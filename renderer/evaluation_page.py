@@ -37,12 +37,12 @@ def write_evaluation(folder: Path, document: dict) -> None:
 def page_of(document: dict, folder: Path) -> str:
     """The text of the page; see `write_evaluation`."""
     rows = document["rows"]
-    plots = {"psnr": evaluation_plots.bytes_and_psnr(rows)}
+    plots = {"psnr": evaluation_plots.bytes_and_psnr(rows)} if any(r["texture_psnr_db"] is not None for r in rows) else {}
     if (curves := evaluation_plots.learning_curves(rows)) is not None:
         plots["learning"] = curves
     if document["atoms"]:
         plots["atoms"] = evaluation_plots.atoms_by_target(document["atoms"])
-    script, divs = components(plots)
+    script, divs = components(plots) if plots else ("", {})
     return template("evaluate.html.jinja").render(
         e=document, rows=[row | {"paper": PAPER_TABLE_1.get(_paper_key(row["key"]))} for row in rows],
         passes=_pass_rows(document["passes"]), close_ups=[_embedded_close_up(row, folder) for row in document["close_ups"]],

@@ -171,7 +171,10 @@ def _evaluate(options: argparse.Namespace) -> int:
     else:
         print(_table_1(made["rows"]))
         print(f"page  {out / 'evaluate.html'}")
-    return OK
+    for failure in made["failed"]:
+        print(f"splatpress: {failure['class']} error: {failure['name']}: {failure['error']}; all else is there", file=sys.stderr)
+    codes = {"data": INVALID_INPUT, "resource": INPUT_OUTPUT, "internal": INTERNAL}
+    return codes[made["failed"][0]["class"]] if made["failed"] else OK
 
 
 def _estimate(options: argparse.Namespace) -> int:

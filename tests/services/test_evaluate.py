@@ -9,6 +9,7 @@ import pytest
 
 from pipeline.executors import SerialExecutor
 from pipeline.settings import settings_for
+from services import evaluated_rows
 from services.cli import main
 from services.evaluate import evaluate
 from services.workflow import compress
@@ -117,3 +118,59 @@ def test_evaluate__a_scan_without_photographs_is_refused(tmp_path):
 def test_evaluate__unknown_rows_are_named(scan, tmp_path, capsys):
     assert main(["evaluate", str(scan), "--out", str(tmp_path / "o"), "--rows", "d8w4,bc9"]) == 1
     assert "--rows has 'bc9'; allowed: lod0, lod0-bc7" in capsys.readouterr().err
+
+
+FEW = {"rows": ("d16w8", "average"), "render": False}
+
+
+def test_evaluate__figure_9_is_of_the_published_coder_where_dictionaries_are_as_large(scan, tmp_path):
+    document = evaluate(scan, tmp_path / "out", SETTINGS, SerialExecutor(), Heard(), **FEW)
+    sizes = {row["key"]: row["n_dictionary"] for row in document["rows"] if row["n_dictionary"]}
+    assert sizes["d16w8-default"] == sizes["d16w8-paper"]  # both as many as the patches learned from allow
+    assert document["atoms"]["row"] == "d16w8-paper" and len(document["atoms"]["histograms"]) == len(document["atoms"]["targets_db"])
+    assert document["failed"] == [] and document["complete"]
+
+
+def test_evaluate__what_fails_is_named_and_takes_nothing_with_it(scan, tmp_path, monkeypatch, capsys):
+    def fails(*arguments):
+        raise ValueError("patches (1024, 3072) and dictionary (40808, 192)")
+
+    monkeypatch.setattr("services.evaluate._figure_9", fails)
+    monkeypatch.setattr("services.evaluate.photo_row",
+                        lambda e, key, *how: fails() if key == "lod1-bc1" else evaluated_rows.photo_row(e, key, *how))
+    told = ["evaluate", str(scan), "--out", str(tmp_path / "out"), "--rows", "average,lod1,lod1-bc1,d8w4", "--no-render", "--preset", "draft",
+            "--iterations", "1", "--training-splats", "1500", "--workers", "1"]
+    assert main(told) == 4
+    document = json.loads((tmp_path / "out/evaluate.json").read_text())
+    assert [row["key"] for row in document["rows"]] == ["lod1", "d8w4-default", "d8w4-paper", "average"]
+    assert [(f["name"], f["class"]) for f in document["failed"]] == [("lod1-bc1", "internal"), ("Figure 9", "internal")]
+    assert document["atoms"] is None and document["complete"]
+    page, told = (tmp_path / "out/evaluate.html").read_text(), capsys.readouterr().err
+    for text in (page, told):
+        assert "Figure 9" in text and "patches (1024, 3072) and dictionary (40808, 192)" in text
+
+
+def test_evaluate__rows_are_written_as_they_come(scan, tmp_path, monkeypatch):
+    out, seen = tmp_path / "out", []
+
+    def interrupted(e, key, *arguments):
+        seen.append(json.loads((out / "evaluate.json").read_text()))
+        if key == "lod1":
+            raise KeyboardInterrupt
+        return evaluated_rows.photo_row(e, key, *arguments)
+
+    monkeypatch.setattr("services.evaluate.photo_row", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(scan, out, SETTINGS, SerialExecutor(), Heard(), rows=("average", "lod0", "lod1"), render=False)
+    assert [[row["key"] for row in document["rows"]] for document in seen] == [["average"], ["lod0", "average"]]
+    assert seen[0]["rows"][0]["factor_total"] is None and seen[1]["rows"][1]["factor_total"] > 1
+    left = json.loads((out / "evaluate.json").read_text())
+    assert not left["complete"] and [row["key"] for row in left["rows"]] == ["lod0", "average"]
+    assert "still under way" in (out / "evaluate.html").read_text()
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_evaluate__holding_out_every_photograph_is_refused_before_anything_is_measured(scan, tmp_path):
+    with pytest.raises(InvalidScan, match="3 photographs, each of them held out"):
+        evaluate(scan, tmp_path / "out", SETTINGS, SerialExecutor(), Heard(), rows=("average",), hold_out=1)
+    assert not (tmp_path / "out").exists()
