@@ -1,0 +1,235 @@
+"""A decoder and a renderer of packed files made from docs/FORMAT.md alone: numpy and zarr, nothing of the product.
+
+What this file needs and the page lacks is a mistake of the page. Slow: one splat after the other, in float64.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import zarr
+from zarr.storage import ZipStore
+
+NEAR_IN_RADII, NUDGE, LEAST_WEIGHT, SMALLEST_PX = 0.01, 1e-5, 1 / 1024, 1e-3
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera as in the header, for a picture."""
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    rotation: np.ndarray  # (3, 3)
+    centre: np.ndarray  # (3,)
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """One splat: all lengths in the header's unit."""
+
+    position: np.ndarray  # (3,) absolute
+    frame: np.ndarray  # (3, 3) u, v, normal as rows
+    color: np.ndarray  # (3,) sRGB
+    atoms: list[tuple[int, int, float]]  # atom, turn, what its texels are times
+    clipline: np.ndarray | None  # a, b, c
+    axes: np.ndarray | None  # (3, 3) half axes of an ellipsoid as rows
+
+
+@dataclass(frozen=True)
+class Fragments:
+    pixel: np.ndarray  # (m,) index in the flattened picture
+    place: np.ndarray  # (m, 2) on the splat's square
+    d2: np.ndarray
+    z: np.ndarray
+    pushed_z: np.ndarray
+    area_px: float | None
+
+
+class Packed:
+    """An opened file; `splat(i)` decodes one splat."""
+
+    def __init__(self, path: Path) -> None:
+        with ZipStore(path, mode="r") as store:
+            root = zarr.open_group(store, mode="r")
+            self.header = dict(root.attrs)
+            self.arrays = {name: np.asarray(root[name][:]) for name in root.array_keys()}
+        self.batches = self.header["batches"]
+        counts = self.arrays["batch_count"].astype(int)
+        self.batch = np.repeat(np.tile(np.arange(len(self.batches)), len(counts)), counts.ravel())
+
+    def __len__(self) -> int:
+        return self.header["n_splats"]
+
+    def before(self, i: int, amount: str) -> int:
+        """The sum of `amount` over the splats that come before in the group's streams: batch by batch, then by number."""
+        first = i // 8192 * 8192
+        of = np.array([int(batch.get(amount, 0)) for batch in self.batches])
+        batch = self.batch[first : first + 8192]
+        earlier = (batch < self.batch[i]) | ((batch == self.batch[i]) & (np.arange(len(batch)) < i - first))
+        return int(of[batch[earlier]].sum())
+
+    def field(self, stream: str, table: str, at: int, first_bit: int, width: int) -> int:
+        bit = 32 * int(self.arrays[table][at]) + first_bit
+        two = self.arrays[stream][bit // 32 : bit // 32 + 2].astype("<u4").tobytes()
+        return int.from_bytes(two, "little") >> bit % 32 & (1 << width) - 1
+
+    def position(self, i: int) -> np.ndarray:
+        number = int.from_bytes(self.arrays["position"][i].tobytes(), "little")
+        bits = self.arrays["box_bits"][i // 128].astype(int)
+        cell = np.array([number % 2 ** bits[0], (number >> int(bits[0])) % 2 ** bits[1], number >> int(bits[0] + bits[1])])
+        low, size = (self.arrays[name][i // 128].astype(float) for name in ("box_low", "box_size"))
+        return np.array(self.header["origin"]) + (low + (cell + 0.5) * size / 2.0**bits)
+
+    def frame(self, i: int) -> np.ndarray:
+        a, b = self.arrays["normal"][i].tolist()
+        c = 127 - abs(a) - abs(b)
+        sign = (1 if a >= 0 else -1), (1 if b >= 0 else -1)
+        p = np.array([a, b, c] if c >= 0 else [sign[0] * (127 - abs(b)), sign[1] * (127 - abs(a)), c])
+        up, ahead = np.array(self.header["up"]), np.array(self.header["ahead"])
+        reference = ahead if 100 * int(p @ up) ** 2 > 81 * int(p @ p) * int(up @ up) else up
+        normal = p / np.linalg.norm(p)
+        u = np.cross(reference, normal)
+        u = u / np.linalg.norm(u)
+        return np.array([u, np.cross(normal, u), normal])
+
+    def color(self, i: int) -> np.ndarray:
+        step, chunk = self.header["color_step"], i // 128
+        if step == 0:
+            return self.arrays["color"][i] / 255
+        size = self.arrays["color_size"][chunk].astype(int)
+        bits = np.maximum(0, np.ceil((size - step) / 16).astype(int)).tolist()
+        number = self.field("colors", "color_word", chunk, i % 128 * sum(bits), sum(bits)) if sum(bits) else 0
+        cell = np.array([number % 2 ** bits[0], (number >> bits[0]) % 2 ** bits[1], number >> (bits[0] + bits[1])])
+        on_axes = self.arrays["color_low"][chunk] / 32 + (cell + 0.5) * 2.0 ** (size / 16 - 6) / 2.0 ** np.array(bits)
+        axes = np.array([[1, 1, 1] / np.sqrt(3), [1, 0, -1] / np.sqrt(2), [1, -2, 1] / np.sqrt(6)])
+        return (on_axes @ axes).clip(0, 255) / 255
+
+    def atoms(self, i: int) -> list[tuple[int, int, float]]:
+        bits = self.header["dictionary_bits"]
+        width, first = bits + self.header["weight_bits"], self.before(i, "n_atoms")
+        found = []
+        for rank in range(self.batches[self.batch[i]]["n_atoms"]):
+            entry = self.field("codes", "group_word", i // 8192, (first + rank) * width, width)
+            atom, turn = divmod(entry % 2**bits, self.header["n_turns"])
+            found.append((atom, turn, float(self.arrays["weight_levels"][rank, entry >> bits]) * float(self.arrays["atom_scale"][atom])))
+        return found
+
+    def splat(self, i: int) -> Decoded:
+        frame, batch, line, axes = self.frame(i), self.batches[self.batch[i]], None, None
+        if batch["clipline"]:
+            q = self.field("cliplines", "clipline_word", i // 8192, 12 * self.before(i, "clipline"), 12)
+            line = np.array([q & 15, q >> 4 & 15, q >> 8]) / 7 - 1
+        if batch.get("ellipsoid"):
+            word = self.field("ellipsoids", "ellipsoid_word", i // 8192, 32 * self.before(i, "ellipsoid"), 32)
+            t = (word & 255) * np.pi / 256
+            lengths = self.header["radius"] * 2.0 ** ((np.array([word >> 8 & 255, word >> 16 & 255, word >> 24]) - 191) / 32)
+            u, v, normal = frame
+            axes = lengths[:, None] * np.array([np.cos(t) * u + np.sin(t) * v, np.cos(t) * v - np.sin(t) * u, normal])
+        return Decoded(self.position(i), frame, self.color(i), self.atoms(i), line, axes)
+
+    def sum_of_atoms(self, atoms: list[tuple[int, int, float]], place: np.ndarray, level: int) -> np.ndarray:
+        """(m, 3) at the places (m, 2), at a level: 0 has 32 texels to a side."""
+        size, total = 32 >> level, np.zeros((len(place), 3))
+        for atom, turn, weight in atoms:
+            x, y = (place[:, ::-1] if turn & 4 else place).T
+            x, y = (-x if turn & 1 else x), (-y if turn & 2 else y)
+            texels = self.arrays[f"atoms_{size}"][atom].astype(float)
+            near = [np.maximum(0, 1 - np.abs(((at + 1) / 2 * size - 0.5).clip(0, size - 1)[:, None] - np.arange(size))) for at in (y, x)]
+            total += weight * np.einsum("mi,mj,ijc->mc", *near, texels)
+        return total
+
+    def patch_color(self, splat: Decoded, place: np.ndarray, area_px: float | None) -> np.ndarray:
+        """(m, 3) linear light at places (m, 2) of the square."""
+        if not splat.atoms:
+            return np.tile(to_linear(splat.color), (len(place), 1))
+        finest, coarsest = (5 - int(np.log2(self.header[name])) for name in ("atom_size", "coarsest_size"))
+        level = 0.0 if area_px is None else 0.5 * np.log2(128 / max(area_px, 0.25))
+        level = min(max(level, finest), coarsest)
+        if "level_blending" in self.header.get("effects", {}):
+            finer, share = int(np.floor(level)), level - np.floor(level)
+            coarser = min(finer + 1, coarsest)
+            total = sum(part * self.sum_of_atoms(splat.atoms, place, at) for part, at in ((1 - share, finer), (share, coarser)))
+        else:
+            total = self.sum_of_atoms(splat.atoms, place, min(int(np.floor(level + 0.45)), coarsest))
+        return to_linear((splat.color + total).clip(0, 1))
+
+
+def to_linear(srgb: np.ndarray) -> np.ndarray:
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def to_srgb(linear: np.ndarray) -> np.ndarray:
+    return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def render(packed: Packed, view: View) -> tuple[np.ndarray, np.ndarray]:
+    """The picture (h, w, 3) in [0, 1], sRGB, and where it is covered (h, w)."""
+    splats = [packed.splat(i) for i in range(len(packed))]
+    drawn = [fragments(splat, view, packed.header["radius"], packed.header["depth_margin"]) for splat in splats]
+    n_pixels = view.width_px * view.height_px
+    surface, light, weights = np.full(n_pixels, np.inf), np.zeros((n_pixels, 3)), np.zeros(n_pixels)
+    for found in drawn:
+        np.minimum.at(surface, found.pixel, found.pushed_z)
+    for splat, found in zip(splats, drawn, strict=True):
+        if len(found.pixel):
+            weight = (1 - found.d2) * (found.z <= surface[found.pixel])
+            np.add.at(light, found.pixel, weight[:, None] * packed.patch_color(splat, found.place, found.area_px))
+            np.add.at(weights, found.pixel, weight)
+    covered = weights >= LEAST_WEIGHT
+    picture = np.zeros((n_pixels, 3))
+    picture[covered] = to_srgb((light[covered] / weights[covered, None]).clip(0, 1))
+    return picture.reshape(view.height_px, view.width_px, 3), covered.reshape(view.height_px, view.width_px)
+
+
+def fragments(splat: Decoded, view: View, radius: float, margin: float) -> Fragments:
+    middle = view.rotation @ (splat.position - view.centre)
+    if splat.axes is None:
+        return _of_disc(middle, radius * splat.frame[:2] @ view.rotation.T, radius, splat.clipline, view, NEAR_IN_RADII * radius, margin)
+    axes = splat.axes @ view.rotation.T
+    eye = np.linalg.solve(axes.T, -middle)
+    distance = np.linalg.norm(eye)
+    if distance <= 1:
+        return Fragments(np.zeros(0, int), np.zeros((0, 2)), *np.zeros((3, 0)), None)
+    e = eye / distance
+    x = np.cross(e, np.eye(3)[np.argmin(np.abs(e))])
+    x /= np.linalg.norm(x)
+    across = np.array([x, np.cross(e, x)])
+    half_axes = np.sqrt((distance - 1) / (distance + 1)) * across @ axes
+    found = _of_disc(middle + e @ axes, half_axes, np.sqrt((half_axes**2).sum()), None, view, NEAR_IN_RADII * radius, margin)
+    on_rim = found.place / np.maximum(1, np.linalg.norm(found.place, axis=1, keepdims=True))
+    k = np.sqrt((1 - (on_rim**2).sum(axis=1)).clip(0))
+    ball = (np.sqrt(distance**2 - 1) * on_rim @ across + (1 + distance * k)[:, None] * e) / (distance + k)[:, None]
+    deeper = (distance + 1) / (distance + np.sqrt(1 - found.d2))
+    return Fragments(found.pixel, ball[:, :2], found.d2, found.z * deeper, found.pushed_z * deeper, found.area_px)
+
+
+def _of_disc(middle, axes, radius, line, view: View, near: float, margin: float) -> Fragments:
+    """Of the disc around `middle` (3,) with the half axes (2, 3), in the view's axes."""
+    column, row = np.meshgrid(np.arange(view.width_px) + 0.5, np.arange(view.height_px) + 0.5)
+    px, focal, principal = np.column_stack([column.ravel(), row.ravel()]), np.array([view.fx_px, view.fy_px]), np.array([view.cx_px, view.cy_px])
+    jacobian, area_px = None, None
+    if middle[2] > 2 * radius:
+        jacobian = (focal * (axes[:, :2] - middle[:2] / middle[2] * axes[:, 2:]) / middle[2]).T
+        area_px = abs(np.linalg.det(jacobian))
+    if jacobian is not None and np.linalg.svd(jacobian, compute_uv=False)[1] < 1:
+        offset = px - (focal * middle[:2] / middle[2] + principal)
+        left, singular, right = np.linalg.svd(jacobian)
+        place = offset @ left / np.maximum(singular, SMALLEST_PX) @ right
+        d2, z = np.minimum((place**2).sum(axis=1), (offset**2).sum(axis=1)), np.full(len(px), middle[2])
+    else:
+        ray = np.column_stack([(px - principal) / focal, np.ones(len(px))])
+        normal = np.cross(*axes)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = (middle @ normal) / (ray @ normal)
+            place = np.linalg.lstsq(axes.T, (ray * z[:, None] - middle).T, rcond=None)[0].T
+        d2 = (place**2).sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        kept = (d2 < 1) & (z >= near) & (line is None or place @ line[:2] + line[2] >= 0)
+    pushed_z = z * (1 + margin / np.linalg.norm(middle) + NUDGE)
+    return Fragments(np.flatnonzero(kept), place[kept], d2[kept], z[kept], pushed_z[kept], area_px)
