@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import secrets
+import sys
+
 from sqlalchemy.exc import InterfaceError, OperationalError
 
 from storage.errors import SplatpressError
@@ -24,6 +27,13 @@ class Problem(Exception):
                 **({"hint": self.hint} if self.hint else {})}
 
 
+def mistake(what: str) -> Problem:
+    """For an error of ours: what happened goes into this process's log, and the one who asked hears where it is."""
+    id = secrets.token_hex(4)
+    print(f"splatpress: mistake {id}: {what}", file=sys.stderr, flush=True)
+    return Problem(500, "internal-error", f"a mistake of ours; the log has it as {id}", kind=INTERNAL, retryable=True)
+
+
 def is_of_database(error: Exception, full: bool = False) -> bool:
     """Whether it is the database that is away; with `full`, whether it is the disk that it lies on."""
     return isinstance(error, (OperationalError, InterfaceError)) and (not full or "full" in str(error.orig))
@@ -35,7 +45,7 @@ def problem_of_job(error: Exception) -> dict:
         slug = {"data": "bad-scan", "resource": "out-of-resources"}.get(error.kind, "internal-error")
         return Problem(422 if error.kind == DATA else 500, slug, str(error), kind=error.kind,
                        retryable=error.kind != DATA, hint=error.hint).body()
-    if isinstance(error, OSError):
+    if isinstance(error, OSError) and not isinstance(error, FileNotFoundError):  # a file of ours that is not there is no want
         return Problem(500, "out-of-resources", error.strerror or f"{error}", kind=RESOURCE, retryable=True).body()
     if is_of_database(error):
         return Problem(500, "out-of-resources", f"the database: {error.orig}", kind=RESOURCE, retryable=True).body()

@@ -57,7 +57,7 @@ def run_forever(settings: ServiceSettings, stop: threading.Event | None = None) 
         store = Store(settings.database_url, DATABASE_PATIENCE_S)
         scheduler, dashboard = settings.scheduler, settings.dashboard_url
         if not scheduler:
-            scheduler, dashboard = stack.enter_context(own_cluster(settings.workers, settings.data.resolve() / "dask"))
+            scheduler, dashboard = stack.enter_context(own_cluster(settings.workers, settings.data / "dask"))
         show_dashboard(settings.data, dashboard)
         _jobs = JobRunner(settings, store, lambda: scheduler)
         DBOS(config=dbos_config(settings))
@@ -78,7 +78,7 @@ def run_forever(settings: ServiceSettings, stop: threading.Event | None = None) 
 def dbos_config(settings: ServiceSettings) -> dict:
     url = settings.database
     if not url:
-        url = f"sqlite:///{settings.data.resolve() / 'workflows.sqlite'}"
+        url = f"sqlite:///{settings.data / 'workflows.sqlite'}"
     return {
         "name": "splatpress", "system_database_url": url, "application_version": APPLICATION_VERSION,
         "executor_id": EXECUTOR_ID, "log_level": "ERROR", "console_log_level": "ERROR", "enable_otlp": False,

@@ -88,7 +88,7 @@ def _announce(settings: ServiceSettings, stop: threading.Event) -> None:
         pass
     base = f"http://{settings.host}:{settings.port}"
     for what, url in (("job page", base + "/"), ("API", base + "/v1"), ("API docs", base + "/docs"),
-                      ("Dask dashboard", dashboard(settings.data)), ("data", str(settings.data.resolve()))):
+                      ("Dask dashboard", dashboard(settings.data)), ("data", str(settings.data))):
         print(f"{what:<15} {url}", flush=True)
     if settings.needs_tokens:
         print("every request needs a token: splatpress token OWNER --data DIR", flush=True)

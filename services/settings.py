@@ -38,13 +38,15 @@ class ServiceSettings:
 
     @property
     def database_url(self) -> str:
-        return self.database or f"sqlite:///{self.data.resolve() / 'splatpress.sqlite'}"
+        return self.database or f"sqlite:///{self.data / 'splatpress.sqlite'}"
 
     @property
     def needs_tokens(self) -> bool:
         return self.host not in LOOPBACK
 
     def __post_init__(self) -> None:
+        """The data folder becomes absolute here, once: children and workers run in folders of their own."""
+        object.__setattr__(self, "data", Path(os.path.abspath(self.data)))
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, (int, float)) and not isinstance(value, bool) and value < 0:

@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import resource
+import signal
 import subprocess
 import sys
 import warnings
@@ -15,33 +17,36 @@ from pathlib import Path
 
 import numpy as np
 
-from services.problems import Problem
+from services.problems import Problem, mistake
 from services.settings import ServiceSettings
 
 PIECE = 1 << 16
 MAX_POINTS_READ = 1 << 20  # about a second
-_CRASHED = "a scan that crashed its reader"
 
 
 def validated_header(path: Path, settings: ServiceSettings) -> dict:
     """What `splatpress inspect` says of the scan at `path`, with every name relative to its folder.
 
-    Raises: Problem 422 for a scan that breaks its format or a limit, 415 for a format that is not handled.
+    Raises: Problem 422 for a scan that breaks its format or a limit, 415 for a format that is not handled, 500 for a
+    reader that crashed or could not read its file, which is our mistake.
     """
+    slow = Problem(422, "bad-scan", f"{path.name}: headers that take longer than {settings.validation_s:g} s to read")
     limits = {name: getattr(settings, name) for name in (
         "max_unpacked_bytes", "max_archive_files", "max_archive_ratio", "max_photo_pixels", "validation_memory_bytes",
         "validation_s",
     )}
     try:
-        child = subprocess.run([sys.executable, "-m", "services.validation", str(path)], input=json.dumps(limits),
+        child = subprocess.run([sys.executable, "-m", "services.validation", str(path.absolute())], input=json.dumps(limits),
                                capture_output=True, text=True, timeout=settings.validation_s,
                                cwd=Path(__file__).resolve().parent.parent)
     except subprocess.TimeoutExpired:
-        raise Problem(422, "bad-scan", f"{path.name}: headers that take longer than {settings.validation_s:g} s to read") from None
+        raise slow from None
     lines = child.stdout.splitlines()
+    if child.returncode == -signal.SIGXCPU:
+        raise slow
     if child.returncode != 0 or not lines:
-        raise Problem(422, "bad-scan", f"{path.name}: {_CRASHED} (exit status {child.returncode})")
-    answer = json.loads(lines[-1].replace(json.dumps(str(path.parent))[1:-1] + "/", ""))
+        raise mistake(f"the reader of {path} ended with exit status {child.returncode}: {child.stderr[-4000:]}")
+    answer = json.loads(lines[-1].replace(json.dumps(str(path.absolute().parent))[1:-1] + "/", ""))
     if "problem" in answer:
         raise Problem(**answer["problem"])
     return answer["header"]
@@ -61,6 +66,7 @@ def _answer(path: Path, limits: dict) -> dict:
     from pipeline.readers import inspect_scan
     from storage.errors import SplatpressError, UnsupportedScan
 
+    path.open("rb").close()  # a file that is not there, or may not be read, is no fault of the scan's
     try:
         if path.suffix.lower() == ".zip":
             _check_archive(path, limits)
@@ -88,6 +94,8 @@ def _check_archive(path: Path, limits: dict) -> None:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
     except (zipfile.BadZipFile, EOFError, OSError, ValueError) as error:
+        if isinstance(error, OSError) and error.errno != errno.EINVAL:  # which a place before the file's beginning gives
+            raise
         raise Problem(422, "bad-scan", f"{path.name}: not a whole .zip ({error}); allowed: a .zip archive") from error
     unpacked, packed = sum(e.file_size for e in entries), max(1, path.stat().st_size)
     for found, allowed, what in (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import traceback
+
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
@@ -10,7 +12,7 @@ from starlette.exceptions import HTTPException
 
 from services.api import artifacts, estimates, events, health, jobs, page, scans, uploads, words
 from services.api.limits import MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyGuard, Guard, cap, first_look
-from services.problems import INTERNAL, RESOURCE, Problem, is_of_database
+from services.problems import RESOURCE, Problem, is_of_database, mistake
 from services.settings import ServiceSettings
 from services.store import Store
 
@@ -88,5 +90,5 @@ async def _database(_: Request, error: Exception) -> JSONResponse:
                            headers={"Retry-After": "5"}))
 
 
-async def _mistake(_: Request, error: Exception) -> JSONResponse:
-    return _answer(Problem(500, "internal-error", "a mistake of ours", kind=INTERNAL, retryable=True))
+async def _mistake(request: Request, error: Exception) -> JSONResponse:
+    return _answer(mistake(f"{request.method} {request.url.path}: {''.join(traceback.format_exception(error))}"))

@@ -25,9 +25,11 @@ from pipeline.settings import Settings
 from services.api.app import create_app
 from services.client import zip_folder
 from services.first_bytes import Look, look
+from services.problems import Problem
 from services.settings import settings_from
 from services.store import RUNNING
 from services.runner import tidy
+from services.validation import validated_header
 from tests.pipeline.readers.workspace import write_ply
 from tests.services.scans import photo_scan, point_scan
 
@@ -179,12 +181,41 @@ def test_api__points_without_any_position_are_refused_and_some_are_warned_of(api
     assert answer.status_code == 201 and any("5 of the first 20" in w and "finite" in w for w in answer.json()["warnings"])
 
 
-def test_api__a_reader_that_crashes_takes_nothing_with_it(api, workspace, tmp_path_factory):
+def test_api__a_reader_that_crashes_is_our_mistake_and_the_log_has_it(tmp_path, workspace, capfd):
     """With 64 MB not even the readers' libraries load."""
-    app = app_for(tmp_path_factory.mktemp("small"), validation_memory_bytes=64 << 20)
+    app = app_for(tmp_path, validation_memory_bytes=64 << 20)
     with TestClient(app, base_url="http://127.0.0.1") as small:
-        problem(small.post("/v1/scans", files={"file": ("plane.zip", workspace)}), 422, "crashed its reader")
+        body = problem(small.post("/v1/scans", files={"file": ("plane.zip", workspace)}), 500, "a mistake of ours")
+        assert body["class"] == "internal" and body["retryable"] and "plane.zip" not in body["detail"]
+        id = re.search(r"the log has it as ([0-9a-f]{8})", body["detail"])[1]
+        assert re.search(rf"mistake {id}: .*exit status", capfd.readouterr().err)
         assert small.get("/healthz").status_code == 200 and not files_of(small)
+
+
+def test_api__a_scan_that_the_validator_cannot_find_is_our_mistake(tmp_path, capfd):
+    with pytest.raises(Problem) as raised:
+        validated_header(tmp_path / "gone.ply", settings_from({}, data=tmp_path))
+    assert (raised.value.kind, raised.value.status) == ("internal", 500) and "gone.ply" not in raised.value.detail
+    assert "No such file" in capfd.readouterr().err
+
+
+def test_api__a_validator_that_runs_out_of_time_says_so(tmp_path, workspace):
+    (tmp_path / "plane.zip").write_bytes(workspace)
+    with pytest.raises(Problem) as raised:
+        validated_header(tmp_path / "plane.zip", settings_from({}, data=tmp_path, validation_s=0.05))
+    assert raised.value.kind == "data" and "longer than 0.05 s" in raised.value.detail
+
+
+def test_api__a_relative_data_folder_takes_scans(tmp_path, monkeypatch, workspace, ball):
+    monkeypatch.chdir(tmp_path)
+    settings = settings_from({})
+    assert settings.data == tmp_path / "splatpress-data" and settings_from({"SPLATPRESS_DATA": "a/../b"}).data == tmp_path / "b"
+    assert settings_from({}, data=Path("here")).data == tmp_path / "here"
+    settings.data.mkdir()
+    with TestClient(create_app(settings_from({}, reserve_bytes=0)), base_url="http://127.0.0.1") as api:
+        for name, content in (("plane.zip", workspace), ("ball.ply", ball)):
+            answer = api.post("/v1/scans", files={"file": (name, content)})
+            assert answer.status_code == 201, answer.text
 
 
 # --- uploads
