@@ -2,9 +2,9 @@
 
     python -m benchmarks.dictionary_update SCAN [--atoms 256 4096] [--patches 8192] [--json]
 
-One thread, as in a task of the pipeline, coding at 40 dB with at most 8 atoms: a coding pass, the sums of the update, and
-the update itself, in turns; in components, where the pipeline learns, and on whole patches (certified search). The paper's
-update takes 3 times its coding pass.
+One thread, as in a task of the pipeline, coding at 40 dB with at most 8 atoms: a coding pass, the sums of the update,
+and the update itself, in turns; in components, where the pipeline learns, and on whole patches (certified search). The
+paper's update takes 3 times its coding pass.
 """
 
 from __future__ import annotations
@@ -15,26 +15,37 @@ import numpy as np
 import threadpoolctl
 
 from benchmarks.patches import arguments, in_turns, learned_dictionary, textured_patches
-from pipeline.accuracy import squared_error_at
 from pipeline.coding.ksvd import block_sums, updated_dictionary
 from pipeline.coding.omp import ready_for
 from pipeline.coding.subspace import project
-from pipeline.stages.atoms import Atoms
+from pipeline.numerics.accuracy import squared_error_at
+from pipeline.stages.texture.atoms import Atoms
 
 
-def measure(where: str, patches: np.ndarray, dictionary: np.ndarray, tolerance: float | np.ndarray, rounds: int) -> dict:
+def measure(
+    where: str, patches: np.ndarray, dictionary: np.ndarray, tolerance: float | np.ndarray, rounds: int
+) -> dict:
     atoms = Atoms(ready_for("certified", dictionary))
     found = atoms.pursue(patches, 8, tolerance)
     sums = block_sums(patches, dictionary, found)
-    taken = in_turns({
-        "coding pass": lambda: atoms.pursue(patches, 8, tolerance),
-        "sums": lambda: block_sums(patches, dictionary, found),
-        "update": lambda: updated_dictionary(dictionary, sums),
-    }, rounds)
-    return {"where": where, "atoms": len(dictionary), "patches": len(patches), "values": patches.shape[1], "seconds": taken,
-            "sums_to_coding": taken["sums"] / taken["coding pass"],
-            "update_to_coding": taken["update"] / taken["coding pass"],
-            "coding_microseconds_a_patch": 1e6 * taken["coding pass"] / len(patches)}
+    taken = in_turns(
+        {
+            "coding pass": lambda: atoms.pursue(patches, 8, tolerance),
+            "sums": lambda: block_sums(patches, dictionary, found),
+            "update": lambda: updated_dictionary(dictionary, sums),
+        },
+        rounds,
+    )
+    return {
+        "where": where,
+        "atoms": len(dictionary),
+        "patches": len(patches),
+        "values": patches.shape[1],
+        "seconds": taken,
+        "sums_to_coding": taken["sums"] / taken["coding pass"],
+        "update_to_coding": taken["update"] / taken["coding pass"],
+        "coding_microseconds_a_patch": 1e6 * taken["coding pass"] / len(patches),
+    }
 
 
 def both(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray, rounds: int) -> list[dict]:
@@ -42,8 +53,10 @@ def both(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray, rounds:
     coefficients, rest = project(patches, basis)
     short = dictionary @ basis
     short /= np.linalg.norm(short, axis=1, keepdims=True)
-    return [measure("in components", coefficients, short, np.maximum(tolerance - rest, 0), rounds),
-            measure("whole patches", patches, dictionary, tolerance, rounds)]
+    return [
+        measure("in components", coefficients, short, np.maximum(tolerance - rest, 0), rounds),
+        measure("whole patches", patches, dictionary, tolerance, rounds),
+    ]
 
 
 def main() -> None:
@@ -58,9 +71,11 @@ def main() -> None:
         print(json.dumps({"rows": rows}))
         return
     for row in rows:
-        print(f"{row['atoms']} atoms, {row['patches']} patches, {row['where']} ({row['values']} values): coding "
-              f"{row['coding_microseconds_a_patch']:.1f} us a patch; of it sums {row['sums_to_coding']:.3f} (once a block), "
-              f"update {row['update_to_coding']:.3f} (once an iteration)")
+        print(
+            f"{row['atoms']} atoms, {row['patches']} patches, {row['where']} ({row['values']} values): coding "
+            f"{row['coding_microseconds_a_patch']:.1f} us a patch; of it sums {row['sums_to_coding']:.3f} (once a block), "
+            f"update {row['update_to_coding']:.3f} (once an iteration)"
+        )
 
 
 if __name__ == "__main__":

@@ -1,11 +1,13 @@
 """Is what `splatpress estimate` says what then happens?
 
-    python -m benchmarks.estimates SCAN... [--preset draft balanced high] [--set KNOB=VALUE] [--workers 2] [--stages] [--json]
+    python -m benchmarks.estimates SCAN... [--preset draft balanced high] [--set KNOB=VALUE] [--workers 2] [--stages]
+    [--json]
 
-Each scan is estimated with each preset and then compressed, without pictures, in one work folder, as the service does: up
-to the splats and their effects a job takes over what its estimate made. Ratios are estimate / happened, so 1.10 says a
-tenth too much. Wall seconds mean something only where the machine's load stays what it was between the two, so seconds of
-the coder's tasks are compared as the processor counted them too (`cpu`): of the stages that only the job ran to the end.
+Each scan is estimated with each preset and then compressed, without pictures, in one work folder, as the service does:
+up to the splats and their effects a job takes over what its estimate made. Ratios are estimate / happened, so 1.10 says
+a tenth too much. Wall seconds mean something only where the machine's load stays what it was between the two, so
+seconds of the coder's tasks are compared as the processor counted them too (`cpu`): of the stages that only the job ran
+to the end.
 """
 
 from __future__ import annotations
@@ -18,12 +20,12 @@ import time
 from pathlib import Path
 
 from benchmarks.patches import Silent
-from pipeline.executors import DaskExecutor, SerialExecutor
-from pipeline.knobs import BY_NAME
-from pipeline.settings import PRESETS, Settings, settings_for
-from services.estimate import estimate
-from services.workflow import compress
-from storage import work
+from pipeline.execution.executors import DaskExecutor, SerialExecutor
+from pipeline.planning.knobs import BY_NAME
+from pipeline.planning.settings import PRESETS, Settings, settings_for
+from services.processes.compress import compress
+from services.processes.estimate import estimate
+from storage.work import work
 
 BARS = {"seconds": 0.25, "bytes": 0.05, "psnr_db": 0.5}
 
@@ -43,15 +45,27 @@ def compare(scan: Path, settings: Settings, n_workers: int) -> dict:
     coder = [row for row in stages if not row["reused"]]
     happened = {name: figure["happened"] for name, figure in report["estimate"].items()}
     psnr = found["texture_psnr_db"]
-    return {"scan": scan.name, "preset": settings.preset, "splats": report["splats"], "pilot_seconds": pilot_s, "pilot_cpu_seconds": pilot_cpu_s,
-            "estimated": {name: found[name]["value"] for name in happened}, "happened": happened,
-            "ratios": {"seconds": found["seconds"]["value"] / happened["seconds"],
-                       "cpu": _ratio(coder, "cpu_estimated", "cpu_happened"),
-                       "bytes": found["gpu_bytes"]["value"] / happened["gpu_bytes"],
-                       "memory": found["peak_memory_bytes"]["value"] / happened["peak_memory_bytes"]},
-            "psnr_off_db": psnr["value"] - happened["texture_psnr_db"] if psnr else None,
-            "sizes": {part: [found["sizes"][part], report["sizes"][part]] for part in ("geometry_bytes", "codes_bytes", "colors_bytes", "dictionary_bytes")},
-            "stages": stages}
+    return {
+        "scan": scan.name,
+        "preset": settings.preset,
+        "splats": report["splats"],
+        "pilot_seconds": pilot_s,
+        "pilot_cpu_seconds": pilot_cpu_s,
+        "estimated": {name: found[name]["value"] for name in happened},
+        "happened": happened,
+        "ratios": {
+            "seconds": found["seconds"]["value"] / happened["seconds"],
+            "cpu": _ratio(coder, "cpu_estimated", "cpu_happened"),
+            "bytes": found["gpu_bytes"]["value"] / happened["gpu_bytes"],
+            "memory": found["peak_memory_bytes"]["value"] / happened["peak_memory_bytes"],
+        },
+        "psnr_off_db": psnr["value"] - happened["texture_psnr_db"] if psnr else None,
+        "sizes": {
+            part: [found["sizes"][part], report["sizes"][part]]
+            for part in ("geometry_bytes", "codes_bytes", "colors_bytes", "dictionary_bytes")
+        },
+        "stages": stages,
+    }
 
 
 def _executor(n_workers: int):
@@ -71,8 +85,16 @@ def _stages(found: dict, report: dict, kept: Path) -> list[dict]:
         name = stage["name"]
         tasks = [t for made in kept.glob(f"{name}-????????????????") for t in work.finished_tasks(made).values()]
         of = estimated.get(name, {"seconds": 0.0, "processor_seconds": 0.0})
-        rows.append({"name": name, "reused": stage["reused"], "estimated": of["seconds"], "happened": of["seconds"] if stage["reused"] else stage["seconds"],
-                     "cpu_estimated": of.get("processor_seconds", 0.0), "cpu_happened": sum(t["processor_seconds"] for t in tasks)})
+        rows.append(
+            {
+                "name": name,
+                "reused": stage["reused"],
+                "estimated": of["seconds"],
+                "happened": of["seconds"] if stage["reused"] else stage["seconds"],
+                "cpu_estimated": of.get("processor_seconds", 0.0),
+                "cpu_happened": sum(t["processor_seconds"] for t in tasks),
+            }
+        )
     return rows
 
 
@@ -82,12 +104,17 @@ def _ratio(rows: list[dict], a: str, b: str) -> float:
 
 def show(row: dict, stages: bool) -> None:
     ratios, off = row["ratios"], row["psnr_off_db"]
-    print(f"{row['scan']:<22}{row['preset']:<10}{row['splats']:>9,}  pilot {row['pilot_seconds']:5.1f} s, cpu {row['pilot_cpu_seconds']:5.1f} s  job {row['happened']['seconds']:6.1f} s  "
-          f"seconds {ratios['seconds']:.2f}  cpu {ratios['cpu']:.2f}  bytes {ratios['bytes']:.3f}  memory {ratios['memory']:.2f}  "
-          + (f"PSNR {off:+.2f} dB" if off is not None else "no photographs"), flush=True)
+    print(
+        f"{row['scan']:<22}{row['preset']:<10}{row['splats']:>9,}  pilot {row['pilot_seconds']:5.1f} s, cpu {row['pilot_cpu_seconds']:5.1f} s  job {row['happened']['seconds']:6.1f} s  "
+        f"seconds {ratios['seconds']:.2f}  cpu {ratios['cpu']:.2f}  bytes {ratios['bytes']:.3f}  memory {ratios['memory']:.2f}  "
+        + (f"PSNR {off:+.2f} dB" if off is not None else "no photographs"),
+        flush=True,
+    )
     if stages:
         for s in row["stages"]:
-            print(f"    {s['name'] + (' *' if s['reused'] else ''):<18}{s['estimated']:7.2f} for {s['happened']:7.2f} s, processor {s['cpu_estimated']:7.2f} for {s['cpu_happened']:7.2f} s")
+            print(
+                f"    {s['name'] + (' *' if s['reused'] else ''):<18}{s['estimated']:7.2f} for {s['happened']:7.2f} s, processor {s['cpu_estimated']:7.2f} for {s['cpu_happened']:7.2f} s"
+            )
         for part, (a, b) in row["sizes"].items():
             print(f"    {part:<18}{a:>12,} for {b:>12,}  {a / b if b else 0:.3f}", flush=True)
 
@@ -96,7 +123,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scans", type=Path, nargs="+", metavar="SCAN")
     parser.add_argument("--preset", nargs="+", default=list(PRESETS), choices=list(PRESETS))
-    parser.add_argument("--set", action="append", default=[], metavar="KNOB=VALUE", help="over each preset; may be repeated")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KNOB=VALUE", help="over each preset; may be repeated"
+    )
     parser.add_argument("--workers", type=int, default=2, help="1: all in this process")
     parser.add_argument("--stages", action="store_true", help="stage by stage, part by part")
     parser.add_argument("--json", action="store_true", help="all of it, a line each")

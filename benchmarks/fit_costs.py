@@ -1,13 +1,14 @@
-"""Fit the cost model of `pipeline/costs.py` to runs of `benchmarks/scaling.py`, or check it on runs it has not seen.
+"""Fit the cost model of `pipeline/planning/costs.py` to runs of `benchmarks/scaling.py`, or check it on runs it has not
+seen.
 
     python -m benchmarks.scaling SCAN --splats 100000 400000 1000000 4000000 --workers 1 --out rows.jsonl
     python -m benchmarks.scaling SCAN --splats 200000 --workers 1 --dictionary-bits 8 --out rows.jsonl
-    python -m benchmarks.fit_costs rows.jsonl --write           # pipeline/costs.json
+    python -m benchmarks.fit_costs rows.jsonl --write           # pipeline/planning/costs.json
     python -m benchmarks.fit_costs others.jsonl --check [--json]
 
-Rows with different numbers of indices tell what each costs. Tasks cost the processor seconds they took: a busy machine leaves those almost as they are. What a stage does besides is
-what its seconds exceed those of its tasks by, kernels that each worker loads once among it, and means something only where the
-machine was quiet.
+Rows with different numbers of indices tell what each costs. Tasks cost the processor seconds they took: a busy machine
+leaves those almost as they are. What a stage does besides is what its seconds exceed those of its tasks by, kernels
+that each worker loads once among it, and means something only where the machine was quiet.
 """
 
 from __future__ import annotations
@@ -19,13 +20,29 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.costs import (
-    BY_ATOMS, COSTS, PHOTOS, SAMPLE, SAMPLED, SEED, TASKS, TRAINING, Job, StageCost, halvings, kilos_of, known_costs, known_probe_s,
+from pipeline.planning.costs import (
+    BY_ATOMS,
+    COSTS,
+    PHOTOS,
+    SAMPLE,
+    SAMPLED,
+    SEED,
+    TASKS,
+    TRAINING,
+    Job,
+    StageCost,
+    halvings,
+    kilos_of,
+    known_costs,
+    known_probe_s,
     plan_job,
 )
-from storage.arrays import BLOCK
+from storage.work.arrays import BLOCK
 
-PHOTOGRAPHS = {"fountain_p11": (11, 1.573), "monstree": (12, 1.573)}  # number, millions of pixels; of other scans: --photographs
+PHOTOGRAPHS = {
+    "fountain_p11": (11, 1.573),
+    "monstree": (12, 1.573),
+}  # number, millions of pixels; of other scans: --photographs
 
 
 FULL = 400_000  # splats
@@ -41,16 +58,36 @@ def _fit(name: str, rows: list[dict]) -> StageCost:
     units, passes, kilos = (np.array([f[k] for f in found]) for k in ("units", "passes", "kilos"))
     by_atoms = name in BY_ATOMS
     once, once_a_unit, once_a_kilo = _sum(
-        np.maximum([f["once_s"] for f in found], 0) / passes, units, kilos if by_atoms else None)
+        np.maximum([f["once_s"] for f in found], 0) / passes, units, kilos if by_atoms else None
+    )
     a_unit, halved = np.array([f["tasks_s"] for f in found]) / (units * passes), np.array([halvings(n) for n in units])
     in_memory = halved == 0 if name == "partition" else np.ones(len(units), bool)
     task, task_a_kilo = _line(kilos, a_unit) if by_atoms else (np.median(a_unit[in_memory]), 0.0)
     a_halving = 0.0 if in_memory.all() else np.median((a_unit - task)[~in_memory] / halved[~in_memory])
     written = np.array([f["written"] for f in found]) / passes
-    _, written_a_unit, written_a_kilo = _sum(written, units, kilos) if by_atoms else (0.0, np.median(written / units), 0.0)
-    memory, memory_a_unit = _memory(np.array([row["splats"] for row in rows]), units, np.array([f["peak"] for f in found]))
-    return StageCost(*map(float, (1e6 * task, once, 1e6 * once_a_unit, written_a_unit, memory, memory_a_unit,
-                                  1e6 * task_a_kilo, once_a_kilo, written_a_kilo, 1e6 * max(0.0, a_halving))))
+    _, written_a_unit, written_a_kilo = (
+        _sum(written, units, kilos) if by_atoms else (0.0, np.median(written / units), 0.0)
+    )
+    memory, memory_a_unit = _memory(
+        np.array([row["splats"] for row in rows]), units, np.array([f["peak"] for f in found])
+    )
+    return StageCost(
+        *map(
+            float,
+            (
+                1e6 * task,
+                once,
+                1e6 * once_a_unit,
+                written_a_unit,
+                memory,
+                memory_a_unit,
+                1e6 * task_a_kilo,
+                once_a_kilo,
+                written_a_kilo,
+                1e6 * max(0.0, a_halving),
+            ),
+        )
+    )
 
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
@@ -59,7 +96,8 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
 
 
 def _sum(y: np.ndarray, units: np.ndarray | None, kilos: np.ndarray | None) -> tuple[float, float, float]:
-    """Least squares, each row in proportion, of y = a + b units + c kilos, none negative; what does not vary has no part."""
+    """Least squares, each row in proportion, of y = a + b units + c kilos, none negative; what does not vary has no
+    part."""
     from scipy.optimize import nnls
 
     varies = [x is not None and len(np.unique(x)) > 1 for x in (units, kilos)]
@@ -72,8 +110,8 @@ def _sum(y: np.ndarray, units: np.ndarray | None, kilos: np.ndarray | None) -> t
 
 
 def _memory(splats: np.ndarray, units: np.ndarray, peak: np.ndarray) -> tuple[float, float]:
-    """What a worker needs, and how that grows: by scans of FULL splats and more, whose workers have full blocks and a heap
-    that has settled. Growth within a tenth is none."""
+    """What a worker needs, and how that grows: by scans of FULL splats and more, whose workers have full blocks and a
+    heap that has settled. Growth within a tenth is none."""
     full = splats >= FULL
     if len(np.unique(splats[full])) < 2 or peak[full].max() < 1.1 * peak[full].min():
         return float(peak.max()), 0.0
@@ -86,16 +124,25 @@ def _stage_of(name: str) -> str:
 
 def _measured(name: str, row: dict) -> dict:
     tasks = row["tasks"][_stage_of(name)]
-    processor, splats, wall, compiling = (np.array(tasks[k]) for k in ("processor_seconds", "splats", "seconds", "compile_seconds"))
+    processor, splats, wall, compiling = (
+        np.array(tasks[k]) for k in ("processor_seconds", "splats", "seconds", "compile_seconds")
+    )
     here = np.ones(len(splats), bool)
     if _stage_of(name) == "ingest":
         here = splats == 0 if name == "photographs" else splats > 0
     units = np.prod(_photographs(row)) if TASKS[name] == PHOTOS else _rows_of(name, row, splats)
     once = 0.0 if name == "photographs" else row["seconds"][name] - (wall - compiling).sum() / row["workers"]
-    return {"units": units, "passes": tasks["passes"], "kilos": kilos_of(row["indices"], row["atom_size"]),
-            "tasks_s": np.maximum(processor - compiling, 0)[here].sum(), "once_s": once,
-            "peak": max(np.array(tasks["peak_rss_bytes"])[here], default=0),
-            "written": 3e6 * units if name == "photographs" else max(0.0, tasks["written_bytes"] - _photograph_bytes(name, row))}
+    return {
+        "units": units,
+        "passes": tasks["passes"],
+        "kilos": kilos_of(row["indices"], row["atom_size"]),
+        "tasks_s": np.maximum(processor - compiling, 0)[here].sum(),
+        "once_s": once,
+        "peak": max(np.array(tasks["peak_rss_bytes"])[here], default=0),
+        "written": 3e6 * units
+        if name == "photographs"
+        else max(0.0, tasks["written_bytes"] - _photograph_bytes(name, row)),
+    }
 
 
 def _rows_of(name: str, row: dict, splats: np.ndarray) -> float:
@@ -115,23 +162,38 @@ def _photographs(row: dict) -> tuple[int, float]:
 
 
 def checked(rows: list[dict]) -> list[dict]:
-    """Seconds predicted and measured, of all stages of the model that the scan called for together and one by one, on the
-    machine of each row; and the stages that the model does not know."""
+    """Seconds predicted and measured, of all stages of the model that the scan called for together and one by one, on
+    the machine of each row; and the stages that the model does not know."""
     result = []
     for row in rows:
         n, megapixels = _photographs(row)
         costs = known_costs(speed=row["probe_s"] / known_probe_s())
-        job = Job(row["splats"], row["workers"], n, megapixels, sum(row["tasks"]["training-set"]["splats"]),
-                  row["tasks"]["ksvd-update"]["passes"], row["indices"], row["atom_size"])
+        job = Job(
+            row["splats"],
+            row["workers"],
+            n,
+            megapixels,
+            sum(row["tasks"]["training-set"]["splats"]),
+            row["tasks"]["ksvd-update"]["passes"],
+            row["indices"],
+            row["atom_size"],
+        )
         plans = {p.name: p.seconds for p in plan_job(job, costs)}
         plans["ingest"] += plans.pop("photographs")
         measured = {name: row["seconds"].get(name, 0.0) for name in plans if name in row["seconds"]}
         plans = {name: s for name, s in plans.items() if name in row["seconds"]}
-        result.append({"scan": row["scan"], "splats": row["splats"], "workers": row["workers"],
-                       "predicted_s": sum(plans.values()), "measured_s": sum(measured.values()),
-                       "ratio": sum(plans.values()) / sum(measured.values()),
-                       "not_modelled": sorted(set(row["seconds"]) - set(TASKS)),
-                       "stages": {name: [plans[name], measured[name]] for name in plans}})
+        result.append(
+            {
+                "scan": row["scan"],
+                "splats": row["splats"],
+                "workers": row["workers"],
+                "predicted_s": sum(plans.values()),
+                "measured_s": sum(measured.values()),
+                "ratio": sum(plans.values()) / sum(measured.values()),
+                "not_modelled": sorted(set(row["seconds"]) - set(TASKS)),
+                "stages": {name: [plans[name], measured[name]] for name in plans},
+            }
+        )
     return result
 
 
@@ -141,7 +203,9 @@ def main() -> None:
     todo = parser.add_mutually_exclusive_group(required=True)
     todo.add_argument("--write", action="store_true")
     todo.add_argument("--check", action="store_true")
-    parser.add_argument("--photographs", nargs=2, type=float, metavar=("N", "MEGAPIXELS"), help="of a scan that is not known")
+    parser.add_argument(
+        "--photographs", nargs=2, type=float, metavar=("N", "MEGAPIXELS"), help="of a scan that is not known"
+    )
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     rows = [json.loads(line) for line in options.rows.read_text().splitlines()]
@@ -149,8 +213,13 @@ def main() -> None:
         PHOTOGRAPHS.update({row["scan"]: (int(options.photographs[0]), options.photographs[1]) for row in rows})
     if options.write:
         costs = {name: asdict(cost) for name, cost in fitted(rows).items()}
-        about = sorted({f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers, {row['indices']:,} indices of "
-                        f"{row['atom_size']}x{row['atom_size']} texels, coder {row['coder']}" for row in rows})
+        about = sorted(
+            {
+                f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers, {row['indices']:,} indices of "
+                f"{row['atom_size']}x{row['atom_size']} texels, coder {row['coder']}"
+                for row in rows
+            }
+        )
         probe_s = float(np.median([row["probe_s"] for row in rows]))
         COSTS.write_text(json.dumps({"fitted_to": about, "probe_s": probe_s, "stages": costs}, indent=1) + "\n")
         return
@@ -159,8 +228,10 @@ def main() -> None:
         print(json.dumps({"rows": found}))
         return
     for row in found:
-        print(f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers: {row['predicted_s']:.1f} s predicted, "
-              f"{row['measured_s']:.1f} measured, ratio {row['ratio']:.2f}")
+        print(
+            f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers: {row['predicted_s']:.1f} s predicted, "
+            f"{row['measured_s']:.1f} measured, ratio {row['ratio']:.2f}"
+        )
         for name, (predicted, measured) in row["stages"].items():
             print(f"    {name:<16} {predicted:7.2f} {measured:7.2f}")
 

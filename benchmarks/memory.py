@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.executors import DaskExecutor
-from pipeline.settings import settings_for
-from services.workflow import compress
+from pipeline.execution.executors import DaskExecutor
+from pipeline.planning.settings import settings_for
+from services.processes.compress import compress
 
 SIZES = (200_000, 2_000_000)
 PHOTO_PX = (1536, 1024)
@@ -47,7 +47,9 @@ def write_terrain(folder: Path, n_points: int) -> Path:
     for i, (x, y) in enumerate((x, y) for x in (-9, -3, 3, 9) for y in (-6, 0, 6)):
         imageio.imwrite(folder / "images" / f"{i:02d}.png", np.roll(picture, 97 * i, axis=1))
         images.append(f"{i + 1} 0 1 0 0 {-x} {y} {HEIGHT} 1 {i:02d}.png\n\n")  # half a turn about x: looking down
-    (folder / "sparse" / "cameras.txt").write_text(f"1 PINHOLE {width} {height} {FOCAL_PX} {FOCAL_PX} {width / 2} {height / 2}\n")
+    (folder / "sparse" / "cameras.txt").write_text(
+        f"1 PINHOLE {width} {height} {FOCAL_PX} {FOCAL_PX} {width / 2} {height / 2}\n"
+    )
     (folder / "sparse" / "images.txt").write_text("".join(images))
     (folder / "sparse" / "points3D.txt").write_text("")
     _write_points(folder, n_points, rng)
@@ -59,7 +61,9 @@ def _write_points(folder: Path, n_points: int, rng: np.random.Generator) -> None
     properties = "".join(f"property float {p}\n" for p in ("x", "y", "z", "nx", "ny", "nz"))
     properties += "".join(f"property uchar {p}\n" for p in ("red", "green", "blue"))
     with open(folder / "fused.ply", "wb") as points, open(folder / "fused.ply.vis", "wb") as seen:
-        points.write(f"ply\nformat binary_little_endian 1.0\nelement vertex {n_points}\n{properties}end_header\n".encode())
+        points.write(
+            f"ply\nformat binary_little_endian 1.0\nelement vertex {n_points}\n{properties}end_header\n".encode()
+        )
         seen.write(np.uint64(n_points).tobytes())
         for start in range(0, n_points, 100_000):
             n = min(100_000, n_points - start)

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.accuracy import squared_error_at
 from pipeline.coding.ksvd import learn_dictionary
 from pipeline.coding.quantize import dequantize_atoms, quantize_atoms
 from pipeline.coding.subspace import find_components, lift, project
-from pipeline.executors import SerialExecutor
-from pipeline.settings import settings_for
+from pipeline.execution.executors import SerialExecutor
+from pipeline.numerics.accuracy import squared_error_at
+from pipeline.planning.settings import settings_for
 from pipeline.texture.patches import centred
-from services.workflow import compress
-from storage import arrays
+from services.processes.compress import compress
+from storage.work import arrays
 
 PAUSE_S = 0.05
 
@@ -46,8 +46,15 @@ def textured_patches(scan: Path, n: int) -> np.ndarray:
     found = sorted(scan.glob("resample-*"))
     if not found:
         work = Path(f"{scan.name}-work")
-        compress(scan, Path(f"{scan.name}-out"), settings_for("draft", max_atoms=0), SerialExecutor(), Silent(),
-                 render=False, work=work)
+        compress(
+            scan,
+            Path(f"{scan.name}-out"),
+            settings_for("draft", max_atoms=0),
+            SerialExecutor(),
+            Silent(),
+            render=False,
+            work=work,
+        )
         found = sorted(work.glob("resample-*"))
     energy = arrays.read(found[-1], "energy")
     active = np.flatnonzero(energy > energy.dtype.type(0.3072))
@@ -65,9 +72,12 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - begun
 
 
-def in_turns(works: dict[str, Callable[[], object]], rounds: int, processor: dict[str, float] | None = None) -> dict[str, float]:
-    """Median seconds of each, run in turns so that a busy machine hits all alike; one round before counts not. A pause goes
-    before each: threads of the last one's library (OpenBLAS, OpenMP) spin for 20 ms, on cores that are the next one's.
+def in_turns(
+    works: dict[str, Callable[[], object]], rounds: int, processor: dict[str, float] | None = None
+) -> dict[str, float]:
+    """Median seconds of each, run in turns so that a busy machine hits all alike; one round before counts not. A pause
+    goes before each: threads of the last one's library (OpenBLAS, OpenMP) spin for 20 ms, on cores that are the next
+    one's.
 
     `processor` is given the median seconds of processor time, of all threads: what a busy machine changes least.
     """
@@ -89,5 +99,7 @@ def learned_dictionary(patches: np.ndarray, n_atoms: int) -> tuple[np.ndarray, n
     tolerance = squared_error_at(40.0, patches.shape[1])
     basis, _ = find_components(patches, tolerance / 10)
     coefficients, rest = project(patches, basis)
-    atoms = learn_dictionary(coefficients, n_atoms, max_atoms=4, tolerance=np.maximum(tolerance - rest, 0), iterations=2)
+    atoms = learn_dictionary(
+        coefficients, n_atoms, max_atoms=4, tolerance=np.maximum(tolerance - rest, 0), iterations=2
+    )
     return dequantize_atoms(*quantize_atoms(lift(atoms, basis))), basis

@@ -2,9 +2,9 @@
 
     python -m benchmarks.placed WORKSPACE [--preset draft] [--json]
 
-Writes the COLMAP workspace anew for each similarity x -> scale * turn @ x + shift, points, normals and cameras alike, and
-compresses it; prints PSNR and bytes and by how much they differ from those of the workspace as it stands. Other seeds say how
-much of that is the luck of the draw. Its photographs must be undistorted already.
+Writes the COLMAP workspace anew for each similarity x -> scale * turn @ x + shift, points, normals and cameras alike,
+and compresses it; prints PSNR and bytes and by how much they differ from those of the workspace as it stands. Other
+seeds say how much of that is the luck of the draw. Its photographs must be undistorted already.
 """
 
 from __future__ import annotations
@@ -18,19 +18,21 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.executors import SerialExecutor
+from pipeline.execution.executors import SerialExecutor
+from pipeline.planning.settings import settings_for
 from pipeline.readers import open_scan
-from pipeline.settings import settings_for
-from services.workflow import compress
+from services.processes.compress import compress
 from tests.hard_cases.scans import STILL, Placed, write_points
-from tests.pipeline.test_stage import Heard
+from tests.pipeline.execution.test_stage import Heard
 
 FIGURES = ("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db", "bytes_per_splat")
 FAR = (4.5e5, 5.4e6, 100.0)
 ANGLES = ((10, 20, 30), (115, -40, 65), (-77, 13, 151))  # degrees about z, y and x
 TURNS = [Rotation.from_euler("zyx", angles, degrees=True).as_matrix() for angles in ANGLES]
 RUNS = {  # where, and the seed of all random choices
-    "as it is": (STILL, 0), "another seed": (STILL, 1), "a third seed": (STILL, 2),
+    "as it is": (STILL, 0),
+    "another seed": (STILL, 1),
+    "a third seed": (STILL, 2),
     "moved, 1e3": (Placed(np.eye(3), 1e3, FAR), 0),
     "turned": (Placed(TURNS[0]), 0),
     "turned, moved, 1e-3": (Placed(TURNS[1], 1e-3, FAR), 0),
@@ -42,7 +44,9 @@ def write_placed(workspace: Path, target: Path, placed: Placed) -> Path:
     """The workspace elsewhere: a text model, points of double precision, the photographs and visibility by links."""
     scan = open_scan(str(workspace))
     pieces = list(scan.pieces(1 << 20))
-    position, normal, color = (np.concatenate([getattr(p, name) for p in pieces]) for name in ("position", "normal", "color"))
+    position, normal, color = (
+        np.concatenate([getattr(p, name) for p in pieces]) for name in ("position", "normal", "color")
+    )
     (target / "sparse").mkdir(parents=True)
     cameras, images = [], []
     for i, camera in enumerate(scan.cameras, 1):
@@ -65,7 +69,9 @@ def measured(workspace: Path, placed: Placed, seed: int, preset: str) -> dict[st
     folder = Path(tempfile.mkdtemp())
     try:
         scan = write_placed(workspace, folder / "scan", placed)
-        report = compress(scan, folder / "out", settings_for(preset, seed=seed), SerialExecutor(), Heard(), render=False)
+        report = compress(
+            scan, folder / "out", settings_for(preset, seed=seed), SerialExecutor(), Heard(), render=False
+        )
     finally:
         shutil.rmtree(folder)
     return {name: (report["quality"] | report["sizes"])[name] for name in FIGURES}

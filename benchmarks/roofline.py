@@ -3,8 +3,8 @@
     python -m benchmarks.roofline SCAN [--atoms 256 4096] [--patches 8192] [--json]
 
 One thread, processor time, the least of the rounds. First the machine: float32 GEMM `Y D^T`, and a sum of two long rows
-out of memory (three streams). Then each kernel: microseconds a patch, arithmetic and bytes it cannot do without (what its
-definition says, not what counters say), and the shares of the two rates that makes. 8 atoms, no cut-off.
+out of memory (three streams). Then each kernel: microseconds a patch, arithmetic and bytes it cannot do without (what
+its definition says, not what counters say), and the shares of the two rates that makes. 8 atoms, no cut-off.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pipeline.coding.ksvd import block_sums
 from pipeline.coding.omp import ready_for
 from pipeline.coding.omp_kernels import squared_norms
 from pipeline.coding.subspace import project
-from pipeline.stages.atoms import Atoms
+from pipeline.stages.texture.atoms import Atoms
 from pipeline.texture.patches import centred
 
 N_ATOMS = 8
@@ -58,11 +58,26 @@ def kernels(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray) -> d
         "squared norms": (lambda: squared_norms(patches), 2.0 * d, 4.0 * d),
         "GEMM of whole patches": (lambda: patches @ dictionary.T, 2.0 * k * d, 4.0 * (d + k)),
         "projection on components": (lambda: project(patches, basis), 2.0 * p * d, 4.0 * (d + p)),
-        "pursuit, whole patches": (lambda: whole.pursue(patches, t, 0.0), 2.0 * k * _width_of_products(whole, d) + steps,
-                                   4.0 * k * t * (t - 1) / 2),
-        "pursuit, in components": (lambda: inside.pursue(coefficients, t, 0.0), 2.0 * k * p + steps, 4.0 * k * t * (t - 1) / 2),
-        "sums, whole patches": (lambda: block_sums(patches, dictionary, found["whole"]), 4.0 * t * d, 4.0 * d * (1 + 3 * t)),
-        "sums, in components": (lambda: block_sums(coefficients, short, found["in components"]), 4.0 * t * p, 4.0 * p * (1 + 3 * t)),
+        "pursuit, whole patches": (
+            lambda: whole.pursue(patches, t, 0.0),
+            2.0 * k * _width_of_products(whole, d) + steps,
+            4.0 * k * t * (t - 1) / 2,
+        ),
+        "pursuit, in components": (
+            lambda: inside.pursue(coefficients, t, 0.0),
+            2.0 * k * p + steps,
+            4.0 * k * t * (t - 1) / 2,
+        ),
+        "sums, whole patches": (
+            lambda: block_sums(patches, dictionary, found["whole"]),
+            4.0 * t * d,
+            4.0 * d * (1 + 3 * t),
+        ),
+        "sums, in components": (
+            lambda: block_sums(coefficients, short, found["in components"]),
+            4.0 * t * p,
+            4.0 * p * (1 + 3 * t),
+        ),
     }
 
 
@@ -75,26 +90,41 @@ def measure(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray, roun
     rows = {}
     for name, (work, operations, n_bytes) in kernels(patches, dictionary, basis).items():
         s = least(work, rounds) / len(patches)
-        rows[name] = {"microseconds": 1e6 * s, "of_gemm_rate": operations / s / gemm, "of_memory_rate": n_bytes / s / memory}
-    return {"atoms": len(dictionary), "components": basis.shape[1], "gemm_gflops": gemm / 1e9, "memory_gbytes_s": memory / 1e9,
-            "kernels": rows}
+        rows[name] = {
+            "microseconds": 1e6 * s,
+            "of_gemm_rate": operations / s / gemm,
+            "of_memory_rate": n_bytes / s / memory,
+        }
+    return {
+        "atoms": len(dictionary),
+        "components": basis.shape[1],
+        "gemm_gflops": gemm / 1e9,
+        "memory_gbytes_s": memory / 1e9,
+        "kernels": rows,
+    }
 
 
 def main() -> None:
     options = arguments(__doc__).parse_args()
     every = textured_patches(options.scan, options.patches + 5 * max(options.atoms))
     with threadpoolctl.threadpool_limits(1):
-        rows = [measure(every[: options.patches], *learned_dictionary(every[options.patches :][: 5 * k], k), options.rounds)
-                for k in options.atoms]
+        rows = [
+            measure(every[: options.patches], *learned_dictionary(every[options.patches :][: 5 * k], k), options.rounds)
+            for k in options.atoms
+        ]
     if options.json:
         print(json.dumps({"rows": rows}))
         return
     for row in rows:
-        print(f"{row['atoms']} atoms, {row['components']} components: GEMM {row['gemm_gflops']:.0f} GFLOP/s, "
-              f"memory {row['memory_gbytes_s']:.1f} GB/s")
+        print(
+            f"{row['atoms']} atoms, {row['components']} components: GEMM {row['gemm_gflops']:.0f} GFLOP/s, "
+            f"memory {row['memory_gbytes_s']:.1f} GB/s"
+        )
         for name, found in row["kernels"].items():
-            print(f"  {name:<26} {found['microseconds']:8.2f} us a patch, {found['of_gemm_rate']:6.0%} of the GEMM's rate, "
-                  f"{found['of_memory_rate']:6.0%} of memory's")
+            print(
+                f"  {name:<26} {found['microseconds']:8.2f} us a patch, {found['of_gemm_rate']:6.0%} of the GEMM's rate, "
+                f"{found['of_memory_rate']:6.0%} of memory's"
+            )
 
 
 if __name__ == "__main__":

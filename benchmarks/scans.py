@@ -7,15 +7,18 @@ from pathlib import Path
 import numpy as np
 
 RECORD = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("color", "u1", 3)])
-_HEADER = ("ply\nformat binary_little_endian 1.0\nelement vertex {n}\n"
-           + "".join(f"property float {p}\n" for p in ("x", "y", "z", "nx", "ny", "nz"))
-           + "".join(f"property uchar {p}\n" for p in ("red", "green", "blue")) + "end_header\n")
+_HEADER = (
+    "ply\nformat binary_little_endian 1.0\nelement vertex {n}\n"
+    + "".join(f"property float {p}\n" for p in ("x", "y", "z", "nx", "ny", "nz"))
+    + "".join(f"property uchar {p}\n" for p in ("red", "green", "blue"))
+    + "end_header\n"
+)
 
 
 def resized(scan: Path, folder: Path, n_points: int, spacing: float) -> Path:
     """`scan` with `n_points` points: an even choice of them, or all of them again and again, each time pushed along the
-    surface by up to `spacing`. Photographs and what each point is seen by stay; compress it with a fixed radius, so that
-    patches show what they did, and a splat costs what it did."""
+    surface by up to `spacing`. Photographs and what each point is seen by stay; compress it with a fixed radius, so
+    that patches show what they did, and a splat costs what it did."""
     points, seen, ends = _points_of(scan)
     rng = np.random.default_rng(0)
     folder.mkdir(parents=True)

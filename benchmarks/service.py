@@ -5,9 +5,9 @@
 
 overhead: the same scan by the command and by a job, alternately; each time with another file beside the photographs, so
 that no job finds its stages done. Seconds of the command count from its start to its end, of the job from its
-submission to its end; the ratio is the median over the pairs. The embedded service and the command have as many workers.
-storm: that many jobs on one small scan, all submitted at once, each with another seed; meanwhile the API is asked for the
-list of jobs, for one of them and for its log, in turn, every 50 ms.
+submission to its end; the ratio is the median over the pairs. The embedded service and the command have as many
+workers. storm: that many jobs on one small scan, all submitted at once, each with another seed; meanwhile the API is
+asked for the list of jobs, for one of them and for its log, in turn, every 50 ms.
 """
 
 from __future__ import annotations
@@ -44,15 +44,33 @@ def overhead(scan: Path | None, pairs: int, preset: str) -> dict:
         with service(base / "data", workers=WORKERS) as served:
             for i in range(pairs):
                 (source / "note.txt").write_text(f"pair {i}")
-                rows.append({"command_s": _by_command(source, base / f"out-{i}", preset), **_by_job(served, source, preset)})
+                rows.append(
+                    {"command_s": _by_command(source, base / f"out-{i}", preset), **_by_job(served, source, preset)}
+                )
     ratios = [row["job_s"] / row["command_s"] for row in rows]
     return {"preset": preset, "pairs": rows, "median_ratio": statistics.median(ratios), "ratios": ratios}
 
 
 def _by_command(scan: Path, out: Path, preset: str) -> float:
     begun = time.perf_counter()
-    subprocess.run([sys.executable, "-m", "services.cli", "compress", str(scan), "--out", str(out), "--preset", preset,
-                    "--workers", str(WORKERS)], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "services.cli",
+            "compress",
+            str(scan),
+            "--out",
+            str(out),
+            "--preset",
+            preset,
+            "--workers",
+            str(WORKERS),
+        ],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     return time.perf_counter() - begun
 
 
@@ -81,9 +99,15 @@ def storm(n_jobs: int) -> dict:
         asking.join()
         ended = [served.client.status(job) for job in jobs]
     answers.sort()
-    return {"jobs": n_jobs, "successful": sum(job["status"] == "successful" for job in ended),
-            "problems": sorted({str(job["problem"]) for job in ended if job["problem"]}), "submit_s": submitted, "all_s": took, "answers": len(answers),
-            **{f"p{p}_ms": 1000 * answers[min(len(answers) - 1, len(answers) * p // 100)] for p in (50, 95, 99)}}
+    return {
+        "jobs": n_jobs,
+        "successful": sum(job["status"] == "successful" for job in ended),
+        "problems": sorted({str(job["problem"]) for job in ended if job["problem"]}),
+        "submit_s": submitted,
+        "all_s": took,
+        "answers": len(answers),
+        **{f"p{p}_ms": 1000 * answers[min(len(answers) - 1, len(answers) * p // 100)] for p in (50, 95, 99)},
+    }
 
 
 def _ask(url: str, jobs: list[str], answers: list[float], stop: threading.Event) -> None:

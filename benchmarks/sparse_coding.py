@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.patches import arguments, in_turns, learned_dictionary, textured_patches
 from pipeline.coding.omp import pursue_patches, ready_for
-from pipeline.threads import available_cores
+from pipeline.execution.threads import available_cores
 
 N_ATOMS = 8
 
@@ -37,7 +37,9 @@ def peers(patches: np.ndarray, dictionary: np.ndarray) -> tuple[dict, dict[str, 
         from sklearn.linear_model import orthogonal_mp_gram
 
         few, gram = patches[: min(32, len(patches) // 8)], dictionary @ dictionary.T
-        works["scikit-learn orthogonal_mp_gram"] = lambda: orthogonal_mp_gram(gram, dictionary @ few.T, n_nonzero_coefs=N_ATOMS)
+        works["scikit-learn orthogonal_mp_gram"] = lambda: orthogonal_mp_gram(
+            gram, dictionary @ few.T, n_nonzero_coefs=N_ATOMS
+        )
         counts["scikit-learn orthogonal_mp_gram"] = len(few)
     except ImportError:
         missing.append("scikit-learn is not installed (pip install scikit-learn)")
@@ -48,7 +50,11 @@ def ours(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray) -> dict
     """What to time of this project, each with what depends on the dictionary made before."""
     coefficients, short = patches @ basis, dictionary @ basis
     short /= np.linalg.norm(short, axis=1, keepdims=True)
-    whole, ready, in_components = ready_for("exact", dictionary), ready_for("certified", dictionary), ready_for("exact", short)
+    whole, ready, in_components = (
+        ready_for("exact", dictionary),
+        ready_for("certified", dictionary),
+        ready_for("exact", short),
+    )
     options = {"max_atoms": N_ATOMS, "n_threads": available_cores()}
     return {
         "exact": lambda: pursue_patches(patches, whole, search="exact", **options),
@@ -66,12 +72,17 @@ def measure(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray, roun
     rate = {name: counts.get(name, len(patches)) / s for name, s in taken.items()}
     cost = {name: 1e6 * s / counts.get(name, len(patches)) for name, s in processor.items()}
     error = {name: float(works[name]().residual.sum()) for name in ("exact", "certified", "approximate")}
-    return {"atoms": len(dictionary), "patches": len(patches), "components": basis.shape[1], "splats_per_second": rate,
-            "processor_microseconds_a_splat": cost,
-            "certified_times_by_processor": {name: c / cost["certified"] for name, c in cost.items()},
-            "certified_times": {name: rate["certified"] / r for name, r in rate.items()},
-            "psnr_below_exact_db": {s: 10 * float(np.log10(e / error["exact"])) for s, e in error.items()},
-            "missing": missing}
+    return {
+        "atoms": len(dictionary),
+        "patches": len(patches),
+        "components": basis.shape[1],
+        "splats_per_second": rate,
+        "processor_microseconds_a_splat": cost,
+        "certified_times_by_processor": {name: c / cost["certified"] for name, c in cost.items()},
+        "certified_times": {name: rate["certified"] / r for name, r in rate.items()},
+        "psnr_below_exact_db": {s: 10 * float(np.log10(e / error["exact"])) for s, e in error.items()},
+        "missing": missing,
+    }
 
 
 def main() -> None:
@@ -88,10 +99,12 @@ def main() -> None:
         print(f"{row['atoms']} atoms, {row['patches']} patches, {available_cores()} cores")
         for name, rate in row["splats_per_second"].items():
             lost = row["psnr_below_exact_db"].get(name)
-            print(f"  {name:<32} {rate:10,.0f} splats/s   certified is {row['certified_times'][name]:6.2f} times as fast"
-                  f"   {row['processor_microseconds_a_splat'][name]:8.1f} us of processors, "
-                  f"{row['certified_times_by_processor'][name]:6.2f} times certified's"
-                  + (f"   {lost:+.4f} dB below exact" if lost is not None else ""))
+            print(
+                f"  {name:<32} {rate:10,.0f} splats/s   certified is {row['certified_times'][name]:6.2f} times as fast"
+                f"   {row['processor_microseconds_a_splat'][name]:8.1f} us of processors, "
+                f"{row['certified_times_by_processor'][name]:6.2f} times certified's"
+                + (f"   {lost:+.4f} dB below exact" if lost is not None else "")
+            )
         for line in row["missing"]:
             print(f"  {line}")
 

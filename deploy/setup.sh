@@ -55,7 +55,7 @@ if [ ! -f "$stamp" ] || [ "$(cat "$stamp")" != "$locked" ]; then
 fi
 
 graphics="libegl1 libgl1 libgl1-mesa-dri"
-works() { "$venv/bin/python" -c 'from renderer.context import gl_context; gl_context()' >/dev/null 2>&1; }
+works() { "$venv/bin/python" -c 'from renderer.splats.context import gl_context; gl_context()' >/dev/null 2>&1; }
 if ! works; then
     # shellcheck disable=SC2086 # the names are words
     install_packages $graphics || true

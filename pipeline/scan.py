@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from storage.schema import Camera
+from storage.packed.schema import Camera
 
 __all__ = ["Camera", "Piece", "ScanSource"]
 

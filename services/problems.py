@@ -15,16 +15,31 @@ DATA, RESOURCE, INTERNAL = "data", "resource", "internal"
 class Problem(Exception):
     """`slug` names the type of the problem, for programs; `kind` says whose turn it is."""
 
-    def __init__(self, status: int, slug: str, detail: str, *, kind: str = DATA, retryable: bool = False, hint: str = "",
-                 headers: dict[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        status: int,
+        slug: str,
+        detail: str,
+        *,
+        kind: str = DATA,
+        retryable: bool = False,
+        hint: str = "",
+        headers: dict[str, str] | None = None,
+    ) -> None:
         super().__init__(detail)
         self.status, self.slug, self.detail, self.kind = status, slug, detail, kind
         self.retryable, self.hint, self.headers = retryable, hint, headers or {}
 
     def body(self) -> dict:
-        return {"type": f"urn:splatpress:problem:{self.slug}", "title": self.slug.replace("-", " "), "status": self.status,
-                "detail": self.detail, "class": self.kind, "retryable": self.retryable,
-                **({"hint": self.hint} if self.hint else {})}
+        return {
+            "type": f"urn:splatpress:problem:{self.slug}",
+            "title": self.slug.replace("-", " "),
+            "status": self.status,
+            "detail": self.detail,
+            "class": self.kind,
+            "retryable": self.retryable,
+            **({"hint": self.hint} if self.hint else {}),
+        }
 
 
 def mistake(what: str) -> Problem:
@@ -43,11 +58,25 @@ def problem_of_job(error: Exception) -> dict:
     """What a failed job says of its failure."""
     if isinstance(error, SplatpressError):
         slug = {"data": "bad-scan", "resource": "out-of-resources"}.get(error.kind, "internal-error")
-        return Problem(422 if error.kind == DATA else 500, slug, str(error), kind=error.kind,
-                       retryable=error.kind != DATA, hint=error.hint).body()
-    if isinstance(error, OSError) and not isinstance(error, FileNotFoundError):  # a file of ours that is not there is no want
+        return Problem(
+            422 if error.kind == DATA else 500,
+            slug,
+            str(error),
+            kind=error.kind,
+            retryable=error.kind != DATA,
+            hint=error.hint,
+        ).body()
+    if isinstance(error, OSError) and not isinstance(
+        error, FileNotFoundError
+    ):  # a file of ours that is not there is no want
         return Problem(500, "out-of-resources", error.strerror or f"{error}", kind=RESOURCE, retryable=True).body()
     if is_of_database(error):
         return Problem(500, "out-of-resources", f"the database: {error.orig}", kind=RESOURCE, retryable=True).body()
-    return Problem(500, "internal-error", f"{type(error).__name__}: {error}", kind=INTERNAL, retryable=True,
-                   hint="a mistake of ours; the log has the traceback").body()
+    return Problem(
+        500,
+        "internal-error",
+        f"{type(error).__name__}: {error}",
+        kind=INTERNAL,
+        retryable=True,
+        hint="a mistake of ours; the log has the traceback",
+    ).body()

@@ -33,7 +33,9 @@ class ServiceSettings:
     upload_expires_s: float = DAY_S
     retention_s: float = 30 * DAY_S  # after a job's end; pinned jobs stay
     reserve_bytes: int = 1 << 30  # no stage begins with less disk than this
-    performance_from_s: float = 5.0  # shorter jobs get no page of Dask's: it takes the scheduler 0.8 s, all jobs waiting
+    performance_from_s: float = (
+        5.0  # shorter jobs get no page of Dask's: it takes the scheduler 0.8 s, all jobs waiting
+    )
     webhook_private: bool = False  # whether webhooks may go to private addresses
 
     @property

@@ -1,11 +1,11 @@
 """The whole tree of errors, each with what was found, where, and what is allowed.
 
-    SplatpressError              kind        exit code
-    |- InvalidScan               data        3
-    |- UnsupportedScan           data        5
-    |- InvalidPackedFile         data        3
-    |- ResourceExhausted         resource    2
-    `- InternalError             internal    4
+SplatpressError              kind        exit code
+|- InvalidScan               data        3
+|- UnsupportedScan           data        5
+|- InvalidPackedFile         data        3
+|- ResourceExhausted         resource    2
+`- InternalError             internal    4
 """
 
 from __future__ import annotations

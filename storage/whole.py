@@ -11,7 +11,8 @@ from pathlib import Path
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """A path beside `path` to write to, of its own, which gets that name at the end; where writing fails nothing is left."""
+    """A path beside `path` to write to, of its own, which gets that name at the end; where writing fails nothing is
+    left."""
     partial = path.with_name(f"{path.name}.{uuid.uuid4().hex}.partial")
     try:
         yield partial

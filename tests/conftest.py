@@ -1,7 +1,7 @@
 import pytest
 
-from renderer.context import gl_context
-from renderer.renderer import Renderer
+from renderer.splats.context import gl_context
+from renderer.splats.renderer import Renderer
 from storage.errors import ResourceExhausted
 
 

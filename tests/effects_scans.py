@@ -7,7 +7,15 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
-from tests.pipeline.readers.workspace import DISTANCE, centre_of, texture, write_photo, write_ply, write_vis, write_workspace
+from tests.pipeline.readers.workspace import (
+    DISTANCE,
+    centre_of,
+    texture,
+    write_photo,
+    write_ply,
+    write_vis,
+    write_workspace,
+)
 
 SIZE_PX, PARAMS = (320, 240), (400.0, 400.0, 160.0, 120.0)
 STEP = 0.5  # how far the near half of `step_scan` stands before the far one
@@ -34,7 +42,9 @@ def step_scan(path: Path, n_side: int = 91) -> Path:
     seen = np.ones((len(points), N_CAMERAS), bool)
     for i in range(N_CAMERAS):
         centre = centre_of(i, N_CAMERAS)
-        share = (-STEP - centre[2]) / (points[:, 2] - centre[2])  # of the way to each point, where the near plane is crossed
+        share = (-STEP - centre[2]) / (
+            points[:, 2] - centre[2]
+        )  # of the way to each point, where the near plane is crossed
         crossing = centre[0] + share * (points[:, 0] - centre[0])
         seen[:, i] = (points[:, 2] < 0) | (crossing <= 0)
     _write_points(path, points, seen)

@@ -67,7 +67,8 @@ class Packed:
         return self.header["n_splats"]
 
     def before(self, i: int, amount: str) -> int:
-        """The sum of `amount` over the splats that come before in the group's streams: batch by batch, then by number."""
+        """The sum of `amount` over the splats that come before in the group's streams: batch by batch, then by
+        number."""
         first = i // 8192 * 8192
         of = np.array([int(batch.get(amount, 0)) for batch in self.batches])
         batch = self.batch[first : first + 8192]
@@ -82,7 +83,9 @@ class Packed:
     def position(self, i: int) -> np.ndarray:
         number = int.from_bytes(self.arrays["position"][i].tobytes(), "little")
         bits = self.arrays["box_bits"][i // 128].astype(int)
-        cell = np.array([number % 2 ** bits[0], (number >> int(bits[0])) % 2 ** bits[1], number >> int(bits[0] + bits[1])])
+        cell = np.array(
+            [number % 2 ** bits[0], (number >> int(bits[0])) % 2 ** bits[1], number >> int(bits[0] + bits[1])]
+        )
         low, size = (self.arrays[name][i // 128].astype(float) for name in ("box_low", "box_size"))
         return np.array(self.header["origin"]) + (low + (cell + 0.5) * size / 2.0**bits)
 
@@ -117,7 +120,13 @@ class Packed:
         for rank in range(self.batches[self.batch[i]]["n_atoms"]):
             entry = self.field("codes", "group_word", i // 8192, (first + rank) * width, width)
             atom, turn = divmod(entry % 2**bits, self.header["n_turns"])
-            found.append((atom, turn, float(self.arrays["weight_levels"][rank, entry >> bits]) * float(self.arrays["atom_scale"][atom])))
+            found.append(
+                (
+                    atom,
+                    turn,
+                    float(self.arrays["weight_levels"][rank, entry >> bits]) * float(self.arrays["atom_scale"][atom]),
+                )
+            )
         return found
 
     def splat(self, i: int) -> Decoded:
@@ -128,7 +137,9 @@ class Packed:
         if batch.get("ellipsoid"):
             word = self.field("ellipsoids", "ellipsoid_word", i // 8192, 32 * self.before(i, "ellipsoid"), 32)
             t = (word & 255) * np.pi / 256
-            lengths = self.header["radius"] * 2.0 ** ((np.array([word >> 8 & 255, word >> 16 & 255, word >> 24]) - 191) / 32)
+            lengths = self.header["radius"] * 2.0 ** (
+                (np.array([word >> 8 & 255, word >> 16 & 255, word >> 24]) - 191) / 32
+            )
             u, v, normal = frame
             axes = lengths[:, None] * np.array([np.cos(t) * u + np.sin(t) * v, np.cos(t) * v - np.sin(t) * u, normal])
         return Decoded(self.position(i), frame, self.color(i), self.atoms(i), line, axes)
@@ -140,7 +151,10 @@ class Packed:
             x, y = (place[:, ::-1] if turn & 4 else place).T
             x, y = (-x if turn & 1 else x), (-y if turn & 2 else y)
             texels = self.arrays[f"atoms_{size}"][atom].astype(float)
-            near = [np.maximum(0, 1 - np.abs(((at + 1) / 2 * size - 0.5).clip(0, size - 1)[:, None] - np.arange(size))) for at in (y, x)]
+            near = [
+                np.maximum(0, 1 - np.abs(((at + 1) / 2 * size - 0.5).clip(0, size - 1)[:, None] - np.arange(size)))
+                for at in (y, x)
+            ]
             total += weight * np.einsum("mi,mj,ijc->mc", *near, texels)
         return total
 
@@ -154,7 +168,9 @@ class Packed:
         if "level_blending" in self.header.get("effects", {}):
             finer, share = int(np.floor(level)), level - np.floor(level)
             coarser = min(finer + 1, coarsest)
-            total = sum(part * self.sum_of_atoms(splat.atoms, place, at) for part, at in ((1 - share, finer), (share, coarser)))
+            total = sum(
+                part * self.sum_of_atoms(splat.atoms, place, at) for part, at in ((1 - share, finer), (share, coarser))
+            )
         else:
             total = self.sum_of_atoms(splat.atoms, place, min(int(np.floor(level + 0.45)), coarsest))
         return to_linear((splat.color + total).clip(0, 1))
@@ -190,7 +206,15 @@ def render(packed: Packed, view: View) -> tuple[np.ndarray, np.ndarray]:
 def fragments(splat: Decoded, view: View, radius: float, margin: float) -> Fragments:
     middle = view.rotation @ (splat.position - view.centre)
     if splat.axes is None:
-        return _of_disc(middle, radius * splat.frame[:2] @ view.rotation.T, radius, splat.clipline, view, NEAR_IN_RADII * radius, margin)
+        return _of_disc(
+            middle,
+            radius * splat.frame[:2] @ view.rotation.T,
+            radius,
+            splat.clipline,
+            view,
+            NEAR_IN_RADII * radius,
+            margin,
+        )
     axes = splat.axes @ view.rotation.T
     eye = np.linalg.solve(axes.T, -middle)
     distance = np.linalg.norm(eye)
@@ -201,7 +225,9 @@ def fragments(splat: Decoded, view: View, radius: float, margin: float) -> Fragm
     x /= np.linalg.norm(x)
     across = np.array([x, np.cross(e, x)])
     half_axes = np.sqrt((distance - 1) / (distance + 1)) * across @ axes
-    found = _of_disc(middle + e @ axes, half_axes, np.sqrt((half_axes**2).sum()), None, view, NEAR_IN_RADII * radius, margin)
+    found = _of_disc(
+        middle + e @ axes, half_axes, np.sqrt((half_axes**2).sum()), None, view, NEAR_IN_RADII * radius, margin
+    )
     on_rim = found.place / np.maximum(1, np.linalg.norm(found.place, axis=1, keepdims=True))
     k = np.sqrt((1 - (on_rim**2).sum(axis=1)).clip(0))
     ball = (np.sqrt(distance**2 - 1) * on_rim @ across + (1 + distance * k)[:, None] * e) / (distance + k)[:, None]
@@ -212,7 +238,11 @@ def fragments(splat: Decoded, view: View, radius: float, margin: float) -> Fragm
 def _of_disc(middle, axes, radius, line, view: View, near: float, margin: float) -> Fragments:
     """Of the disc around `middle` (3,) with the half axes (2, 3), in the view's axes."""
     column, row = np.meshgrid(np.arange(view.width_px) + 0.5, np.arange(view.height_px) + 0.5)
-    px, focal, principal = np.column_stack([column.ravel(), row.ravel()]), np.array([view.fx_px, view.fy_px]), np.array([view.cx_px, view.cy_px])
+    px, focal, principal = (
+        np.column_stack([column.ravel(), row.ravel()]),
+        np.array([view.fx_px, view.fy_px]),
+        np.array([view.cx_px, view.cy_px]),
+    )
     jacobian, area_px = None, None
     if middle[2] > 2 * radius:
         jacobian = (focal * (axes[:, :2] - middle[:2] / middle[2] * axes[:, 2:]) / middle[2]).T

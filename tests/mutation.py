@@ -4,8 +4,8 @@
 
 Changes no file; prints every survivor with its line and column, and the share that was killed. Not part of the tests.
 Tests are collected once, timed once, and run fastest first in a fork of the process that holds the mutant; those that
-never enter the function that was changed are left out. Kernels run as plain Python, for to compile a mutant takes longer
-than to run it: tests that take more than SECONDS_AS_PYTHON that way, or fail, are left out too.
+never enter the function that was changed are left out. Kernels run as plain Python, for to compile a mutant takes
+longer than to run it: tests that take more than SECONDS_AS_PYTHON that way, or fail, are left out too.
 """
 
 from __future__ import annotations
@@ -31,27 +31,51 @@ from scipy.stats import beta
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
-PURSUIT = ["tests/pipeline/coding/test_omp.py", "tests/pipeline/coding/test_certified.py", "tests/hard_cases/test_coding.py",
-           "tests/pipeline/stages/test_price.py"]
+PURSUIT = [
+    "tests/pipeline/coding/test_omp.py",
+    "tests/pipeline/coding/test_certified.py",
+    "tests/hard_cases/test_coding.py",
+    "tests/pipeline/stages/texture/test_prices.py",
+]
 LEARNING = ["tests/pipeline/coding/test_ksvd.py", "tests/hard_cases/test_learning.py"]
 GEOMETRY = ["tests/pipeline/geometry", "tests/hard_cases/test_geometry.py"]
 TARGETS = {  # file: tests that ought to notice
-    "pipeline/coding/omp.py": PURSUIT, "pipeline/coding/omp_kernels.py": PURSUIT, "pipeline/coding/ksvd.py": LEARNING,
-    "pipeline/geometry/chunks.py": GEOMETRY, "pipeline/geometry/positions.py": GEOMETRY,
-    "pipeline/geometry/normals.py": GEOMETRY, "pipeline/geometry/frame.py": GEOMETRY,
-    "pipeline/geometry/cliplines.py": GEOMETRY, "pipeline/geometry/ellipsoids.py": GEOMETRY,
+    "pipeline/coding/omp.py": PURSUIT,
+    "pipeline/coding/omp_kernels.py": PURSUIT,
+    "pipeline/coding/ksvd.py": LEARNING,
+    "pipeline/geometry/chunks.py": GEOMETRY,
+    "pipeline/geometry/positions.py": GEOMETRY,
+    "pipeline/geometry/normals.py": GEOMETRY,
+    "pipeline/geometry/frame.py": GEOMETRY,
+    "pipeline/geometry/cliplines.py": GEOMETRY,
+    "pipeline/geometry/ellipsoids.py": GEOMETRY,
     "pipeline/texture/projection.py": ["tests/pipeline/texture", "tests/hard_cases/test_projection.py"],
 }
 LEFT_OUT = "not jit_off and not million"  # a process of its own, which imports the file as it is; too slow
-FLIPPED = {ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
-           ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult,
-           ast.And: ast.Or, ast.Or: ast.And, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd}
+FLIPPED = {
+    ast.Lt: ast.GtE,
+    ast.LtE: ast.Gt,
+    ast.Gt: ast.LtE,
+    ast.GtE: ast.Lt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.FloorDiv: ast.Mult,
+    ast.And: ast.Or,
+    ast.Or: ast.And,
+    ast.BitAnd: ast.BitOr,
+    ast.BitOr: ast.BitAnd,
+}
 SECONDS, SECONDS_AS_PYTHON = 120, 15  # of processor time, of a test that takes part
 CPU_SECONDS = 8  # of one mutant, beside twice what its tests take when watched: who takes longer does not end
 MEMORY_BYTES = 8 << 30
 
 
 # ---- mutants
+
 
 def mutants(tree: ast.Module) -> list[tuple[ast.AST, str, ast.Module]]:
     """Every mutant of a module: where, what was done, and the module. Annotations and docstrings are left alone."""
@@ -72,8 +96,11 @@ def _annotations(tree: ast.Module) -> set[ast.AST]:
 def _changes(node: ast.AST) -> list:
     changes = []
     if isinstance(node, ast.Compare):
-        changes += [lambda n, i=i, op=op: _replace(n.ops, i, FLIPPED[type(op)](), ast.unparse(n))
-                    for i, op in enumerate(node.ops) if type(op) in FLIPPED]
+        changes += [
+            lambda n, i=i, op=op: _replace(n.ops, i, FLIPPED[type(op)](), ast.unparse(n))
+            for i, op in enumerate(node.ops)
+            if type(op) in FLIPPED
+        ]
     if isinstance(node, (ast.BinOp, ast.BoolOp, ast.AugAssign)) and type(node.op) in FLIPPED:
         changes.append(lambda n: _set(n, "op", FLIPPED[type(n.op)]()))
     if isinstance(node, ast.UnaryOp):
@@ -98,6 +125,7 @@ def _set(node: ast.AST, name: str, value) -> str:
 
 # ---- putting one in place
 
+
 def _put_in_place(module, node: ast.AST, mutant: ast.Module) -> None:
     """Run again what the change reaches inside its file, and hand the new objects to all who hold the old ones.
 
@@ -111,7 +139,7 @@ def _put_in_place(module, node: ast.AST, mutant: ast.Module) -> None:
         for decorator in getattr(statement, "decorator_list", []):  # numba's cache does not tell constants apart
             if isinstance(decorator, ast.Call):
                 decorator.keywords = [k for k in decorator.keywords if k.arg != "cache"]
-    exec(compile(ast.fix_missing_locations(ast.Module(body, [])), module.__file__, "exec"), vars(module))  # noqa: S102
+    exec(compile(ast.fix_missing_locations(ast.Module(body, [])), module.__file__, "exec"), vars(module))
     changed = {id(value): vars(module)[name] for name, value in old.items() if vars(module)[name] is not value}
     for user in [m for n, m in list(sys.modules.items()) if n.startswith(("pipeline", "services", "tests"))]:
         for name, value in list(vars(user).items()):
@@ -133,8 +161,12 @@ def _reached(tree: ast.Module, line: int) -> list[ast.stmt]:
     grown = True
     while grown:
         names = {name for s in reached for name in _defined(s)}
-        more = [s for s in tree.body if s in reached or any(
-            isinstance(n, ast.Name) and n.id in names and isinstance(n.ctx, ast.Load) for n in ast.walk(s))]
+        more = [
+            s
+            for s in tree.body
+            if s in reached
+            or any(isinstance(n, ast.Name) and n.id in names and isinstance(n.ctx, ast.Load) for n in ast.walk(s))
+        ]
         grown, reached = len(more) > len(reached), more
     return reached
 
@@ -153,6 +185,7 @@ def _first_line(statement: ast.stmt) -> int:
 
 # ---- running tests
 
+
 class Session:
     """The collected tests of one group of files; `work` gets them, once, inside of pytest's own loop."""
 
@@ -162,7 +195,9 @@ class Session:
     def pytest_sessionstart(self):
         from hypothesis import Phase, settings  # not earlier: pytest has to see it first
 
-        settings.register_profile("mutation", phases=[Phase.explicit, Phase.generate], derandomize=True, database=None, deadline=None)
+        settings.register_profile(
+            "mutation", phases=[Phase.explicit, Phase.generate], derandomize=True, database=None, deadline=None
+        )
         settings.load_profile("mutation")
 
     def pytest_runtestloop(self, session):
@@ -182,7 +217,7 @@ def in_a_fork(work, cpu_seconds: float) -> tuple[int, str]:
         resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
         try:
             told = work()
-        except BaseException as error:  # noqa: BLE001
+        except BaseException as error:
             told = json.dumps(f"{type(error).__name__} before the tests")
         with os.fdopen(writes, "w") as pipe:
             pipe.write(told)
@@ -195,6 +230,7 @@ def in_a_fork(work, cpu_seconds: float) -> tuple[int, str]:
 
 def timed(items, files: list[str]) -> list[tuple]:
     """The tests that take part, fastest first: (seconds, passed, functions of the project entered), test."""
+
     def work(item):
         for file in filter(_holds_kernels, files):
             tree = ast.parse((ROOT / file).read_text())
@@ -207,7 +243,10 @@ def timed(items, files: list[str]) -> list[tuple]:
     taking_part = [(json.loads(told), item) for (status, told), item in found if status == 0]
     if as_python:  # sums in another order may pick another of two atoms as good
         taking_part = [(told, item) for told, item in taking_part if told[1]]
-    print(f"{len(taking_part)} of {len(items)} tests take part: the others take more than {limit} s, or need numba", flush=True)
+    print(
+        f"{len(taking_part)} of {len(items)} tests take part: the others take more than {limit} s, or need numba",
+        flush=True,
+    )
     return sorted(taking_part, key=lambda pair: pair[0][0])
 
 
@@ -249,8 +288,10 @@ def first_that_fails(items) -> str:
 
 # ---- the run
 
+
 def run_group(files: list[str], tests: list[str], options, deadline: float) -> list[tuple[str, str, str]]:
-    """(file, mutant, who noticed or "" or "crashed or too long") of the mutants of files that the same tests are to notice."""
+    """(file, mutant, who noticed or "" or "crashed or too long") of the mutants of files that the same tests are to
+    notice."""
     outcomes = []
 
     def work(items):
@@ -268,7 +309,9 @@ def run_group(files: list[str], tests: list[str], options, deadline: float) -> l
             outcomes.append((file, what, _outcome(file, node, mutant, relevant)))
             print(f"{outcomes[-1][2] or 'SURVIVED'} <- {file}:{what}", flush=True)
 
-    pytest.main(["-q", "-s", "-p", "no:cacheprovider", "--durations=0", "-k", LEFT_OUT, *tests], plugins=[Session(work)])
+    pytest.main(
+        ["-q", "-s", "-p", "no:cacheprovider", "--durations=0", "-k", LEFT_OUT, *tests], plugins=[Session(work)]
+    )
     return outcomes
 
 
@@ -295,7 +338,9 @@ def chosen(files: list[str], options) -> list:
     """All mutants of the files, or as many of each, by chance, as asked for; in an order by chance."""
     rng, plan = random.Random(options.seed), []
     for file in files:
-        every = [(file, *m) for m in mutants(ast.parse((ROOT / file).read_text())) if m[1].startswith(tuple(options.at))]
+        every = [
+            (file, *m) for m in mutants(ast.parse((ROOT / file).read_text())) if m[1].startswith(tuple(options.at))
+        ]
         plan += rng.sample(every, min(options.each or len(every), len(every)))
     rng.shuffle(plan)
     return plan
@@ -311,7 +356,9 @@ def main() -> None:
     options = parser.parse_args()
     deadline, outcomes = time.monotonic() + options.seconds, []
     for tests, as_python in dict.fromkeys((tuple(tests), _holds_kernels(file)) for file, tests in TARGETS.items()):
-        files = [f for f, t in TARGETS.items() if t == list(tests) and _holds_kernels(f) == as_python and options.only in f]
+        files = [
+            f for f, t in TARGETS.items() if t == list(tests) and _holds_kernels(f) == as_python and options.only in f
+        ]
         if files:
             outcomes += run_group(files, list(tests), options, deadline)
     _print_result(outcomes)
@@ -324,8 +371,10 @@ def _print_result(outcomes) -> None:
     killed = sum(bool(who) for *_, who in outcomes)
     late = sum(who == "crashed or too long" for *_, who in outcomes)
     least = beta.ppf(0.05, killed, len(outcomes) - killed + 1) if killed else 0.0
-    print(f"{killed} of {len(outcomes)} killed ({100 * killed / max(1, len(outcomes)):.1f} %; were it a sample, above "
-          f"{100 * least:.0f} % at 95 % confidence), {late} of them by a crash or by not ending")
+    print(
+        f"{killed} of {len(outcomes)} killed ({100 * killed / max(1, len(outcomes)):.1f} %; were it a sample, above "
+        f"{100 * least:.0f} % at 95 % confidence), {late} of them by a crash or by not ending"
+    )
 
 
 if __name__ == "__main__":

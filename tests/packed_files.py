@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from storage.batches import group_batch_counts
-from storage.packed import begin_packed, create_array, seal_packed
-from storage.scene import streams_of
-from storage.schema import BY_NAME, CHUNK, NO_CAMERA, Batch, Camera, Header
+from storage.packed.batches import group_batch_counts
+from storage.packed.packed import begin_packed, create_array, seal_packed
+from storage.packed.scene import streams_of
+from storage.packed.schema import BY_NAME, CHUNK, NO_CAMERA, Batch, Camera, Header
 
 LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 
@@ -54,14 +54,27 @@ def header_of(case: Case) -> Header:
     plain = tuple(Batch(n) for n in case.atom_counts)
     camera = Camera("photo", 640, 480, 500.0, 505.0, 320.5, 239.5, LOOKING_DOWN, (1.0, 2.0, 30.0))
     return Header(
-        n_splats=case.n_splats, radius=0.25, unit="metre", origin=(450000.0, 5400000.0, 100.0), up=case.up, ahead=case.ahead,
-        depth_margin=0.5, n_dictionary=case.n_dictionary, dictionary_bits=case.dictionary_bits,
+        n_splats=case.n_splats,
+        radius=0.25,
+        unit="metre",
+        origin=(450000.0, 5400000.0, 100.0),
+        up=case.up,
+        ahead=case.ahead,
+        depth_margin=0.5,
+        n_dictionary=case.n_dictionary,
+        dictionary_bits=case.dictionary_bits,
         weight_bits=case.weight_bits,
-        batches=plain + (tuple(Batch(n, clipline=True) for n in case.atom_counts) if case.cliplines else ())
+        batches=plain
+        + (tuple(Batch(n, clipline=True) for n in case.atom_counts) if case.cliplines else ())
         + (tuple(Batch(n, ellipsoid=True) for n in case.atom_counts) if case.ellipsoids else ()),
-        cameras=(camera,) * case.n_cameras, scan={"name": "tiny", "format": "ply", "n_points": case.n_splats},
-        settings={"preset": "draft"}, atom_size=case.atom_size, n_turns=case.n_turns,
-        coarsest_size=case.coarsest_size, n_ranks=case.n_ranks, color_step=case.color_step,
+        cameras=(camera,) * case.n_cameras,
+        scan={"name": "tiny", "format": "ply", "n_points": case.n_splats},
+        settings={"preset": "draft"},
+        atom_size=case.atom_size,
+        n_turns=case.n_turns,
+        coarsest_size=case.coarsest_size,
+        n_ranks=case.n_ranks,
+        color_step=case.color_step,
     )
 
 
@@ -114,7 +127,9 @@ def _color_boxes(case: Case, header: Header) -> dict[str, np.ndarray]:
     c = header.n_chunks
     size = noise(3 * c, 11, 160).reshape(c, 3) + 80
     low = noise(3 * c, 13, 8192).reshape(c, 3) - [0, 4096, 4096]
-    return {"color_low": low.astype(np.int16), "color_size": size.astype(np.uint8)} | color_stream(size, header, case.period)
+    return {"color_low": low.astype(np.int16), "color_size": size.astype(np.uint8)} | color_stream(
+        size, header, case.period
+    )
 
 
 def color_stream(size: np.ndarray, header: Header, period: int = 1 << 40) -> dict[str, np.ndarray]:
@@ -123,7 +138,10 @@ def color_stream(size: np.ndarray, header: Header, period: int = 1 << 40) -> dic
     n_splats = [min(CHUNK, header.n_splats - CHUNK * i) for i in range(len(bits))]
     words = [_packed(noise(n, 12, 2**b, period), b) for n, b in zip(n_splats, bits, strict=True)]
     lengths = np.array([len(w) for w in words])
-    return {"color_word": (np.cumsum(lengths) - lengths).astype(np.uint32), "colors": np.concatenate([*words, np.zeros(1, np.uint32)])}
+    return {
+        "color_word": (np.cumsum(lengths) - lengths).astype(np.uint32),
+        "colors": np.concatenate([*words, np.zeros(1, np.uint32)]),
+    }
 
 
 def _bytes(case: Case, seed: int, below: int) -> np.ndarray:
@@ -174,7 +192,9 @@ def _dictionary(header: Header) -> dict[str, np.ndarray]:
     corner = noise(k * 4 * 4 * 3, 10, 255, period=4 * 4 * 3 * 5).reshape(k, 4, 4, 3) - 127
     texels = np.repeat(np.repeat(corner, 8, axis=1), 8, axis=2)
     arrays = {
-        "weight_levels": (np.arange(header.n_ranks * levels).reshape(header.n_ranks, levels) / 64 - 1).astype(np.float32),
+        "weight_levels": (np.arange(header.n_ranks * levels).reshape(header.n_ranks, levels) / 64 - 1).astype(
+            np.float32
+        ),
         "atom_scale": (1 / (64 + np.arange(k))).astype(np.float32),
     }
     for size in header.mip_sizes:

@@ -168,13 +168,17 @@ def rounded_octahedral(normal: np.ndarray) -> np.ndarray:
     return np.round(np.where(flat[:, 2:] < 0, folded, flat[:, :2]) * 127).astype(np.int8)
 
 
-def texel_points(camera, centre: np.ndarray, u: np.ndarray, v: np.ndarray, n: int = 32) -> tuple[np.ndarray, np.ndarray]:
+def texel_points(
+    camera, centre: np.ndarray, u: np.ndarray, v: np.ndarray, n: int = 32
+) -> tuple[np.ndarray, np.ndarray]:
     """Photo coordinates (n, n) of the middles of a splat's n x n cells, by way of points in space."""
     at = (np.arange(n) + 0.5) * 2 / n - 1
     point = centre + at[None, :, None] * u + at[:, None, None] * v  # (row, column, 3)
     local = (point - np.asarray(camera.centre)) @ np.asarray(camera.rotation).T
-    return (camera.fx_px * local[..., 0] / local[..., 2] + camera.cx_px,
-            camera.fy_px * local[..., 1] / local[..., 2] + camera.cy_px)
+    return (
+        camera.fx_px * local[..., 0] / local[..., 2] + camera.cx_px,
+        camera.fy_px * local[..., 1] / local[..., 2] + camera.cy_px,
+    )
 
 
 def cast_patch(camera, centre: np.ndarray, u: np.ndarray, v: np.ndarray, seen_color, finer: int = 16) -> np.ndarray:
@@ -187,7 +191,11 @@ def float32_homography(camera, centre, u, v, radius, eye) -> np.ndarray:
     """The homography (3, 3) of absolute coordinates in float32."""
     calibration = np.array([[camera.fx_px, 0, camera.cx_px], [0, camera.fy_px, camera.cy_px], [0, 0, 1]], np.float32)
     away = np.asarray(centre, np.float32) - np.asarray(eye, np.float32)
-    return calibration @ np.asarray(camera.rotation, np.float32) @ np.stack([radius * u, radius * v, away], axis=1).astype(np.float32)
+    return (
+        calibration
+        @ np.asarray(camera.rotation, np.float32)
+        @ np.stack([radius * u, radius * v, away], axis=1).astype(np.float32)
+    )
 
 
 def half_float_mean(color: np.ndarray, weight: np.ndarray) -> float:

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.geometry.frame import tangent_frames
-from storage.scene import PackedScene
-from storage.schema import CHUNK, CLIPLINE_BITS, GROUP
+from storage.packed.scene import PackedScene
+from storage.packed.schema import CHUNK, CLIPLINE_BITS, GROUP
 
 
 def read_field(words: np.ndarray, first_bit: int, width: int) -> int:
@@ -61,7 +61,9 @@ def decode_ellipsoid(scene: PackedScene, splat: int) -> list[list[float]] | None
     row = sum(batches[batch_of(scene, i)].ellipsoid for i in splats_before(scene, splat))
     word = int(scene.arrays["ellipsoids"][int(scene.arrays["ellipsoid_word"][splat // GROUP]) + row])
     turn, *steps = word.to_bytes(4, "little")
-    u, v, normal = (rows[0] for rows in tangent_frames(scene.arrays["normal"][splat:splat + 1], header.up, header.ahead))
+    u, v, normal = (
+        rows[0] for rows in tangent_frames(scene.arrays["normal"][splat : splat + 1], header.up, header.ahead)
+    )
     rotation = Rotation.from_rotvec(np.radians(180 * turn / 256) * normal)
     lengths = [header.radius * 2 ** (step / 32) / 2 ** (191 / 32) for step in steps]
     return [(length * rotation.apply(axis)).tolist() for length, axis in zip(lengths, (u, v, normal))]
@@ -92,7 +94,9 @@ def decode_color(scene: PackedScene, splat: int) -> list[float]:
     on_axes = []
     for axis in range(3):
         cell, code = code % 2 ** bits[axis], code >> bits[axis]
-        on_axes.append(arrays["color_low"][chunk, axis] / 32 + (cell + 0.5) * 2 ** (sizes[axis] / 16 - 6) / 2 ** bits[axis])
+        on_axes.append(
+            arrays["color_low"][chunk, axis] / 32 + (cell + 0.5) * 2 ** (sizes[axis] / 16 - 6) / 2 ** bits[axis]
+        )
     luma, across, green = on_axes[0] / math.sqrt(3), on_axes[1] / math.sqrt(2), on_axes[2] / math.sqrt(6)
     color = luma + across + green, luma - 2 * green, luma - across + green
     return [min(max(channel / 255, 0.0), 1.0) for channel in color]

@@ -12,12 +12,12 @@ from pipeline.geometry.ellipsoids import encode_ellipsoids
 from pipeline.geometry.normals import encode_normals
 from pipeline.geometry.positions import encode_positions, fit_boxes
 from pipeline.texture.colors import encode_colors, fit_color_boxes
-from storage.batches import CHUNKS_PER_GROUP, count_batches, rows_of
-from storage.bits import pack_bits
-from storage.codes import pack_codes
-from storage.colors import pack_colors
-from storage.packed import PackedScene
-from storage.schema import CHUNK, CLIPLINE_BITS, GROUP, MAX_ATOMS, MIP_SIZES, NO_CAMERA, Batch, Camera, Header
+from storage.packed.batches import CHUNKS_PER_GROUP, count_batches, rows_of
+from storage.packed.bits import pack_bits
+from storage.packed.codes import pack_codes
+from storage.packed.colors import pack_colors
+from storage.packed.packed import PackedScene
+from storage.packed.schema import CHUNK, CLIPLINE_BITS, GROUP, MAX_ATOMS, MIP_SIZES, NO_CAMERA, Batch, Camera, Header
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,9 @@ class Splats:
     weight: np.ndarray | None = None  # (n, r) weight code
     clipline: np.ndarray | None = None  # (n, 3) a, b, c; NaN where there is none
     camera: np.ndarray | None = None  # (n,) index; none
-    axes: np.ndarray | None = None  # (n, 3, 3) half axes of ellipsoids as rows, the third along the normal; NaN where it is a disc
+    axes: np.ndarray | None = (
+        None  # (n, 3, 3) half axes of ellipsoids as rows, the third along the normal; NaN where it is a disc
+    )
 
 
 @dataclass(frozen=True)
@@ -126,20 +128,41 @@ def build_scene_and_order(
     batch, line, n_atoms, axes = batch[order], line[order], n_atoms[order], axes[order]
 
     header = Header(
-        n_splats=n, radius=settings.radius, unit="metre", origin=settings.origin, up=settings.up, ahead=settings.ahead,
-        depth_margin=settings.depth_margin, n_dictionary=len(dictionary.atoms) if dictionary else 0,
+        n_splats=n,
+        radius=settings.radius,
+        unit="metre",
+        origin=settings.origin,
+        up=settings.up,
+        ahead=settings.ahead,
+        depth_margin=settings.depth_margin,
+        n_dictionary=len(dictionary.atoms) if dictionary else 0,
         dictionary_bits=dictionary.dictionary_bits if dictionary else 8,
         weight_bits=dictionary.weight_levels.shape[1].bit_length() - 1 if dictionary else 4,
-        batches=batches, cameras=settings.cameras, scan={}, settings={},
+        batches=batches,
+        cameras=settings.cameras,
+        scan={},
+        settings={},
         color_step=settings.color_step,
-        **({"atom_size": dictionary.atoms.shape[1], "n_turns": dictionary.n_turns, "n_ranks": len(dictionary.weight_levels)} if dictionary else {}),
+        **(
+            {
+                "atom_size": dictionary.atoms.shape[1],
+                "n_turns": dictionary.n_turns,
+                "n_ranks": len(dictionary.weight_levels),
+            }
+            if dictionary
+            else {}
+        ),
     )
     boxes = fit_boxes(local[order])
     position = encode_positions(local[order], boxes).astype("<u4").view(np.uint8).reshape(n, 4)[:, :3]
     color = np.full((n, 3), 128, np.uint8) if splats.color is None else splats.color
     arrays = {
-        "box_low": boxes.low, "box_size": boxes.size, "box_bits": boxes.bits, "position": position.copy(),
-        "normal": encode_normals(splats.normal[order]), "batch_count": count_batches(batch, len(batches)),
+        "box_low": boxes.low,
+        "box_size": boxes.size,
+        "box_bits": boxes.bits,
+        "position": position.copy(),
+        "normal": encode_normals(splats.normal[order]),
+        "batch_count": count_batches(batch, len(batches)),
     }
     arrays |= color_boxes(color[order], settings.color_step) if settings.color_step else {"color": color[order]}
     rows = rows_of(arrays["batch_count"], batches)
@@ -155,7 +178,9 @@ def build_scene_and_order(
         streams = [pack_bits(_in_row_order(codes[g], rows.clipline[g]), CLIPLINE_BITS) for g in groups]
         arrays["cliplines"], arrays["clipline_word"] = _joined(streams)
     if any(kind.ellipsoid for kind in batches):
-        fields = encode_ellipsoids(arrays["normal"], header.up, header.ahead, np.nan_to_num(axes, nan=1.0), settings.radius)
+        fields = encode_ellipsoids(
+            arrays["normal"], header.up, header.ahead, np.nan_to_num(axes, nan=1.0), settings.radius
+        )
         words = fields.view("<u4")[:, 0]
         streams = [_in_row_order(words[g], rows.extra["ellipsoid"][g]) for g in groups]
         arrays["ellipsoids"], arrays["ellipsoid_word"] = _joined(streams)
@@ -188,8 +213,12 @@ def _in_row_order(code: np.ndarray, row: np.ndarray) -> np.ndarray:
 
 
 def camera_looking(
-    centre, target, size: tuple[int, int] = (64, 48), focal_px: tuple[float, float] = (60.0, 60.0),
-    up=(0.0, 0.0, 1.0), name: str = "view",
+    centre,
+    target,
+    size: tuple[int, int] = (64, 48),
+    focal_px: tuple[float, float] = (60.0, 60.0),
+    up=(0.0, 0.0, 1.0),
+    name: str = "view",
 ) -> Camera:
     """A camera at `centre` that looks at `target`, its principal point a little off the middle."""
     forward = np.subtract(target, centre, dtype=float)
@@ -197,5 +226,12 @@ def camera_looking(
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
-    return Camera(name, *size, *focal_px, size[0] * 0.52, size[1] * 0.47,
-                  tuple(map(tuple, rotation.tolist())), tuple(float(x) for x in centre))
+    return Camera(
+        name,
+        *size,
+        *focal_px,
+        size[0] * 0.52,
+        size[1] * 0.47,
+        tuple(map(tuple, rotation.tolist())),
+        tuple(float(x) for x in centre),
+    )

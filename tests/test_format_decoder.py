@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from pipeline.geometry.ellipsoids import decode_ellipsoids
-from renderer.scene import GpuScene
-from storage.packed import PackedFile
-from storage.schema import Camera
+from renderer.splats.scene import GpuScene
+from storage.packed.packed import PackedFile
+from storage.packed.schema import Camera
 from tests import format_decoder
 from tests.format_decoder import Packed, View, render
 from tests.packed_files import Case, write_arrays, write_packed_file
@@ -19,9 +19,18 @@ from tests.renderer.reference_renderer import agreement_db
 from tests.scenes import Dictionary, Settings, build_scene, camera_looking, coded, random_dictionary, sheet
 
 CASES = [
-    Case(n_splats=300), Case(dictionary_bits=12, n_dictionary=300, atom_size=8, n_turns=8, cliplines=True),
+    Case(n_splats=300),
+    Case(dictionary_bits=12, n_dictionary=300, atom_size=8, n_turns=8, cliplines=True),
     Case(n_dictionary=0, atom_counts=(0,), color_step=112, cliplines=True, ellipsoids=True),
-    Case(atom_counts=(0, 5, 16), n_ranks=16, color_step=80, ellipsoids=True, coarsest_size=4, up=(7, -20, 5), ahead=(0, 1, 4)),
+    Case(
+        atom_counts=(0, 5, 16),
+        n_ranks=16,
+        color_step=80,
+        ellipsoids=True,
+        coarsest_size=4,
+        up=(7, -20, 5),
+        ahead=(0, 1, 4),
+    ),
 ]
 
 
@@ -39,7 +48,11 @@ def test_format_decoder__decodes_what_the_product_does(case, tmp_path):
     with PackedFile(path) as opened:
         scene = opened.load()
     some, fields = scene.ellipsoids
-    axes = decode_ellipsoids(fields, scene.arrays["normal"][some], case.up, case.ahead, scene.header.radius) if len(some) else []
+    axes = (
+        decode_ellipsoids(fields, scene.arrays["normal"][some], case.up, case.ahead, scene.header.radius)
+        if len(some)
+        else []
+    )
     expected_axes = dict(zip(some.tolist(), axes, strict=True))
     for i in (0, 1, 127, 128, 200, case.n_splats - 1):
         splat = packed.splat(i)
@@ -53,7 +66,11 @@ def test_format_decoder__decodes_what_the_product_does(case, tmp_path):
         size = packed.header["atom_size"]
         middles = (np.arange(size) + 0.5) * 2 / size - 1
         place = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
-        patch = splat.color + (packed.sum_of_atoms(splat.atoms, place, 5 - int(np.log2(size))) if splat.atoms else np.zeros((len(place), 3)))
+        patch = splat.color + (
+            packed.sum_of_atoms(splat.atoms, place, 5 - int(np.log2(size)))
+            if splat.atoms
+            else np.zeros((len(place), 3))
+        )
         np.testing.assert_allclose(patch.reshape(size, size, 3), decode_patch(scene, i, size), atol=1e-6)
 
 
@@ -91,7 +108,7 @@ def test_format_decoder__draws_what_the_product_does(renderer, name, distance, t
     picture = renderer.render(gpu_scene, camera)
     gpu_scene.release()
     expected, covered = render(packed, view_of(camera))
-    assert 0.05 < covered.mean()
+    assert covered.mean() > 0.05
     assert (covered != picture.coverage).mean() <= 0.002
     assert agreement_db(picture.rgb, expected, lambda moved: render(packed, view_of(moved))[0], camera) >= 45
 

@@ -1,4 +1,4 @@
-"""docs/FORMAT.md says what storage/schema.py says, and its example works."""
+"""docs/FORMAT.md says what storage/packed/schema.py says, and its example works."""
 
 import re
 from dataclasses import fields
@@ -9,11 +9,21 @@ import pytest
 import zarr
 from zarr.storage import ZipStore
 
-from storage import schema
-from storage.layout import ATOMS_PER_ZARR_CHUNK, GROUPS_PER_ZARR_CHUNK, WORDS_PER_ZARR_CHUNK
-from storage.packed import PackedFile
-from storage.schema import ARRAYS, CHUNK, CLIPLINE_BITS, ELLIPSOID_FIELD_BITS, ELLIPSOID_FIELDS, GROUP, MIP_SIZES, Camera, Header
-from storage.seal import SEAL_BYTES
+from storage.packed import schema
+from storage.packed.layout import ATOMS_PER_ZARR_CHUNK, GROUPS_PER_ZARR_CHUNK, WORDS_PER_ZARR_CHUNK
+from storage.packed.packed import PackedFile
+from storage.packed.schema import (
+    ARRAYS,
+    CHUNK,
+    CLIPLINE_BITS,
+    ELLIPSOID_FIELD_BITS,
+    ELLIPSOID_FIELDS,
+    GROUP,
+    MIP_SIZES,
+    Camera,
+    Header,
+)
+from storage.packed.seal import SEAL_BYTES
 from tests.packed_files import Case, write_packed_file
 from tests.reference_packed import decode_patch
 
@@ -45,9 +55,14 @@ def test_format__states_the_version_that_is_written():
 
 def test_format__states_the_sizes_of_the_code():
     splats, words, atoms = GROUP * GROUPS_PER_ZARR_CHUNK, WORDS_PER_ZARR_CHUNK, ATOMS_PER_ZARR_CHUNK
-    for sentence in (f"{CHUNK} consecutive splats are", f"{GROUP} consecutive splats, so {GROUP // CHUNK} chunks",
-                     f"`n` at {splats:,} splats, `c` at {splats // CHUNK} chunks, `e` at {words:,} words",
-                     f"`k` at {atoms} atoms", f"the last {SEAL_BYTES} bytes", f"one {CLIPLINE_BITS}-bit field"):
+    for sentence in (
+        f"{CHUNK} consecutive splats are",
+        f"{GROUP} consecutive splats, so {GROUP // CHUNK} chunks",
+        f"`n` at {splats:,} splats, `c` at {splats // CHUNK} chunks, `e` at {words:,} words",
+        f"`k` at {atoms} atoms",
+        f"the last {SEAL_BYTES} bytes",
+        f"one {CLIPLINE_BITS}-bit field",
+    ):
         assert sentence in TEXT, sentence
 
 
@@ -62,11 +77,17 @@ def test_format__bits_a_splat_add_up():
     assert f"{3 * sum(size * size for size in MIP_SIZES)} bytes an atom" in TEXT
 
 
-@pytest.mark.parametrize("case", [
-    Case(n_splats=GROUP + 300, cliplines=True, period=128), Case(dictionary_bits=16, weight_bits=8, n_dictionary=300),
-    Case(dictionary_bits=12, n_dictionary=300), Case(dictionary_bits=12, n_dictionary=300, atom_size=8, n_turns=8),
-    Case(n_splats=GROUP + 300, period=128, atom_counts=(0, 5, 16), n_ranks=16, color_step=112), Case(color_step=80),
-])
+@pytest.mark.parametrize(
+    "case",
+    [
+        Case(n_splats=GROUP + 300, cliplines=True, period=128),
+        Case(dictionary_bits=16, weight_bits=8, n_dictionary=300),
+        Case(dictionary_bits=12, n_dictionary=300),
+        Case(dictionary_bits=12, n_dictionary=300, atom_size=8, n_turns=8),
+        Case(n_splats=GROUP + 300, period=128, atom_counts=(0, 5, 16), n_ranks=16, color_step=112),
+        Case(color_step=80),
+    ],
+)
 def test_format__its_example_decodes_single_patches(case, tmp_path):
     example = {}
     exec(re.search(r"```python\n(.*?)```", TEXT, re.DOTALL)[1], example)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.schema import Camera
+from storage.packed.schema import Camera
 
 NOTHING, FLAT, THICK, ROPE, BALL = range(5)
 THIN = (ROPE, BALL)
@@ -50,9 +50,11 @@ def cast(shapes: Shapes, eye: np.ndarray, direction: np.ndarray) -> tuple[np.nda
     return distance, kind
 
 
-def scan(shapes: Shapes, eye, step: float, noise: float, rng: np.random.Generator, aim=(0, 0, 0.4), half_angle=0.7) -> ThinScan:
-    """What a scanner at `eye` sees: rays `step` radians apart, columns 1.5 times as far apart as rows, jittered by a tenth of
-    a step; `noise` (a length) is the deviation along the ray."""
+def scan(
+    shapes: Shapes, eye, step: float, noise: float, rng: np.random.Generator, aim=(0, 0, 0.4), half_angle=0.7
+) -> ThinScan:
+    """What a scanner at `eye` sees: rays `step` radians apart, columns 1.5 times as far apart as rows, jittered by a
+    tenth of a step; `noise` (a length) is the deviation along the ray."""
     forward = np.subtract(aim, eye) / np.linalg.norm(np.subtract(aim, eye))
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)
@@ -60,7 +62,9 @@ def scan(shapes: Shapes, eye, step: float, noise: float, rng: np.random.Generato
     across, along = np.arange(-half_angle, half_angle, 1.5 * step), np.arange(-half_angle, half_angle, step)
     a, b = (x.ravel() for x in np.meshgrid(across, along))
     a, b = (x + rng.normal(0, 0.1 * step, len(x)) for x in (a, b))
-    direction = (np.cos(a) * np.cos(b))[:, None] * forward + (np.sin(a) * np.cos(b))[:, None] * right + np.sin(b)[:, None] * up
+    direction = (
+        (np.cos(a) * np.cos(b))[:, None] * forward + (np.sin(a) * np.cos(b))[:, None] * right + np.sin(b)[:, None] * up
+    )
     distance, kind = cast(shapes, np.asarray(eye, float), direction)
     seen = np.isfinite(distance)
     far = distance[seen] + rng.normal(0, noise, seen.sum())
@@ -74,7 +78,9 @@ def joined(scans: list[ThinScan]) -> ThinScan:
 def silhouette(shapes: Shapes, view: Camera) -> np.ndarray:
     """(height, width) kinds of what the middle of each pixel shows."""
     column, row = np.meshgrid(np.arange(view.width_px) + 0.5, np.arange(view.height_px) + 0.5)
-    ray = np.stack([(column - view.cx_px) / view.fx_px, (row - view.cy_px) / view.fy_px, np.ones(column.shape)], axis=-1)
+    ray = np.stack(
+        [(column - view.cx_px) / view.fx_px, (row - view.cy_px) / view.fy_px, np.ones(column.shape)], axis=-1
+    )
     ray = ray.reshape(-1, 3) @ np.array(view.rotation)
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     return cast(shapes, np.array(view.centre), ray)[1].reshape(column.shape)
@@ -99,8 +105,10 @@ def box(low, size) -> list[tuple[np.ndarray, np.ndarray]]:
 
 def room(rng: np.random.Generator, rope_radius=(0.006, 0.010), ball_radius=(0.014, 0.020)) -> Shapes:
     """A floor, a leaning board, two boxes and steps; a thick pipe; seven ropes and twelve balls in the air."""
-    sides = [(np.array([-1.2, -1.2, 0]), np.array([[2.4, 0, 0], [0, 2.4, 0]])),
-             (np.array([-1.0, 0.9, 0.05]), np.array([[1.2, 0.1, 0], [0.0, 0.25, 0.9]]))]
+    sides = [
+        (np.array([-1.2, -1.2, 0]), np.array([[2.4, 0, 0], [0, 2.4, 0]])),
+        (np.array([-1.0, 0.9, 0.05]), np.array([[1.2, 0.1, 0], [0.0, 0.25, 0.9]])),
+    ]
     sides += box([0.35, 0.2, 0.0], [0.4, 0.3, 0.35]) + box([-0.8, -0.3, 0.0], [0.25, 0.4, 0.2])
     for k in range(3):
         sides += box([0.3, -0.7 + 0.15 * k, 0], [0.6, 0.15, 0.08 * (k + 1)])

@@ -1,4 +1,5 @@
-"""Certified OMP without a Gram matrix: the atoms of exact OMP, found by products that are 24 to 48 times shorter than a patch.
+"""Certified OMP without a Gram matrix: the atoms of exact OMP, found by products that are 24 to 48 times shorter than a
+patch.
 
 Atoms and patches are split into a few principal components and a rest. Short products and the norms of the rests bound
 every correlation; the few atoms that may be the best are settled by products of full width (`certified_kernels`).
@@ -15,7 +16,7 @@ import numpy as np
 from pipeline.coding.certified_kernels import advance
 from pipeline.coding.omp_kernels import squared_norms
 from pipeline.coding.turned import TurnedDictionary
-from pipeline.threads import one_blas_thread
+from pipeline.execution.threads import one_blas_thread
 
 # Up to here the rows of a k x k Gram matrix follow the residual: 1 GiB. Beyond, every step takes a GEMM of its own, and
 # memory grows with k alone.
@@ -23,9 +24,9 @@ MOST_WITH_GRAM = 16384
 COMPONENTS = 128  # of 64, 128, 192 and 256 the fastest for 4,096 atoms of 3,072 texels
 LEAST_WIDTH = 4 * COMPONENTS  # of rows that components are shorter than
 SAMPLE = 2048  # atoms that the components are found from
-# Share of a unit atom outside the components above which certified search settles too many atoms to pay: of fountain_p11 and
-# monstree it is 0.006 to 0.011; of 3,000 points of fountain_p11, whose patches lie in no few components, 0.3, and there certified
-# search took 7 to 9 ms a patch where exact search takes 0.3.
+# Share of a unit atom outside the components above which certified search settles too many atoms to pay: of
+# fountain_p11 and monstree it is 0.006 to 0.011; of 3,000 points of fountain_p11, whose patches lie in no few
+# components, 0.3, and there certified search took 7 to 9 ms a patch where exact search takes 0.3.
 MOST_REST = 0.1
 PRODUCT_BYTES = 4 << 20  # of short products at a time, near the second-level cache
 
@@ -42,8 +43,8 @@ class ShortDictionary:
 
 
 def shorten(dictionary: np.ndarray, components: int | None = None) -> ShortDictionary | None:
-    """Split a dictionary (k, d) float32 with unit rows; None where that does not pay: its rows are short, or its atoms do not
-    lie in few components. A number of `components` says to split it all the same.
+    """Split a dictionary (k, d) float32 with unit rows; None where that does not pay: its rows are short, or its atoms
+    do not lie in few components. A number of `components` says to split it all the same.
     """
     n_atoms, dim = dictionary.shape
     if components is None and dim < LEAST_WIDTH:
@@ -61,7 +62,9 @@ def shorten(dictionary: np.ndarray, components: int | None = None) -> ShortDicti
 
 def unshortened(dictionary: np.ndarray, turned: TurnedDictionary | None = None) -> ShortDictionary:
     """The dictionary in its own components, which leave no rest: for exact search beyond MOST_WITH_GRAM atoms."""
-    return ShortDictionary(dictionary, np.empty((0, 0), np.float32), dictionary, np.zeros(len(dictionary), np.float32), turned)
+    return ShortDictionary(
+        dictionary, np.empty((0, 0), np.float32), dictionary, np.zeros(len(dictionary), np.float32), turned
+    )
 
 
 def sampled(dictionary: np.ndarray) -> np.ndarray:
@@ -88,7 +91,9 @@ def rows_at_a_time(split: ShortDictionary) -> int:
     return max(32, min(512, PRODUCT_BYTES // (4 * len(split.dictionary))))
 
 
-def pursue_rows(rows, energy, split: ShortDictionary, certify, tolerance, price, levels, atom, weight, code, n_atoms, path):
+def pursue_rows(
+    rows, energy, split: ShortDictionary, certify, tolerance, price, levels, atom, weight, code, n_atoms, path
+):
     """`pursue` for a block of patches (n, d), in place. Returns how many products of full width with patches it took.
 
     All patches take their first atom, then their second: each step is one GEMM of the residuals' components.
@@ -106,8 +111,29 @@ def pursue_rows(rows, energy, split: ShortDictionary, certify, tolerance, price,
         current = components[:n_active]
         product = current @ split.short.T if split.turned is None else split.turned.products_in_order(current)
         n_active, n_settled = advance(
-            rows, energy, split.dictionary, components, split.short, product, split.rest, rounding, certify, tolerance, price,
-            levels, atom, weight, code, n_atoms, path, target, forward, gram_support, chol, active, n_active)
+            rows,
+            energy,
+            split.dictionary,
+            components,
+            split.short,
+            product,
+            split.rest,
+            rounding,
+            certify,
+            tolerance,
+            price,
+            levels,
+            atom,
+            weight,
+            code,
+            n_atoms,
+            path,
+            target,
+            forward,
+            gram_support,
+            chol,
+            active,
+            n_active,
+        )
         total += n_settled
     return total
-

@@ -13,10 +13,18 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.coding.omp_kernels import (
-    SMALLEST_CORRELATION, SMALLEST_PIVOT, append_to_cholesky, bound_groups, dot, n_groups, quantize_weights,
-    residual_energy, solve_cholesky, subtract_rows,
+    SMALLEST_CORRELATION,
+    SMALLEST_PIVOT,
+    append_to_cholesky,
+    bound_groups,
+    dot,
+    n_groups,
+    quantize_weights,
+    residual_energy,
+    solve_cholesky,
+    subtract_rows,
 )
-from pipeline.compiled import FAST, kernel, part
+from pipeline.execution.compiled import FAST, kernel, part
 
 MOST_DEPENDENT = 64  # atoms in the span of the support that one step may pass over
 # Rounding of the squared norm of a residual that is a sum of float32 products, as a share of the patch's.
@@ -36,7 +44,8 @@ def _four_dots(x, a, b, c, d):
 
 @part()
 def _silence(product, support, t):
-    """Atoms of the support raise no bound of their group: with quantised weights the residual may still lean on them."""
+    """Atoms of the support raise no bound of their group: with quantised weights the residual may still lean on
+    them."""
     for j in range(t):
         product[support[j]] = 0
 
@@ -56,7 +65,12 @@ def _products_with_support(atom, support, t, dictionary, into):
     j = 0
     while j + 4 <= t:
         into[j], into[j + 1], into[j + 2], into[j + 3] = _four_dots(
-            row, dictionary[support[j]], dictionary[support[j + 1]], dictionary[support[j + 2]], dictionary[support[j + 3]])
+            row,
+            dictionary[support[j]],
+            dictionary[support[j + 1]],
+            dictionary[support[j + 2]],
+            dictionary[support[j + 3]],
+        )
         j += 4
     while j < t:
         into[j] = dot(row, dictionary[support[j]])
@@ -81,10 +95,14 @@ def _highest_bound(product, rest, rho, upper, support, t, passed, n_passed):
         if upper[g] > upper[top]:
             top = g
     # The top group first: hardly another is looked into then.
-    best, best_bound = _highest_of_group(product, rest, rho, top, width, support, t, passed, n_passed, -1, np.float32(-1))
+    best, best_bound = _highest_of_group(
+        product, rest, rho, top, width, support, t, passed, n_passed, -1, np.float32(-1)
+    )
     for g in range(width):
         if upper[g] > best_bound and g != top:
-            best, best_bound = _highest_of_group(product, rest, rho, g, width, support, t, passed, n_passed, best, best_bound)
+            best, best_bound = _highest_of_group(
+                product, rest, rho, g, width, support, t, passed, n_passed, best, best_bound
+            )
     return best
 
 
@@ -117,12 +135,38 @@ def _best_atom(left, dictionary, product, rest, rho, margin, certify, upper, sup
 
 
 @part()
-def _add_atom(patch, left, energy, dictionary, product, rest, rho, margin, certify, upper, levels, t, error,
-              atom, weight, code, target, forward, gram_support, chol, trial, trial_code, passed):
-    """One step of a pursuit: the new squared residual, or -1 where no atom lowers it; and how many atoms were settled."""
+def _add_atom(
+    patch,
+    left,
+    energy,
+    dictionary,
+    product,
+    rest,
+    rho,
+    margin,
+    certify,
+    upper,
+    levels,
+    t,
+    error,
+    atom,
+    weight,
+    code,
+    target,
+    forward,
+    gram_support,
+    chol,
+    trial,
+    trial_code,
+    passed,
+):
+    """One step of a pursuit: the new squared residual, or -1 where no atom lowers it; and how many atoms were
+    settled."""
     n_passed, n_settled = 0, 0
     while n_passed < MOST_DEPENDENT:
-        best, size, n = _best_atom(left, dictionary, product, rest, rho, margin, certify, upper, atom, t, passed, n_passed)
+        best, size, n = _best_atom(
+            left, dictionary, product, rest, rho, margin, certify, upper, atom, t, passed, n_passed
+        )
         n_settled += n
         if best < 0 or size * size <= SMALLEST_CORRELATION**2 * energy:
             return -1.0, n_settled
@@ -176,12 +220,36 @@ def _margin(rounding, energy, weight, t):
 
 
 @kernel()
-def advance(patches, energy, dictionary, components, short, product, rest, rounding, certify, tolerance, price,
-            levels, atom, weight, code, n_atoms, path, target, forward, gram_support, chol, active, n_active):
+def advance(
+    patches,
+    energy,
+    dictionary,
+    components,
+    short,
+    product,
+    rest,
+    rounding,
+    certify,
+    tolerance,
+    price,
+    levels,
+    atom,
+    weight,
+    code,
+    n_atoms,
+    path,
+    target,
+    forward,
+    gram_support,
+    chol,
+    active,
+    n_active,
+):
     """One step for each of the patches active[:n_active], whose current short products are the rows of `product`.
 
     `components` become those of the residuals; patches that are done leave `active`. Per patch: target and
-    forward (n, r), gram_support and chol (n, r, r). Returns how many stay active, and how many products of full width it took.
+    forward (n, r), gram_support and chol (n, r, r). Returns how many stay active, and how many products of full width
+    it took.
     """
     most = atom.shape[1]
     upper, passed = np.empty(n_groups(product.shape[1]), np.float32), np.empty(MOST_DEPENDENT, np.int64)
@@ -198,12 +266,35 @@ def advance(patches, energy, dictionary, components, short, product, rest, round
         _silence(product[m], atom[i], t)
         bound_groups(product[m], rest, rho, upper)
         start[:] = components[m]
-        subtract_rows(start, short, atom[i], -weight[i], t)  # back to the patch's own components: weights of all ranks may change
+        subtract_rows(
+            start, short, atom[i], -weight[i], t
+        )  # back to the patch's own components: weights of all ranks may change
         residue = _what_is_left(patches[i], dictionary, atom[i], weight[i], t, left)
         lowered, n_settled = _add_atom(
-            patches[i], residue, energy[i], dictionary, product[m], rest, rho, margin, certify, upper, levels, t,
-            path[i, t] - price, atom[i], weight[i], code[i], target[i], forward[i], gram_support[i],
-            chol[i], trial, trial_code, passed)
+            patches[i],
+            residue,
+            energy[i],
+            dictionary,
+            product[m],
+            rest,
+            rho,
+            margin,
+            certify,
+            upper,
+            levels,
+            t,
+            path[i, t] - price,
+            atom[i],
+            weight[i],
+            code[i],
+            target[i],
+            forward[i],
+            gram_support[i],
+            chol[i],
+            trial,
+            trial_code,
+            passed,
+        )
         total += n_settled
         if lowered < 0:
             continue

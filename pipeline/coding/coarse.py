@@ -1,13 +1,13 @@
 """Certified OMP with a Gram matrix: first products by few coefficients, in which the atoms are strong.
 
-The norms of what the coefficients leave of a patch and of an atom bound how far a product is off (Cauchy-Schwarz). The few
-atoms that may be the best are settled at full width, once a patch: the Gram matrix, which is exact, takes a settled product
-from step to step.
+The norms of what the coefficients leave of a patch and of an atom bound how far a product is off (Cauchy-Schwarz). The
+few atoms that may be the best are settled at full width, once a patch: the Gram matrix, which is exact, takes a settled
+product from step to step.
 
 Of whole patches the coefficients are those of 12 x 12 texels (`grid`), the colours turned into one of light and two of
-difference: found in an eighth of the time of products with as many principal components, and the KEPT in which the dictionary
-has most are little more than a shorter product would be wide. With 8 atoms a patch, 10 of 256 are settled on `fountain_p11`
-and 12 on `monstree`. Of other rows, and where the grid leaves too much, they are principal components.
+difference: found in an eighth of the time of products with as many principal components, and the KEPT in which the
+dictionary has most are little more than a shorter product would be wide. With 8 atoms a patch, 10 of 256 are settled on
+`fountain_p11` and 12 on `monstree`. Of other rows, and where the grid leaves too much, they are principal components.
 """
 
 from __future__ import annotations
@@ -21,20 +21,22 @@ from pipeline.coding.certified import COMPONENTS, LEAST_WIDTH, principal_compone
 from pipeline.coding.certified_kernels import ENERGY_ROUNDING
 from pipeline.coding.grid import axis_columns
 from pipeline.coding.omp_kernels import NO_TURNS, squared_norms
+from pipeline.execution.threads import one_blas_thread
 from pipeline.texture.resample import PATCH_DIM
-from pipeline.threads import one_blas_thread
-from storage.schema import PATCH_SIZE
+from storage.packed.schema import PATCH_SIZE
 
 SIZE = 12  # with 8, monstree has 27 atoms settled; 16 cost more than they spare
 KEPT = 128
 FEWEST_ATOMS = 128  # below, all products of full width take no longer; of principal components, FEWEST_FOR_COMPONENTS
 FEWEST_FOR_COMPONENTS = 1024
-# Share of a unit atom that may be left, in the median, above which too many products are settled to pay: of fountain_p11
-# it is 0.03, of monstree 0.07.
+# Share of a unit atom that may be left, in the median, above which too many products are settled to pay: of
+# fountain_p11 it is 0.03, of monstree 0.07.
 MOST_REST = 0.2
 REST_ROUNDING = 1e-3  # of a unit atom's rest; with ENERGY_ROUNDING of a patch's, their product is float32's rounding
 ROWS = 128  # patches at a time: 64 cost a tenth more for calls, 512 as much for memory
-COLOURS = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]])  # orthonormal: light and two differences
+COLOURS = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt(
+    [[3], [2], [6]]
+)  # orthonormal: light and two differences
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,9 @@ class GridCoefficients:
     """Which coefficients are kept: c columns of the grid and of colours together, of m of its rows."""
 
     down: np.ndarray  # (m, PATCH_SIZE) float32: a patch's rows into the grid's
-    across: np.ndarray  # (3 PATCH_SIZE, c) float32: a row of a patch, (column, rgb), into columns of the grid and of colours
+    across: (
+        np.ndarray
+    )  # (3 PATCH_SIZE, c) float32: a row of a patch, (column, rgb), into columns of the grid and of colours
     kept: np.ndarray  # (KEPT,) of m c
 
     def of(self, patches: np.ndarray) -> np.ndarray:
@@ -83,13 +87,16 @@ class CoarseDictionary:
 
 def coarsen(dictionary: np.ndarray, components: int | None = None) -> CoarseDictionary | None:
     """A dictionary (k, d) float32 with unit rows split so; None where that would not pay: there are few
-    atoms, or few coefficients leave too much of them. A number of principal `components` says to split it by them all the same."""
+    atoms, or few coefficients leave too much of them. A number of principal `components` says to split it by them all
+    the same."""
     with one_blas_thread():  # others would go on spinning beside the threads that then code
         for coefficients in _ways(dictionary, components):
             short = coefficients.of(dictionary)
             rest = np.sqrt(np.maximum(squared_norms(dictionary) - squared_norms(short), 0)) + REST_ROUNDING
             if components or np.median(rest) <= MOST_REST:
-                return CoarseDictionary(dictionary, coefficients, short, rest.astype(np.float32), dictionary @ dictionary.T)
+                return CoarseDictionary(
+                    dictionary, coefficients, short, rest.astype(np.float32), dictionary @ dictionary.T
+                )
     return None
 
 
@@ -104,11 +111,17 @@ def _ways(dictionary: np.ndarray, components: int | None) -> Iterator[GridCoeffi
 def _strongest(dictionary: np.ndarray) -> GridCoefficients:
     """The KEPT coefficients that hold most of the atoms' energy."""
     columns = axis_columns(SIZE)
-    every = GridCoefficients(np.ascontiguousarray(columns.T, np.float32), np.kron(columns, COLOURS.T).astype(np.float32),
-                             np.arange(3 * SIZE**2))
+    every = GridCoefficients(
+        np.ascontiguousarray(columns.T, np.float32),
+        np.kron(columns, COLOURS.T).astype(np.float32),
+        np.arange(3 * SIZE**2),
+    )
     strength = (every.of(dictionary).astype(np.float64) ** 2).sum(axis=0)
     kept = np.zeros((SIZE, 3 * SIZE), bool)
     kept.ravel()[np.argsort(-strength, kind="stable")[:KEPT]] = True
     rows, across = kept.any(axis=1), kept.any(axis=0)
-    return GridCoefficients(np.ascontiguousarray(every.down[rows]), np.ascontiguousarray(every.across[:, across]),
-                            np.flatnonzero(kept[rows][:, across]))
+    return GridCoefficients(
+        np.ascontiguousarray(every.down[rows]),
+        np.ascontiguousarray(every.across[:, across]),
+        np.flatnonzero(kept[rows][:, across]),
+    )

@@ -17,7 +17,7 @@ from functools import cache
 
 import numpy as np
 
-from storage.schema import PATCH_SIZE
+from storage.packed.schema import PATCH_SIZE
 
 TURNS = 8  # bit 2: mirrored at the diagonal, before that bit 0: left to right, bit 1: top to bottom
 
@@ -43,7 +43,8 @@ def coefficients(patches: np.ndarray, size: int) -> np.ndarray:
 
 
 def patches_of(coefficients: np.ndarray, size: int) -> np.ndarray:
-    """What atoms, given by their coefficients (k, 3 size^2), are on a patch, (k, PATCH_DIM) float32: as `shown` of their texels."""
+    """What atoms, given by their coefficients (k, 3 size^2), are on a patch, (k, PATCH_DIM) float32: as `shown` of
+    their texels."""
     return _along_both(coefficients, axis_columns(size))
 
 
@@ -121,7 +122,8 @@ def _along_both(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 @cache
 def _interpolation(size: int) -> np.ndarray:
-    """(PATCH_SIZE, size): each row the weights of a patch's texel in an atom's, by bilinear lookup with edges repeated."""
+    """(PATCH_SIZE, size): each row the weights of a patch's texel in an atom's, by bilinear lookup with edges
+    repeated."""
     if size == PATCH_SIZE:
         return np.eye(PATCH_SIZE)
     at = np.clip((np.arange(PATCH_SIZE) + 0.5) * size / PATCH_SIZE - 0.5, 0, size - 1)
@@ -130,7 +132,8 @@ def _interpolation(size: int) -> np.ndarray:
 
 @cache
 def _axis(size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal columns (PATCH_SIZE, size) of what `size` texels show, and (size, size): their coefficients by texel."""
+    """Orthonormal columns (PATCH_SIZE, size) of what `size` texels show, and (size, size): their coefficients by
+    texel."""
     frequency, texel = np.arange(size), np.arange(size) + 0.5
     cosines = np.cos(np.pi / size * frequency * texel[:, None])
     shown = _interpolation(size) @ cosines

@@ -15,8 +15,8 @@ is kept aside. Learning goes on from a trial that did a little worse (on such sc
 back), but one that did much worse gives way to the best, from which the atoms set out again half as far. That costs no
 pass where errors fall, and one pass each time they do not.
 
-Atoms also go on by half of their last move (Polyak 1964): on `monstree` 6 passes then do what 12 did, on `fountain_p11` 5
-what 8 did. With two thirds of it the first passes did worse, and steps that were longer by half overshot.
+Atoms also go on by half of their last move (Polyak 1964): on `monstree` 6 passes then do what 12 did, on `fountain_p11`
+5 what 8 did. With two thirds of it the first passes did worse, and steps that were longer by half overshot.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import numpy as np
 from pipeline.coding.omp import Pursuit, pursue_patches
 from pipeline.coding.omp_kernels import squared_norms, subtract_rows
 from pipeline.coding.twins import distinct_directions, twins_of_earlier
-from pipeline.compiled import FAST, kernel, part
+from pipeline.execution.compiled import FAST, kernel, part
 
 BLOCK = 2048  # patches whose sums are made in one go; part of the result, as float sums depend on their order
 WORST = 512  # how many badly represented patches a block offers as replacements
@@ -44,7 +44,9 @@ FEWEST_USERS = 4  # an atom with fewer users is replaced (as KSVD-Box)
 class Sums:
     """What a block of patches says about the dictionary; small, and independent of how many patches there are."""
 
-    moment: np.ndarray  # (k, d): sum of v_ik r_i, float32 of a block, float64 once merged; (0, d) where it lies elsewhere
+    moment: (
+        np.ndarray
+    )  # (k, d): sum of v_ik r_i, float32 of a block, float64 once merged; (0, d) where it lies elsewhere
     gain: np.ndarray  # (k,) float64: sum of v_ik x_ik
     n_users: np.ndarray  # (k,) int64
     error: float  # sum of squared residuals
@@ -80,8 +82,15 @@ def merge_sums(a: Sums, b: Sums) -> Sums:
     error = np.concatenate([a.worst_error, b.worst_error])
     keep = np.argsort(-error, kind="stable")[:WORST]
     patch = np.concatenate([a.worst_patch, b.worst_patch])
-    return Sums(np.add(a.moment, b.moment, dtype=np.float64), a.gain + b.gain, a.n_users + b.n_users, a.error + b.error,
-                a.n_patches + b.n_patches, error[keep], patch[keep])
+    return Sums(
+        np.add(a.moment, b.moment, dtype=np.float64),
+        a.gain + b.gain,
+        a.n_users + b.n_users,
+        a.error + b.error,
+        a.n_patches + b.n_patches,
+        error[keep],
+        patch[keep],
+    )
 
 
 def merge_in_order(load: Callable[[int], Sums], start: int, stop: int) -> Sums:
@@ -96,12 +105,12 @@ def merge_in_order(load: Callable[[int], Sums], start: int, stop: int) -> Sums:
 
 
 def merge_moments(load: Callable[[int, slice], np.ndarray], n_blocks: int, shape: tuple[int, int]) -> np.ndarray:
-    """The moments (k, d) of all blocks over the tree of `merge_in_order`, and its very bytes, a range of atoms at a time:
-    `load(block, atoms)` is asked for no more than that, so that beside the result little is held."""
+    """The moments (k, d) of all blocks over the tree of `merge_in_order`, and its very bytes, a range of atoms at a
+    time: `load(block, atoms)` is asked for no more than that, so that beside the result little is held."""
     merged = np.empty(shape)
     for start in range(0, shape[0], MERGED_ATOMS):
         atoms = slice(start, start + MERGED_ATOMS)
-        merged[atoms] = _tree_sum(lambda block: load(block, atoms), 0, n_blocks)
+        merged[atoms] = _tree_sum(lambda block, atoms=atoms: load(block, atoms), 0, n_blocks)
     return merged
 
 
@@ -117,8 +126,8 @@ def updated_dictionary(
 ) -> tuple[np.ndarray, int]:
     """The dictionary after one update, and how many atoms were replaced. All atoms move from the same old ones.
 
-    With a `step` below 1 they go only that share of the way; without `replace_unused` only twins are replaced. `before` is the
-    dictionary (k, d) that this one came from: atoms go on in the direction that they came.
+    With a `step` below 1 they go only that share of the way; without `replace_unused` only twins are replaced. `before`
+    is the dictionary (k, d) that this one came from: atoms go on in the direction that they came.
 
     Guarantees: unit rows, float32; an atom hardly used, or a twin of an earlier one, becomes one of the worst
     represented patches; no two become the same.
@@ -141,7 +150,8 @@ def updated_dictionary(
 
 @kernel(fastmath={"nsz", "reassoc", "contract"})
 def _move(dictionary, step, moment, gain, used, updated, norms):
-    """Atoms in use where the sums take them, as unit rows; and how long they were before, where none was no direction."""
+    """Atoms in use where the sums take them, as unit rows; and how long they were before, where none was no
+    direction."""
     width = np.uintp(dictionary.shape[1])
     for a in range(dictionary.shape[0]):
         total = 0.0
@@ -184,9 +194,10 @@ def judge(best: Best | None, dictionary: np.ndarray, sums: Sums) -> tuple[Best, 
 
 
 def next_trial(best: Best, dictionary: np.ndarray, before: np.ndarray | None, sums: Sums) -> tuple[np.ndarray, int]:
-    """The dictionary to measure next, and how many of its atoms are replacements: an update of the one just measured, which
-    came from the one `before`, or, where it did much worse, of the best; then unused atoms stay, as their replacements may
-    have done the harm. Atoms go on from a trial that did best so far alone: where errors rise, they went too far."""
+    """The dictionary to measure next, and how many of its atoms are replacements: an update of the one just measured,
+    which came from the one `before`, or, where it did much worse, of the best; then unused atoms stay, as their
+    replacements may have done the harm. Atoms go on from a trial that did best so far alone: where errors rise, they
+    went too far."""
     if _is_near(best, sums):
         return updated_dictionary(dictionary, sums, before=before if sums.error <= best.sums.error else None)
     return updated_dictionary(best.dictionary, best.sums, best.step, replace_unused=False)
@@ -208,12 +219,12 @@ def learn_dictionary(
 ) -> np.ndarray:
     """Learn unit atoms (m, patch_dim) float32 from patches; m is `n_atoms`, or fewer where patches are too alike.
 
-    `tolerance` is the cut-off of `sparse_encode`, a squared residual norm, for all patches or one each. `on_iteration` gets the mean squared residual
-    norm of the best dictionary so far, each iteration before its update and once more at the end. The stages of the
-    pipeline run these same sums block by block.
+    `tolerance` is the cut-off of `sparse_encode`, a squared residual norm, for all patches or one each. `on_iteration`
+    gets the mean squared residual norm of the best dictionary so far, each iteration before its update and once more at
+    the end. The stages of the pipeline run these same sums block by block.
 
-    Guarantees: same patches and seed, same dictionary; unit atoms; what `on_iteration` gets never rises, and the last is
-    that of the dictionary returned.
+    Guarantees: same patches and seed, same dictionary; unit atoms; what `on_iteration` gets never rises, and the last
+    is that of the dictionary returned.
     Raises ValueError as `sparse_encode`, and where no patch differs from zero.
     """
     patches = np.ascontiguousarray(patches, np.float32)
@@ -236,7 +247,9 @@ def _measured(patches: np.ndarray, dictionary: np.ndarray, max_atoms: int, toler
     tolerance = np.broadcast_to(np.asarray(tolerance, np.float64), len(patches))
     for start in range(0, len(patches), BLOCK):
         part = slice(start, start + BLOCK)
-        pursuit = pursue_patches(patches[part], dictionary, max_atoms=min(max_atoms, len(dictionary)), tolerance=tolerance[part])
+        pursuit = pursue_patches(
+            patches[part], dictionary, max_atoms=min(max_atoms, len(dictionary)), tolerance=tolerance[part]
+        )
         blocks.append(block_sums(patches[part], dictionary, pursuit))
     return merge_in_order(blocks.__getitem__, 0, len(blocks))
 
@@ -253,11 +266,18 @@ def _leave(row, patch, dictionary, support, weight, n):
     """row = patch - sum of weight_j * dictionary[support_j], n of them, at least one: the first four on the way, those
     there are not as the last with no weight. Rows that come from far caches are what costs."""
     last = n - 1
-    a, b, c, d = np.uintp(support[0]), np.uintp(support[min(1, last)]), np.uintp(support[min(2, last)]), np.uintp(support[min(3, last)])
+    a, b, c, d = (
+        np.uintp(support[0]),
+        np.uintp(support[min(1, last)]),
+        np.uintp(support[min(2, last)]),
+        np.uintp(support[min(3, last)]),
+    )
     wa, wb = np.float32(weight[0]), np.float32(weight[1] if last > 0 else 0.0)
     wc, wd = np.float32(weight[2] if last > 1 else 0.0), np.float32(weight[3] if last > 2 else 0.0)
     for i in range(np.uintp(row.shape[0])):
-        row[i] = patch[i] - ((wa * dictionary[a, i] + wb * dictionary[b, i]) + (wc * dictionary[c, i] + wd * dictionary[d, i]))
+        row[i] = patch[i] - (
+            (wa * dictionary[a, i] + wb * dictionary[b, i]) + (wc * dictionary[c, i] + wd * dictionary[d, i])
+        )
     if n > 4:
         subtract_rows(row, dictionary, support[4:], weight[4:], n - 4)
 

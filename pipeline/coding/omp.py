@@ -12,12 +12,17 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.coding.certified import (
-    MOST_WITH_GRAM, ShortDictionary, pursue_rows, rows_at_a_time, shorten, unshortened,
+    MOST_WITH_GRAM,
+    ShortDictionary,
+    pursue_rows,
+    rows_at_a_time,
+    shorten,
+    unshortened,
 )
 from pipeline.coding.coarse import CoarseDictionary, coarsen
 from pipeline.coding.omp_kernels import NO_TURNS, add_atoms, pursue, squared_norms
 from pipeline.coding.turned import TurnedDictionary
-from pipeline.threads import available_cores, run_all
+from pipeline.execution.threads import available_cores, run_all
 
 ROWS = 512  # patches a GEMM: 512 x 4096 correlations are 8 MiB, near the second-level cache
 NO_LEVELS = np.empty((0, 0))
@@ -41,7 +46,9 @@ class WholeDictionary:
         return patches @ self.dictionary.T, np.zeros(len(patches), np.float32)
 
 
-Searched = WholeDictionary | TurnedDictionary | CoarseDictionary | ShortDictionary  # a dictionary with what its search needs
+Searched = (
+    WholeDictionary | TurnedDictionary | CoarseDictionary | ShortDictionary
+)  # a dictionary with what its search needs
 
 
 class Codes(NamedTuple):
@@ -57,7 +64,9 @@ class Pursuit(NamedTuple):
 
     codes: Codes
     weight_code: np.ndarray  # (n, r) int32, index into the weight levels of the rank; zeros where weights are exact
-    path: np.ndarray  # (n, r + 1) float64: the squared norm of what is left with no atom, one, and so on; zeros beyond n_atoms
+    path: (
+        np.ndarray
+    )  # (n, r + 1) float64: the squared norm of what is left with no atom, one, and so on; zeros beyond n_atoms
 
     @property
     def residual(self) -> np.ndarray:
@@ -70,7 +79,9 @@ class Pursuit(NamedTuple):
 
     def atoms_at(self, price: float) -> np.ndarray:
         """How many of its atoms (n,) each patch takes where they cost more than they did in this pursuit."""
-        worth = (self.path[:, :-1] - self.path[:, 1:] > price) & (np.arange(self.path.shape[1] - 1) < self.codes.n_atoms[:, None])
+        worth = (self.path[:, :-1] - self.path[:, 1:] > price) & (
+            np.arange(self.path.shape[1] - 1) < self.codes.n_atoms[:, None]
+        )
         return np.logical_and.accumulate(worth, axis=1).sum(axis=1)
 
 
@@ -88,15 +99,16 @@ def sparse_encode(
     """Code each patch by at most `max_atoms` atoms; returns `(atom_index, weight, n_atoms)`.
 
     A patch is done when its squared residual norm is at most `tolerance` (one number, or one a patch; in the units of
-    the patches squared, as scikit-learn's `tol` and SPAMS' `eps`), or when a further atom would lower it by no more than
-    `price`: one price for all patches spends atoms where they mend most. With `weight_levels` every weight of rank j is one
-    of row j, chosen inside the loop: the next atom sees what the rounding left.
+    the patches squared, as scikit-learn's `tol` and SPAMS' `eps`), or when a further atom would lower it by no more
+    than `price`: one price for all patches spends atoms where they mend most. With `weight_levels` every weight of rank
+    j is one of row j, chosen inside the loop: the next atom sees what the rounding left.
 
     `search` is how the atom of largest correlation is found: "exact" by all products; "certified" by short products
     that prove most atoms smaller, and products of full width with the few others: the same atoms, but where two
     correlations differ by less than float32's rounding; "approximate" by short products alone: an atom may be taken
     whose correlation is below the largest by the share of the patch (beyond 16,384 atoms, of the residual) outside the
-    components times those of both atoms, while weights stay those of the full patches. `n_threads` None takes all cores.
+    components times those of both atoms, while weights stay those of the full patches. `n_threads` None takes all
+    cores.
 
     Guarantees: no atom twice in a support; the residual never rises with an atom; exact weights are the least squares
     of their support; scaling a patch (and its tolerance, by the square) scales its weights; the result of a patch
@@ -112,7 +124,13 @@ def sparse_encode(
     ([[1, 3]], [[3.0, -1.0]])
     """
     return pursue_patches(
-        patches, dictionary, max_atoms=max_atoms, tolerance=tolerance, price=price, weight_levels=weight_levels, search=search,
+        patches,
+        dictionary,
+        max_atoms=max_atoms,
+        tolerance=tolerance,
+        price=price,
+        weight_levels=weight_levels,
+        search=search,
         n_threads=available_cores() if n_threads is None else n_threads,
     ).codes
 
@@ -157,13 +175,32 @@ def pursue_patches(
             return
         if len(todo) < len(rows):  # of fountain_p11 at 40 dB, a third: they need no products
             rows, energy = rows[todo - start], energy[todo - start]
-        found = (np.zeros((len(todo), max_atoms), np.int32), np.zeros((len(todo), max_atoms)),
-                 np.zeros((len(todo), max_atoms), np.int32), np.zeros(len(todo), np.int32), np.zeros((len(todo), max_atoms + 1)))
+        found = (
+            np.zeros((len(todo), max_atoms), np.int32),
+            np.zeros((len(todo), max_atoms)),
+            np.zeros((len(todo), max_atoms), np.int32),
+            np.zeros(len(todo), np.int32),
+            np.zeros((len(todo), max_atoms + 1)),
+        )
         if in_components:
-            pursue_rows(rows, energy, dictionary, certify and len(dictionary.basis) > 0, tolerance[todo], price, levels, *found)
+            pursue_rows(
+                rows, energy, dictionary, certify and len(dictionary.basis) > 0, tolerance[todo], price, levels, *found
+            )
         else:
-            pursue(rows, dictionary.dictionary, *dictionary.products(rows, energy), dictionary.rest, certify, energy,
-                   dictionary.gram, dictionary.turns, tolerance[todo], price, levels, *found)
+            pursue(
+                rows,
+                dictionary.dictionary,
+                *dictionary.products(rows, energy),
+                dictionary.rest,
+                certify,
+                energy,
+                dictionary.gram,
+                dictionary.turns,
+                tolerance[todo],
+                price,
+                levels,
+                *found,
+            )
             if isinstance(dictionary, TurnedDictionary):
                 found[0][:] = dictionary.numbers(found[0])
         for whole, rows_found in zip((codes.atom_index, codes.weight, weight_code, codes.n_atoms, path), found):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.compiled import FAST, kernel, part
+from pipeline.execution.compiled import FAST, kernel, part
 
 # A squared pivot below this says that the atom lies in the span of the support, as far as float32 can tell. The Gram
 # matrix is exact to 1e-7, so weights to 1e-7 / pivot: on differences of near-twins the residual norm was 5e-4 above the
@@ -20,7 +20,9 @@ SMALLEST_PIVOT = 2e-3
 SMALLEST_CORRELATION = 1e-6
 
 
-TRUSTED = np.float32(1e-6)  # share of its slack that a product keeps which is not to be certified: it decides nothing, but is no zero
+TRUSTED = np.float32(
+    1e-6
+)  # share of its slack that a product keeps which is not to be certified: it decides nothing, but is no zero
 NO_TURNS = np.zeros((1, 1), np.int64)  # of a dictionary whose atoms are each their own
 
 
@@ -52,10 +54,16 @@ def subtract_rows(row, table, support, weight, t):
 
 @part(fastmath=FAST)
 def _subtract_gram_rows(row, gram, turns, straight, turn, weight, t):
-    """As `subtract_rows`, with rows of the Gram matrix of atoms in turns, of which `gram` has those of the straight ones."""
+    """As `subtract_rows`, with rows of the Gram matrix of atoms in turns, of which `gram` has those of the straight
+    ones."""
     k, n_turns, j = np.uintp(gram.shape[0]), turns.shape[0], 0
     while j + 4 <= t:
-        a, b, c, d = np.uintp(straight[j]), np.uintp(straight[j + 1]), np.uintp(straight[j + 2]), np.uintp(straight[j + 3])
+        a, b, c, d = (
+            np.uintp(straight[j]),
+            np.uintp(straight[j + 1]),
+            np.uintp(straight[j + 2]),
+            np.uintp(straight[j + 3]),
+        )
         wa, wb = np.float32(weight[j]), np.float32(weight[j + 1])
         wc, wd = np.float32(weight[j + 2]), np.float32(weight[j + 3])
         for s in range(n_turns):
@@ -63,8 +71,9 @@ def _subtract_gram_rows(row, gram, turns, straight, turn, weight, t):
             at_a, at_b = np.uintp(turns[turn[j], s]) * k, np.uintp(turns[turn[j + 1], s]) * k
             at_c, at_d = np.uintp(turns[turn[j + 2], s]) * k, np.uintp(turns[turn[j + 3], s]) * k
             for i in range(k):
-                row[at + i] -= ((wa * gram[a, at_a + i] + wb * gram[b, at_b + i])
-                                + (wc * gram[c, at_c + i] + wd * gram[d, at_d + i]))
+                row[at + i] -= (wa * gram[a, at_a + i] + wb * gram[b, at_b + i]) + (
+                    wc * gram[c, at_c + i] + wd * gram[d, at_d + i]
+                )
         j += 4
     while j < t:
         a, wa = np.uintp(straight[j]), np.float32(weight[j])
@@ -130,7 +139,8 @@ def _settle(a, patch, dictionary, initial, correlation, slack):
 
 @part()
 def _most_correlated(patch, dictionary, initial, correlation, slack, certify, upper):
-    """The atom of largest exact |correlation|, -1 for none above zero; not to `certify`, that of the highest bound, settled.
+    """The atom of largest exact |correlation|, -1 for none above zero; not to `certify`, that of the highest bound,
+    settled.
 
     The atom of the highest bound is settled first: only those with bounds above its size can beat it.
     """
@@ -157,8 +167,8 @@ def _most_correlated(patch, dictionary, initial, correlation, slack, certify, up
 
 @part()
 def append_to_cholesky(chol, gram_support, t):
-    """Extend the factor of the support's Gram matrix by row t; returns the squared pivot. On its diagonal `chol` has the
-    reciprocals of the factor's: divisions would take as long as all else."""
+    """Extend the factor of the support's Gram matrix by row t; returns the squared pivot. On its diagonal `chol` has
+    the reciprocals of the factor's: divisions would take as long as all else."""
     pivot = gram_support[t, t]
     for i in range(t):
         value = gram_support[t, i]
@@ -173,8 +183,8 @@ def append_to_cholesky(chol, gram_support, t):
 
 @part()
 def solve_cholesky(chol, target, forward, weight, t):
-    """Least squares on the support, chol @ chol.T @ weight = target, t wide: chol @ forward = target is solved for row t - 1
-    alone, as those above it do not change with a further atom."""
+    """Least squares on the support, chol @ chol.T @ weight = target, t wide: chol @ forward = target is solved for row
+    t - 1 alone, as those above it do not change with a further atom."""
     value = target[t - 1]
     for j in range(t - 1):
         value -= chol[t - 1, j] * forward[j]
@@ -235,18 +245,35 @@ def residual_energy(energy, target, gram_support, weight, t):
 
 
 @kernel()
-def pursue(patches, dictionary, initial, spread, rest, certify, energy, gram, turns, tolerance, price, levels, atom, weight, code,
-           n_atoms, path):
+def pursue(
+    patches,
+    dictionary,
+    initial,
+    spread,
+    rest,
+    certify,
+    energy,
+    gram,
+    turns,
+    tolerance,
+    price,
+    levels,
+    atom,
+    weight,
+    code,
+    n_atoms,
+    path,
+):
     """Orthogonal matching pursuit of every row of patches (n, d), with weights from `levels` if there are any.
 
-    dictionary (k, d); initial (n, k): correlations of patches and atoms, no further off than spread (n,) times rest (k,), and
-    made exact where that may decide, in place (not to `certify`, of atoms that are taken alone); gram (k / m, k) of the first k / m atoms, all float32; turns (m, m) int64: the
-    k / m atoms of turn t and of turn s have the products that those of turn 0 and of turn turns[t, s] have, so
-    turns is ((0,),) where each atom is its own. energy (n,) float64: squared norms; tolerance
-    (n,) float64: squared residual at which a patch is done; price: by how much more than that an atom must lower it;
-    levels (r, w) float64, w = 0 for exact weights. Filled: atom (n, r) int32, weight (n, r) float64, code (n, r) int32,
-    n_atoms (n,) int32, path (n, r + 1) float64: the squared residual with no atom, one, and so on. It never rises with an
-    atom: one that would not lower it ends the pursuit.
+    dictionary (k, d); initial (n, k): correlations of patches and atoms, no further off than spread (n,) times rest
+    (k,), and made exact where that may decide, in place (not to `certify`, of atoms that are taken alone); gram (k / m,
+    k) of the first k / m atoms, all float32; turns (m, m) int64: the k / m atoms of turn t and of turn s have the
+    products that those of turn 0 and of turn turns[t, s] have, so turns is ((0,),) where each atom is its own. energy
+    (n,) float64: squared norms; tolerance (n,) float64: squared residual at which a patch is done; price: by how much
+    more than that an atom must lower it; levels (r, w) float64, w = 0 for exact weights. Filled: atom (n, r) int32,
+    weight (n, r) float64, code (n, r) int32, n_atoms (n,) int32, path (n, r + 1) float64: the squared residual with no
+    atom, one, and so on. It never rises with an atom: one that would not lower it ends the pursuit.
     """
     n, n_dictionary = initial.shape
     most = atom.shape[1]
@@ -274,7 +301,11 @@ def pursue(patches, dictionary, initial, spread, rest, certify, energy, gram, tu
             n_moved = 0
             for j in range(t):
                 if weight[i, j] != felt[j]:
-                    moved_straight[n_moved], moved_turn[n_moved], moved[n_moved] = straight[j], turn[j], weight[i, j] - felt[j]
+                    moved_straight[n_moved], moved_turn[n_moved], moved[n_moved] = (
+                        straight[j],
+                        turn[j],
+                        weight[i, j] - felt[j],
+                    )
                     felt[j] = weight[i, j]
                     n_moved += 1
             _subtract_gram_rows(correlation, gram, turns, moved_straight, moved_turn, moved, n_moved)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from storage.schema import MIP_SIZES
+from storage.packed.schema import MIP_SIZES
 
 PEAK = 127
 ROWS = 1024  # atoms at a time: what is made on the way takes 8 times the bytes of their texels
@@ -63,7 +63,8 @@ def train_weight_levels(weights: list[np.ndarray], n_levels: int, rounds: int = 
 
 
 def uniform_weight_levels(weights: list[np.ndarray], n_levels: int) -> np.ndarray:
-    """Levels (r, n_levels) float32, the same for every rank, evenly from -w to w; w is chosen for least squared error."""
+    """Levels (r, n_levels) float32, the same for every rank, evenly from -w to w; w is chosen for least squared
+    error."""
     sample = np.abs(np.concatenate(weights).astype(np.float64))
     if not len(sample):
         return np.tile(np.linspace(-1, 1, n_levels).astype(np.float32), (len(weights), 1))

@@ -1,8 +1,8 @@
 """Patches as coefficients of their principal components: shorter by 10 to 50 times, and learned from at that length.
 
-Photographs of surfaces are smooth: 64 of 3,072 components keep 50 dB of `fountain_p11`, 128 keep 54. What the components
-leave of a patch is orthogonal to all that happens in them, so squared errors there and the rest of each patch add up to
-squared errors of the whole patch, and nothing that is reported needs the whole patch again.
+Photographs of surfaces are smooth: 64 of 3,072 components keep 50 dB of `fountain_p11`, 128 keep 54. What the
+components leave of a patch is orthogonal to all that happens in them, so squared errors there and the rest of each
+patch add up to squared errors of the whole patch, and nothing that is reported needs the whole patch again.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ HALF = 2048  # rows of a sample from which halves, one to find components and on
 
 
 def find_components(sample: np.ndarray, floor: float) -> tuple[np.ndarray, float]:
-    """Orthonormal components (d, p) float32 of a sample (m, d) of patches that leave at most `floor` of a patch's squared
-    norm on average, and what they leave. The fewest, in steps of STEP; the most of LADDER where those do not suffice.
+    """Orthonormal components (d, p) float32 of a sample (m, d) of patches that leave at most `floor` of a patch's
+    squared norm on average, and what they leave. The fewest, in steps of STEP; the most of LADDER where those do not
+    suffice.
 
     They are found from every second patch and measured on the others, where there are enough to do so.
     """

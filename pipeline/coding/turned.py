@@ -1,8 +1,8 @@
 """Products of patches with atoms in all eight turns, for a quarter of the multiplications.
 
-In coefficients (`grid`) a mirrored atom has the signs of its odd ones changed. So the products with an atom in its four mirrored
-turns are sums and differences of four partial products, of the coefficients that are even or odd along either axis; those
-with the four turns that exchange its axes are the same of the patch with its axes exchanged.
+In coefficients (`grid`) a mirrored atom has the signs of its odd ones changed. So the products with an atom in its four
+mirrored turns are sums and differences of four partial products, of the coefficients that are even or odd along either
+axis; those with the four turns that exchange its axes are the same of the patch with its axes exchanged.
 
 Products of two turned atoms are those of a straight one and a turned one: of the Gram matrix an eighth is enough, and
 the rest of it need not come out of memory.
@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 
 from pipeline.coding.grid import TURNS, in_all_turns, turned_texels
-from pipeline.compiled import kernel
+from pipeline.execution.compiled import kernel
 
 ROWS = 128  # patches at a time: their partial products and products stay in the second-level cache
 
@@ -25,7 +25,9 @@ ROWS = 128  # patches at a time: their partial products and products stay in the
 class TurnedDictionary:
     """A dictionary in all turns, with what its products need."""
 
-    dictionary: np.ndarray  # (8 k, 3 size^2) float32, unit rows, turn t of atom a in row 8 a + t; all below has it in t k + a
+    dictionary: (
+        np.ndarray
+    )  # (8 k, 3 size^2) float32, unit rows, turn t of atom a in row 8 a + t; all below has it in t k + a
     parts: tuple[np.ndarray, ...]  # of the straight atoms, by `_parities`: four of (k, 3 size^2 / 4) float32
     size: int
     gram: np.ndarray  # (k, 8 k) float32: straight atoms with all; (0, 0) where none is wanted
@@ -34,7 +36,8 @@ class TurnedDictionary:
 
     @property
     def turns(self) -> np.ndarray:
-        """(8, 8) int64: which turn of an atom has with a straight one the product that its turn s has with one in turn t."""
+        """(8, 8) int64: which turn of an atom has with a straight one the product that its turn s has with one in turn
+        t."""
         return _differences()
 
     def numbers(self, found: np.ndarray) -> np.ndarray:
@@ -60,11 +63,16 @@ class TurnedDictionary:
         return np.ascontiguousarray(product.reshape(len(patches), TURNS, -1).swapaxes(1, 2)).reshape(product.shape)
 
 
-def turn_all(straight: np.ndarray, size: int, dictionary: np.ndarray | None = None, with_gram: bool = True) -> TurnedDictionary:
-    """Atoms (k, 3 size^2), coefficients, in all turns; `dictionary` is what `in_all_turns` makes of them, where it is at hand."""
+def turn_all(
+    straight: np.ndarray, size: int, dictionary: np.ndarray | None = None, with_gram: bool = True
+) -> TurnedDictionary:
+    """Atoms (k, 3 size^2), coefficients, in all turns; `dictionary` is what `in_all_turns` makes of them, where it is
+    at hand."""
     dictionary = in_all_turns(straight, size) if dictionary is None else dictionary
     parts = tuple(np.ascontiguousarray(straight[:, columns]) for columns in _parities(size))
-    made = TurnedDictionary(dictionary, parts, size, np.empty((0, 0), np.float32), np.zeros(len(dictionary), np.float32))
+    made = TurnedDictionary(
+        dictionary, parts, size, np.empty((0, 0), np.float32), np.zeros(len(dictionary), np.float32)
+    )
     if not with_gram:
         return made
     gram = np.empty((len(straight), len(dictionary)), np.float32)
@@ -75,7 +83,8 @@ def turn_all(straight: np.ndarray, size: int, dictionary: np.ndarray | None = No
 
 @cache
 def _parities(size: int) -> tuple[np.ndarray, ...]:
-    """Which of 3 size^2 coefficients are even and odd along rows and columns: even even, even odd, odd even, odd odd."""
+    """Which of 3 size^2 coefficients are even and odd along rows and columns: even even, even odd, odd even, odd
+    odd."""
     odd = np.arange(size) % 2
     parity = np.repeat(2 * odd[:, None] + odd, 3)
     return tuple(np.flatnonzero(parity == p) for p in range(4))
@@ -85,13 +94,16 @@ def _parities(size: int) -> tuple[np.ndarray, ...]:
 def _differences() -> np.ndarray:
     marked = np.arange(9.0).reshape(3, 3, 1)
     seen = {turned_texels(marked, turn).tobytes(): turn for turn in range(TURNS)}
-    of = [[seen[turned_texels(turned_texels(marked, u), t).tobytes()] for u in range(TURNS)] for t in range(TURNS)]  # first u, then t
+    of = [
+        [seen[turned_texels(turned_texels(marked, u), t).tobytes()] for u in range(TURNS)] for t in range(TURNS)
+    ]  # first u, then t
     return np.argsort(of, axis=1)
 
 
 @kernel()
 def _by_parity(patches, size, both):
-    """both (4, 2 n, 3 size^2 / 4): coefficients of patches (n, 3 size^2) by `_parities`, and of the patches with their axes exchanged."""
+    """both (4, 2 n, 3 size^2 / 4): coefficients of patches (n, 3 size^2) by `_parities`, and of the patches with their
+    axes exchanged."""
     n, half = patches.shape[0], size // 2
     for i in range(n):
         for row in range(size):
@@ -106,7 +118,8 @@ def _by_parity(patches, size, both):
 
 @kernel(fastmath={"nnan", "nsz", "contract"})
 def _sums_and_differences(partial, product):
-    """product (n, 8 k) of partial (4, 2 n, k): rows of the patches, then rows of the patches with their axes exchanged."""
+    """product (n, 8 k) of partial (4, 2 n, k): rows of the patches, then rows of the patches with their axes
+    exchanged."""
     n, k = product.shape[0], np.uintp(partial.shape[2])
     for i in range(n):
         for exchanged in range(2):

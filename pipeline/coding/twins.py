@@ -1,7 +1,8 @@
 """Twins: atoms that point the same way, or the opposite way, of which a dictionary keeps one.
 
-Papers: HPG 2021, section 3.3; the threshold is that of KSVD-Box. All pairs are looked at, but of whole patches few are multiplied:
-what short rows leave of two atoms adds no more to their product than the product of its norms (Cauchy-Schwarz).
+Papers: HPG 2021, section 3.3; the threshold is that of KSVD-Box. All pairs are looked at, but of whole patches few are
+multiplied: what short rows leave of two atoms adds no more to their product than the product of its norms
+(Cauchy-Schwarz).
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 
 from pipeline.coding.grid import coefficients
 from pipeline.coding.omp_kernels import dot, squared_norms
-from pipeline.compiled import kernel
+from pipeline.execution.compiled import kernel
 from pipeline.texture.resample import PATCH_DIM
 
 TWIN_COHERENCE = 0.99  # above it two atoms are one
@@ -45,13 +46,20 @@ def distinct_directions(candidates: np.ndarray, taken: np.ndarray, n_wanted: int
 
 
 def twins_of_earlier(atoms: np.ndarray, alive: np.ndarray) -> np.ndarray:
-    """Which living ones of atoms (k, d) float32 point, or point away, like a living one of lower index, (k,) bool. Block by block, in 4 MiB."""
+    """Which living ones of atoms (k, d) float32 point, or point away, like a living one of lower index, (k,) bool.
+    Block by block, in 4 MiB."""
     twin = np.zeros(len(atoms), bool)
     blocks = [(start, _sketched(atoms[start : start + 1024])) for start in range(0, len(atoms), 1024)]
     for i, (start, rows) in enumerate(blocks):
         for earlier, others in blocks[: i + 1]:
-            _mark_twins(rows.short @ others.short.T, *rows, *others, alive[earlier : earlier + 1024], start - earlier,
-                        twin[start : start + 1024])
+            _mark_twins(
+                rows.short @ others.short.T,
+                *rows,
+                *others,
+                alive[earlier : earlier + 1024],
+                start - earlier,
+                twin[start : start + 1024],
+            )
     return twin & alive
 
 
@@ -73,7 +81,8 @@ def _sketched(rows: np.ndarray) -> _Sketched:
 
 @kernel()
 def _mark_twins(product, rows, short, left, others, others_short, others_left, alive, n_before, twin):
-    """Mark row i where it is a twin of a living one among the first `n_before` + i of `others`; `product` are short products."""
+    """Mark row i where it is a twin of a living one among the first `n_before` + i of `others`; `product` are short
+    products."""
     for i in range(product.shape[0]):
         for j in range(min(product.shape[1], n_before + i)):
             if abs(product[i, j]) + left[i] * others_left[j] >= TWIN_COHERENCE and alive[j]:

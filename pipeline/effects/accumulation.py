@@ -1,7 +1,8 @@
 """32-bit sums of colours: only where so many splats lie on top of each other that 16 bits would show.
 
-The renderer finds out pixel by pixel and draws once more with wide sums where it must (renderer/targets.py), and looks for
-copies when it loads a scene (renderer/stacks.py); a scan whose own surface already lies so thick is drawn so from the start.
+The renderer finds out pixel by pixel and draws once more with wide sums where it must (renderer/splats/targets.py), and
+looks for copies when it loads a scene (renderer/splats/stacks.py); a scan whose own surface already lies so thick is
+drawn so from the start.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ EFFECT = Effect(
     title="Colours are added up in 32 bits a channel",
     measures="summed blending weights at a splat's centre, 99 % of the splats of the thickest block",
     threshold=OVERDRAWN,
-    reason="from a weight of 16 on sums of 16 bits may be off by 1/255 (renderer/targets.py)",
+    reason="from a weight of 16 on sums of 16 bits may be off by 1/255 (renderer/splats/targets.py)",
     worth=Worth("not measured"),
     measure_block=_measure_block,
     conclude=_conclude,

@@ -1,7 +1,7 @@
 """Anti-aliased resampling: texels that cover more than a photo pixel are means of all that they cover.
 
-Each splat has as many lookups as its own texels ask for (pipeline/texture/resample.py); where no splat's do, one lookup a texel is
-all there is, and nobody counts. It has no stage of its own: the one that resamples is told.
+Each splat has as many lookups as its own texels ask for (pipeline/texture/resample.py); where no splat's do, one lookup
+a texel is all there is, and nobody counts. It has no stage of its own: the one that resamples is told.
 """
 
 from __future__ import annotations

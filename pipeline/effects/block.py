@@ -1,4 +1,5 @@
-"""What an effect may look at: the outputs of earlier stages, and one block of splats of them, read when first asked for."""
+"""What an effect may look at: the outputs of earlier stages, and one block of splats of them, read when first asked
+for."""
 
 from __future__ import annotations
 
@@ -9,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.geometry.frame import Direction, tangent_frames
-from pipeline.stages.splats import decoded_centres, seen_by_cameras
-from storage import arrays, work
-from storage.schema import NO_CAMERA, Camera
+from pipeline.splats.decoded import decoded_centres, seen_by_cameras
+from storage.packed.schema import NO_CAMERA, Camera
+from storage.work import arrays, work
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,9 @@ class Block:
     @cached_property
     def seen(self) -> np.ndarray:  # (n, n_cameras) bool: which cameras see each splat, at most the 8 sharpest
         s = self.sources
-        return seen_by_cameras(s.partition, s.depth_maps, s.cameras, self.centre + s.origin, self.frame[2], s.radius, *self.rows)
+        return seen_by_cameras(
+            s.partition, s.depth_maps, s.cameras, self.centre + s.origin, self.frame[2], s.radius, *self.rows
+        )
 
     def photo(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
         """Pixels (h, w, 3) uint8 of a window of a photograph."""

@@ -21,7 +21,8 @@ EVERY = 8  # splats of a block: 2,048 neighbourhoods
 
 
 def residuals(position: np.ndarray, normal: np.ndarray, radius: float, every: int = EVERY) -> np.ndarray:
-    """How far the neighbours of every n-th splat lie off its plane, flat, in radii: those whose discs overlap its own."""
+    """How far the neighbours of every n-th splat lie off its plane, flat, in radii: those whose discs overlap its
+    own."""
     tree = cKDTree(position)
     rows = np.arange(0, len(position), every)
     pairs = cKDTree(position[rows]).sparse_distance_matrix(tree, OVERLAP_RADII * radius, output_type="ndarray")

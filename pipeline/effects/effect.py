@@ -1,7 +1,7 @@
 """What an effect is to the pipeline: what is measured, from where on it is worth its price, and its encoder's stage.
 
-An effect is one module or folder of `pipeline/effects` with an `EFFECT`; its shader part, if it has one, is the module of
-the same name in `renderer/effects`. Nothing lists them: they are found (`registry.py`).
+An effect is one module or folder of `pipeline/effects` with an `EFFECT`; its shader part, if it has one, is the module
+of the same name in `renderer/effects`. Nothing lists them: they are found (`registry.py`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.effects.block import Block, Sources
-from pipeline.stage import Stage
+from pipeline.execution.stage import Stage
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,10 @@
 """Mip levels of the dictionary: only those that views of the scan reach.
 
-A splat is drawn from the level that its size on the screen asks for (renderer/shaders/attribute.vert.glsl), or from the two about it
-(level_blending.py).
-So the pixels that splats cover in the photographs, in those scaled down, and in a picture of the whole scan, tell which levels
-are ever looked up. A job may declare a farther viewer (`--view-distance`), or ask for all levels (`mip_levels=on`).
+A splat is drawn from the level that its size on the screen asks for (renderer/shaders/attribute.vert.glsl), or from the
+two about it (level_blending.py).
+So the pixels that splats cover in the photographs, in those scaled down, and in a picture of the whole scan, tell which
+levels are ever looked up. A job may declare a farther viewer (`--view-distance`), or ask for all levels
+(`mip_levels=on`).
 """
 
 from __future__ import annotations
@@ -14,14 +15,19 @@ import numpy as np
 
 from pipeline.effects.block import Block, Sources
 from pipeline.effects.effect import Effect, Measured, Worth
-from storage import work
-from storage.schema import ATOM_SIZES, MIP_SIZES, Camera
+from storage.packed.schema import ATOM_SIZES, MIP_SIZES, Camera
+from storage.work import work
 
 ATOM_AREA = 128.0  # texels of the square one radius wide that a pixel each is level 0: that of attribute.vert.glsl
 TO_COARSER = 0.45  # added to a level before it is rounded down, as there
 LEAST_AREA_PX = 0.25  # of that square: the smallest of which splat_quad.glsl tells the level
-SMALLEST_VIEW_PX = 1024  # longer side of the smallest pictures of a photograph's view that reports and measurements draw
-ORBIT_FOCAL_PX, ORBIT_DISTANCE = 869.0, 1.31  # of pictures of the whole scan (renderer/views.py), 720 px high; times its diagonal
+SMALLEST_VIEW_PX = (
+    1024  # longer side of the smallest pictures of a photograph's view that reports and measurements draw
+)
+ORBIT_FOCAL_PX, ORBIT_DISTANCE = (
+    869.0,
+    1.31,
+)  # of pictures of the whole scan (renderer/splats/views.py), 720 px high; times its diagonal
 RARE = 0.001  # of all looks at splats that may need a finer or a coarser level than there is: those at a glancing angle
 LEAST_SPAN = 1.0  # levels: views that lie closer together look up one level, but where levels are blended
 EVERY = 8  # splats of a block
@@ -29,8 +35,8 @@ BINS_A_LEVEL, DEEPEST = 16, len(MIP_SIZES) - 1
 
 
 def levels_seen(camera: Camera, centre: np.ndarray, normal: np.ndarray, radius: float) -> np.ndarray:
-    """The level, from 0 for 32 texels on, that a camera looks splats up at: of `centre` (n, 3), absolute, and `normal` (n, 3); NaN
-    behind it."""
+    """The level, from 0 for 32 texels on, that a camera looks splats up at: of `centre` (n, 3), absolute, and `normal`
+    (n, 3); NaN behind it."""
     ray = centre - np.asarray(camera.centre)
     depth = ray @ np.asarray(camera.rotation)[2]
     depth = np.where(depth > 2 * radius, depth, np.nan)
@@ -48,13 +54,16 @@ def needed(histogram: np.ndarray) -> tuple[float, float]:
     return float(low / BINS_A_LEVEL), float(min((high + 1) / BINS_A_LEVEL, DEEPEST))
 
 
-def stored_sizes(outcome: dict | None, asked_for: bool, view_distance: float | None, blended: bool = False) -> tuple[int, int]:
-    """Texels to a side of the finest level that atoms need, at most, and of the coarsest, at least: those that views look up; where
-    they lie closer together than one level the nearest alone, and where nothing was measured the finest alone.
+def stored_sizes(
+    outcome: dict | None, asked_for: bool, view_distance: float | None, blended: bool = False
+) -> tuple[int, int]:
+    """Texels to a side of the finest level that atoms need, at most, and of the coarsest, at least: those that views
+    look up; where they lie closer together than one level the nearest alone, and where nothing was measured the finest
+    alone.
 
     >>> found = {"finest": 1.3, "coarsest": 2.4, "farthest": 4.0}
-    >>> stored_sizes(found, False, None), stored_sizes(found, False, None, blended=True), stored_sizes(found, False, 16.0)
-    ((16, 8), (16, 4), (16, 2))
+    >>> stored_sizes(found, False, None), stored_sizes(found, False, None, blended=True), stored_sizes(found, False,
+    16.0) ((16, 8), (16, 4), (16, 2))
     >>> stored_sizes(found | {"coarsest": 2.0}, False, None)
     (8, 8)
     >>> stored_sizes(found, True, None), stored_sizes(None, False, None)
@@ -64,7 +73,9 @@ def stored_sizes(outcome: dict | None, asked_for: bool, view_distance: float | N
         return MIP_SIZES[0], MIP_SIZES[-1]
     if not outcome:
         return MIP_SIZES[0], MIP_SIZES[0]
-    farther = math.log2(max(1.0, view_distance / outcome["farthest"])) if view_distance and outcome["farthest"] > 0 else 0.0
+    farther = (
+        math.log2(max(1.0, view_distance / outcome["farthest"])) if view_distance and outcome["farthest"] > 0 else 0.0
+    )
     low, high = outcome["finest"], outcome["coarsest"] + farther
     if not blended and high - low < LEAST_SPAN:
         low = high = _nearest((low + high) / 2)

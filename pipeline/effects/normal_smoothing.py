@@ -1,7 +1,8 @@
-"""Smoothed normals under a lamp: blended across the splats of a pixel as colours are, where the normals of those differ.
+"""Smoothed normals under a lamp: blended across the splats of a pixel as colours are, where the normals of those
+differ.
 
-Only where a scene is to be relit. Without it each splat is lit by its own normal before it is blended, and no second target is
-filled; where neighbours have nearly one normal that shows as much.
+Only where a scene is to be relit. Without it each splat is lit by its own normal before it is blended, and no second
+target is filled; where neighbours have nearly one normal that shows as much.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ from pipeline.effects.effect import Effect, Measured, Worth
 BINS, WIDEST_DEGREES = 256, 90.0  # of the histogram of angles; splats are seen from either side
 EVERY = 8  # splats of a block
 DIFFUSE = 0.7  # of renderer.effects.relighting.lamp
-LEAST_DEGREES = round(float(np.degrees(1 / (255 * DIFFUSE))), 2)  # that change a level of 255, light falling flat on a surface
+LEAST_DEGREES = round(
+    float(np.degrees(1 / (255 * DIFFUSE))), 2
+)  # that change a level of 255, light falling flat on a surface
 
 
 def angles(position: np.ndarray, normal: np.ndarray, radius: float, every: int = EVERY) -> np.ndarray:

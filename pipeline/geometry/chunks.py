@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.compiled import kernel
-from storage.schema import CHUNK, GROUP
+from pipeline.execution.compiled import kernel
+from storage.packed.schema import CHUNK, GROUP
 
 
 def split_rank(n: int) -> int:
@@ -21,7 +21,8 @@ def split_rank(n: int) -> int:
 
 
 def bounds(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corner of points (n, 3), n at least 1: axis by axis, which takes a tenth of extremes of three columns."""
+    """Lowest and highest corner of points (n, 3), n at least 1: axis by axis, which takes a tenth of extremes of three
+    columns."""
     axes = np.ascontiguousarray(position.T)
     return axes.min(axis=1), axes.max(axis=1)
 
@@ -35,7 +36,8 @@ def median_split(position: np.ndarray) -> np.ndarray:
     """The order that lists the points chunk by chunk. `position` (n, 3) finite; returns (n,) int64.
 
     Guarantees: a permutation; chunks of CHUNK consecutive points, the last may be shorter; ties and the
-    points of a chunk keep the order of the input, so equal inputs give equal orders; any number of points from 0 on, duplicates included.
+    points of a chunk keep the order of the input, so equal inputs give equal orders; any number of points from 0 on,
+    duplicates included.
     """
     order, axes = np.arange(len(position)), np.ascontiguousarray(np.asarray(position, np.float64).T)
     pending = [(0, len(position))]
@@ -62,7 +64,8 @@ def _extent(axes, order, start, stop):
 
 @kernel()
 def _move_lowest(x, order, n):
-    """Put the n of `order` (m,), indices into x, whose values a stable sort would have first, before the others; both as they were."""
+    """Put the n of `order` (m,), indices into x, whose values a stable sort would have first, before the others; both
+    as they were."""
     values = x[order]
     highest = np.partition(values, n - 1)[n - 1]
     n_ties = n

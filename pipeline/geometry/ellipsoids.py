@@ -22,8 +22,8 @@ SHORTEST_RADII = 2.0 ** (-ONE_RADIUS / STEPS_AN_OCTAVE)
 def encode_ellipsoids(
     normal_code: np.ndarray, up: Direction, ahead: Direction, axes: np.ndarray, radius: float
 ) -> np.ndarray:
-    """Fields (n, 4) uint8: turn, then the steps of the three lengths. `axes` (n, 3, 3): rows along the normal's tangents,
-    across them and along the normal, as long as the half axes.
+    """Fields (n, 4) uint8: turn, then the steps of the three lengths. `axes` (n, 3, 3): rows along the normal's
+    tangents, across them and along the normal, as long as the half axes.
 
     Guarantees: every value of every field decodes; the decoded first axis is within 0.36 degrees of the projection of
     the given one onto the decoded tangent plane; lengths between SHORTEST_RADII and LONGEST_RADII come back within
@@ -53,8 +53,8 @@ def squares_of(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Middles and tangents (n, 3), these in radii, of the squares that splats are textured on.
 
-    `centre`, `u`, `v` are those of discs; `ellipsoid` (m,) which are ellipsoids, `axes` (m, 3, 3) their half axes. Their
-    square spans the first two, as far towards the side that the normal looks to as the surface lies on average.
+    `centre`, `u`, `v` are those of discs; `ellipsoid` (m,) which are ellipsoids, `axes` (m, 3, 3) their half axes.
+    Their square spans the first two, as far towards the side that the normal looks to as the surface lies on average.
     """
     centre, u, v = centre.copy(), u.copy(), v.copy()
     centre[ellipsoid] += MEAN_HEIGHT * axes[:, 2]

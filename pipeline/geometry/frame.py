@@ -13,12 +13,14 @@ from math import gcd
 import numpy as np
 
 from pipeline.geometry.normals import octahedron_of
-from storage.schema import DEFAULT_AHEAD, DEFAULT_UP, LONGEST_DIRECTION
+from storage.packed.schema import DEFAULT_AHEAD, DEFAULT_UP, LONGEST_DIRECTION
 
 Direction = tuple[int, int, int]
 
 
-def tangent_frames(normal_code: np.ndarray, up: Direction, ahead: Direction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def tangent_frames(
+    normal_code: np.ndarray, up: Direction, ahead: Direction
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Tangent u, tangent v and normal of each splat, three (n, 3) float64, orthonormal and right-handed.
 
     `normal_code` (n, 2) int8; `up` and `ahead` as in the packed file's header. v points up on a wall; where the normal
@@ -35,7 +37,7 @@ def tangent_frames(normal_code: np.ndarray, up: Direction, ahead: Direction) -> 
 
 
 def directions_of(cameras: list[dict]) -> tuple[Direction, Direction]:
-    """The directions `up` and `ahead` of a scan with these cameras (`asdict` of storage.schema.Camera).
+    """The directions `up` and `ahead` of a scan with these cameras (`asdict` of storage.packed.schema.Camera).
 
     Up is the line that the photographs' columns follow best, so that patches stand upright as in the photographs, and
     edges that run along their rows and columns stay so; ahead is the line at right angles to it that they look along.
@@ -46,7 +48,9 @@ def directions_of(cameras: list[dict]) -> tuple[Direction, Direction]:
     rotation = np.array([c["rotation"] for c in cameras], np.float64)  # (n, 3, 3)
     up = whole_direction(_leading(-rotation[:, 1]))
     level = np.eye(3) - np.outer(_unit(up), _unit(up))
-    return up, whole_direction(level @ _leading(rotation[:, 2] @ level))  # which is not 0: up is no photograph's z alone
+    return up, whole_direction(
+        level @ _leading(rotation[:, 2] @ level)
+    )  # which is not 0: up is no photograph's z alone
 
 
 def whole_direction(direction: np.ndarray) -> Direction:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.schema import CHUNK
+from storage.packed.schema import CHUNK
 
 POSITION_BITS = 24
 

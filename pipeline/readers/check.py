@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.limits import SMALLEST_RADIUS, check_bounds
+from pipeline.numerics.limits import SMALLEST_RADIUS, check_bounds
 from pipeline.readers.detect import open_scan
 from pipeline.scan import Piece, ScanSource
 from storage.errors import InvalidScan
@@ -46,7 +46,11 @@ class _Counts:
             self.low = np.minimum(self.low, piece.position[finite].min(axis=0))
             self.high = np.maximum(self.high, piece.position[finite].max(axis=0))
             if self.different is None or len(self.different) <= TOO_FEW:
-                known = piece.position[finite] if self.different is None else np.concatenate([self.different, piece.position[finite]])
+                known = (
+                    piece.position[finite]
+                    if self.different is None
+                    else np.concatenate([self.different, piece.position[finite]])
+                )
                 self.different = np.unique(known, axis=0)[: TOO_FEW + 1]
         if piece.normal is not None:
             length = np.abs(piece.normal[finite].astype(np.float64)).sum(axis=1)
@@ -92,16 +96,23 @@ def _findings(source: ScanSource, counts: _Counts) -> Iterator[Finding]:
         yield Finding("warning", warning)
     n = counts.n_points
     if not counts.n_finite:
-        yield Finding("error", f"{source.path}: none of its {n} points has a finite position; allowed: at least one point")
+        yield Finding(
+            "error", f"{source.path}: none of its {n} points has a finite position; allowed: at least one point"
+        )
         return
     try:
         check_bounds(source.path, counts.low, counts.high)
     except InvalidScan as error:
         yield Finding("error", str(error))
     if counts.n_finite < n:
-        yield Finding("warning", f"{n - counts.n_finite} of {n} points have a position that is not finite and are dropped")
+        yield Finding(
+            "warning", f"{n - counts.n_finite} of {n} points have a position that is not finite and are dropped"
+        )
     if counts.n_without_normal:
-        yield Finding("warning", f"{counts.n_without_normal} of {n} points have a normal that is zero or not finite; their neighbours tell it")
+        yield Finding(
+            "warning",
+            f"{counts.n_without_normal} of {n} points have a normal that is zero or not finite; their neighbours tell it",
+        )
     for warning in black_points(source, counts.n_finite, counts.n_without_color, counts.n_without_intensity):
         yield Finding("warning", warning)
     if source.has_visibility and counts.n_unseen:
@@ -122,4 +133,7 @@ def _notes_on_extent(counts: _Counts) -> Iterator[Finding]:
         yield Finding("warning", f"{span}, less than the smallest splat radius of {SMALLEST_RADIUS:g}: scale the scan")
     away = np.abs((counts.low + counts.high) / 2).max()
     if away > FAR_IN_EXTENTS * extent.max():
-        yield Finding("note", f"the points lie {away:g} from zero and span {extent.max():g}; positions are kept against their middle")
+        yield Finding(
+            "note",
+            f"the points lie {away:g} from zero and span {extent.max():g}; positions are kept against their middle",
+        )

@@ -13,11 +13,11 @@ from storage.errors import InvalidScan, UnsupportedScan
 
 # Modules are imported when first needed: each pulls in a library of its own, and inspect has to be quick.
 _READERS = {
-    ".zip": ("colmap", "open_colmap"),
-    ".ply": ("ply", "open_ply"),
-    ".las": ("las", "open_las"),
-    ".laz": ("las", "open_las"),
-    ".e57": ("e57", "open_e57"),
+    ".zip": ("colmap.workspace", "open_colmap"),
+    ".ply": ("ply.ply", "open_ply"),
+    ".las": ("las.las", "open_las"),
+    ".laz": ("las.las", "open_las"),
+    ".e57": ("e57.e57", "open_e57"),
 }
 _HANDLED = "a COLMAP dense workspace (folder or .zip), .ply, .las, .laz, .e57"
 _VOLUMES = (".nrrd", ".nhdr", ".nii", ".mha", ".mhd", ".vti", ".slc", ".tif", ".tiff")

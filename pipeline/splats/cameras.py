@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.compiled import kernel
-from storage.schema import NO_CAMERA, Camera
+from pipeline.execution.compiled import kernel
+from storage.packed.schema import NO_CAMERA, Camera
 
 N_CANDIDATES = 8  # of a point's cameras the best are kept: a fixed width that can be streamed and sorted
 TINY = np.finfo(float).tiny
@@ -39,19 +39,32 @@ def rank_candidates(
     centre = np.array([c.centre for c in cameras], np.float64).reshape(-1, 3)
     scale = np.array([c.fx_px * c.fy_px for c in cameras], np.float64)
     facing = np.zeros((0, 3)) if normal is None else np.asarray(normal, np.float64)
-    _rank(np.asarray(position, np.float64), facing, np.asarray(visible_count, np.int64), visible_camera, centre, scale, ranked)
+    _rank(
+        np.asarray(position, np.float64),
+        facing,
+        np.asarray(visible_count, np.int64),
+        visible_camera,
+        centre,
+        scale,
+        ranked,
+    )
     return ranked
 
 
 @kernel()
 def _rank(position, normal, visible_count, visible_camera, centre, scale, ranked):
-    """Fill `ranked`, a point at a time, by insertion; of equals the one listed first comes first. Sharpness as above."""
+    """Fill `ranked`, a point at a time, by insertion; of equals the one listed first comes first. Sharpness as
+    above."""
     held = np.empty(ranked.shape[1])
     first = 0
     for i in range(position.shape[0]):
         n_held = 0
         for camera in visible_camera[first : first + visible_count[i]]:
-            x, y, z = position[i, 0] - centre[camera, 0], position[i, 1] - centre[camera, 1], position[i, 2] - centre[camera, 2]
+            x, y, z = (
+                position[i, 0] - centre[camera, 0],
+                position[i, 1] - centre[camera, 1],
+                position[i, 2] - centre[camera, 2],
+            )
             squared = max(x * x + y * y + z * z, TINY)
             cosine = 1.0
             if normal.shape[0]:

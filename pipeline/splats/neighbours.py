@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pipeline.compiled import kernel
+from pipeline.execution.compiled import kernel
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,8 @@ def _ask(there: np.ndarray, needy: np.ndarray, points: np.ndarray, distance: np.
 
 @kernel()
 def _merge(there, needy, found_distance, found, distance, position):
-    """Put what was found, (m, a) nearest first, between what rows `needy` (m,) of `distance` (n, k) and `position` (n, k, 3) have; of
-    equally near ones what they have comes first. One at no distance is the point itself."""
+    """Put what was found, (m, a) nearest first, between what rows `needy` (m,) of `distance` (n, k) and `position` (n,
+    k, 3) have; of equally near ones what they have comes first. One at no distance is the point itself."""
     k, n_found = distance.shape[1], found.shape[1]
     old_distance, old_position = np.empty(k), np.empty((k, 3))
     for row, i in enumerate(needy):

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.compiled import kernel
-from storage.schema import Camera
+from pipeline.execution.compiled import kernel
+from storage.packed.schema import Camera
 
 CELLS_A_RADIUS = 1.5  # how many cells the radius spans at the median depth
 # How far behind the nearest surface a point still counts as part of it, in radii, and how much more for each unit of
@@ -38,7 +38,8 @@ def draw_points(depth_map: np.ndarray, camera: Camera, position: np.ndarray, rad
 def seen_points(
     depth_map: np.ndarray, camera: Camera, position: np.ndarray, normal: np.ndarray, radius: float
 ) -> np.ndarray:
-    """(n,) bool: the points that lie on the map and not behind what it holds. `normal` (n, 3) unit, either way round."""
+    """(n,) bool: the points that lie on the map and not behind what it holds. `normal` (n, 3) unit, either way
+    round."""
     x, y, depth, reach = _on_map(depth_map, camera, position, radius)
     height, width = depth_map.shape
     on_map = (depth > 0) & (x >= 0) & (x < width) & (y >= 0) & (y < height)

@@ -1,9 +1,9 @@
 """Average colours relative to the box of their chunk, in as many bits as cells of a given size take.
 
-As positions (pipeline/geometry/positions.py), but along luma and two axes of chroma, on which the colours of a chunk lie
-close together, and with a bound on the size of a cell in place of a number of bits: a chunk of one material takes few bits,
-one of all colours up to MOST_COLOR_BITS. Where noise of equal power is added everywhere, bits are spent where they count
-(reverse water-filling: Cover and Thomas, Elements of Information Theory, section 10.3).
+As positions (pipeline/geometry/positions.py), but along luma and two axes of chroma, on which the colours of a chunk
+lie close together, and with a bound on the size of a cell in place of a number of bits: a chunk of one material takes
+few bits, one of all colours up to MOST_COLOR_BITS. Where noise of equal power is added everywhere, bits are spent where
+they count (reverse water-filling: Cover and Thomas, Elements of Information Theory, section 10.3).
 
 Colours are in 255ths of sRGB. Lengths on the axes have codes, STEPS_AN_OCTAVE an octave, so that extents take a byte.
 """
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.schema import CHUNK, COARSEST_COLOR_STEP, FINEST_COLOR_STEP, STEPS_AN_OCTAVE, color_bits
+from storage.packed.schema import CHUNK, COARSEST_COLOR_STEP, FINEST_COLOR_STEP, STEPS_AN_OCTAVE, color_bits
 
 AXES = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]])  # luma, then chroma; orthonormal rows
 LOW_STEPS = 32  # of a corner, a 255th
@@ -49,7 +49,11 @@ def step_for(length: float) -> int:
     >>> step_for(2.0), length_of(step_for(0.1))
     (112, 0.5)
     """
-    return int(np.clip(np.floor(STEPS_AN_OCTAVE * (np.log2(length) - LEAST_OCTAVE) + 1e-9), FINEST_COLOR_STEP, COARSEST_COLOR_STEP))
+    return int(
+        np.clip(
+            np.floor(STEPS_AN_OCTAVE * (np.log2(length) - LEAST_OCTAVE) + 1e-9), FINEST_COLOR_STEP, COARSEST_COLOR_STEP
+        )
+    )
 
 
 def fit_color_boxes(color: np.ndarray, step: int) -> ColorBoxes:
@@ -64,8 +68,8 @@ def fit_color_boxes(color: np.ndarray, step: int) -> ColorBoxes:
 def encode_colors(color: np.ndarray, boxes: ColorBoxes) -> np.ndarray:
     """Cells (n,) uint32 of colours (n, 3) in 255ths, the first axis in the lowest bits.
 
-    Guarantees: on each of the AXES the decoded colour lies within half a cell, so within half of the boxes' step, of the
-    given one; no channel is further off than 0.85 steps.
+    Guarantees: on each of the AXES the decoded colour lies within half a cell, so within half of the boxes' step, of
+    the given one; no channel is further off than 0.85 steps.
     """
     chunk = np.arange(len(color)) // CHUNK
     bits, low, size = boxes.bits[chunk], boxes.low[chunk] / LOW_STEPS, length_of(boxes.size)[chunk]

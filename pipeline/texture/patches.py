@@ -7,12 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.compiled import kernel
+from pipeline.execution.compiled import kernel
 from pipeline.texture.projection import homographies, is_in_front, is_whole, project_corners
 from pipeline.texture.resample import (
-    PATCH_DIM, PROBES, Window, disc_weights, resample_into, resampling_error, window_bounds,
+    PATCH_DIM,
+    PROBES,
+    Window,
+    disc_weights,
+    resample_into,
+    resampling_error,
+    window_bounds,
 )
-from storage.schema import NO_CAMERA, PATCH_SIZE, Camera
+from storage.packed.schema import NO_CAMERA, PATCH_SIZE, Camera
 
 ReadWindow = Callable[[int, int, int, int, int], np.ndarray]  # camera, left, top, right, bottom -> (h, w, 3) uint8
 
@@ -78,8 +84,8 @@ def centred(texel: np.ndarray, average: np.ndarray) -> np.ndarray:
 def patch_errors(texel: np.ndarray, average: np.ndarray, added: np.ndarray) -> tuple[float, float]:
     """Squared error of patches, plain and weighted by the splat's blending weight, summed over all values.
 
-    `texel` (n, PATCH_DIM) uint8 resampled, `average` (n, 3) float32 in 255ths, `added` (n, PATCH_DIM) float32 what the atoms add
-    to it. The sum is clamped to [0, 1] as the renderer clamps it.
+    `texel` (n, PATCH_DIM) uint8 resampled, `average` (n, 3) float32 in 255ths, `added` (n, PATCH_DIM) float32 what the
+    atoms add to it. The sum is clamped to [0, 1] as the renderer clamps it.
     """
     shape = (len(texel), -1, 3)
     return _errors(texel.reshape(shape), average, added.reshape(shape), disc_weights()[::3].astype(np.float32))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from storage.schema import Camera
+from storage.packed.schema import Camera
 
 # A corner nearer to the camera plane than this share of the splat's centre distance cannot be textured: its
 # projection moves by more than a splat for every rounding of the plane.
@@ -28,11 +28,13 @@ def homographies(
     """(n, 3, 3) float64: pixel = h @ (x, y, 1) with x, y in [-1, 1] over the splat's square; divide by the third."""
     rotation = np.asarray(camera.rotation)
     eye = np.asarray(camera.centre) - np.asarray(origin)
-    calibration = np.array([
-        [camera.fx_px, 0.0, camera.cx_px],
-        [0.0, camera.fy_px, camera.cy_px],
-        [0.0, 0.0, 1.0],
-    ])
+    calibration = np.array(
+        [
+            [camera.fx_px, 0.0, camera.cx_px],
+            [0.0, camera.fy_px, camera.cy_px],
+            [0.0, 0.0, 1.0],
+        ]
+    )
     columns = np.stack([radius * u, radius * v, centre - eye], axis=2)  # (n, 3, 3)
     return calibration @ rotation @ columns
 

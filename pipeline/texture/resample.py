@@ -12,8 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.compiled import kernel, part
-from storage.schema import PATCH_SIZE
+from pipeline.execution.compiled import kernel, part
+from storage.packed.schema import PATCH_SIZE
 
 PATCH_DIM = 3 * PATCH_SIZE * PATCH_SIZE
 MOST_LOOKUPS = 64  # a texel and axis; more would mean a splat of 2,000 photo pixels
@@ -44,29 +44,35 @@ def window_bounds(corners: np.ndarray, width_px: int, height_px: int) -> tuple[i
 
 
 def lookups_a_texel(homography: np.ndarray) -> np.ndarray:
-    """How many photo pixels a texel covers along x and along y, rounded up, of splats with `homography` (n, 3, 3): (n, 2)."""
+    """How many photo pixels a texel covers along x and along y, rounded up, of splats with `homography` (n, 3, 3): (n,
+    2)."""
     return np.array([_lookups_a_texel(h) for h in homography], np.int64).reshape(-1, 2)
 
 
 def resample_patches(window: Window, homography: np.ndarray, antialiased: bool = True) -> np.ndarray:
     """Patches (n, PATCH_DIM) uint8, flattened (row, column, rgb), of the splats with `homography` (n, 3, 3).
 
-    Not `antialiased`, a texel is one lookup however many pixels it covers. The whole square must lie in front of the camera
-    (`is_in_front`). Lookups outside the photo take its edge.
+    Not `antialiased`, a texel is one lookup however many pixels it covers. The whole square must lie in front of the
+    camera (`is_in_front`). Lookups outside the photo take its edge.
     """
     patches = np.empty((len(homography), PATCH_DIM), np.uint8)
     resample_into(patches, np.arange(len(homography)), window, homography, antialiased)
     return patches
 
 
-def resample_into(patches: np.ndarray, rows: np.ndarray, window: Window, homography: np.ndarray, antialiased: bool) -> None:
+def resample_into(
+    patches: np.ndarray, rows: np.ndarray, window: Window, homography: np.ndarray, antialiased: bool
+) -> None:
     """As `resample_patches`, into these rows (m,) of patches (n, PATCH_DIM) uint8."""
     shaped = patches.reshape(-1, PATCH_SIZE, PATCH_SIZE, 3)
     _resample(window.padded, window.left, window.top, homography, shaped, rows, antialiased)
 
 
-def resampling_error(patches: np.ndarray, rows: np.ndarray, window: Window, homography: np.ndarray, first_splat: int) -> np.ndarray:
-    """Sum of squared differences (m,) of photo lookups and patch lookups at PROBES random points of the discs of these rows.
+def resampling_error(
+    patches: np.ndarray, rows: np.ndarray, window: Window, homography: np.ndarray, first_splat: int
+) -> np.ndarray:
+    """Sum of squared differences (m,) of photo lookups and patch lookups at PROBES random points of the discs of these
+    rows.
 
     Values in [0, 1], three channels a point. `first_splat` is the global index of row 0, which the points go by.
     """
@@ -77,8 +83,8 @@ def resampling_error(patches: np.ndarray, rows: np.ndarray, window: Window, homo
 
 
 def _padded(pixels: np.ndarray) -> np.ndarray:
-    """Pixels (h, w, 3) uint8 as (h + 1, w + 1) uint32, red in the lowest byte, edges repeated: a lookup needs no test of
-    its right and lower neighbours, and a pixel is one load."""
+    """Pixels (h, w, 3) uint8 as (h + 1, w + 1) uint32, red in the lowest byte, edges repeated: a lookup needs no test
+    of its right and lower neighbours, and a pixel is one load."""
     padded = np.zeros((pixels.shape[0] + 1, pixels.shape[1] + 1, 4), np.uint8)
     padded[:-1, :-1, :3] = pixels
     padded[-1], padded[:, -1] = padded[-2], padded[:, -2]
@@ -92,8 +98,8 @@ def disc_weights() -> np.ndarray:
     return np.repeat(weight.ravel(), 3)
 
 
-# The loops over a row's texels are apart, and write to arrays of their own, so that the compiler may use vectors: a kernel
-# that does all for one texel after the other takes twice as long.
+# The loops over a row's texels are apart, and write to arrays of their own, so that the compiler may use vectors: a
+# kernel that does all for one texel after the other takes twice as long.
 
 
 @part(error_model="numpy", fastmath={"contract"})
@@ -127,7 +133,9 @@ def _add_row(corner, right, down, total):
     """Add the bilinear lookups to total (3, PATCH_SIZE)."""
     for k in range(3):
         for i in range(PATCH_SIZE):
-            total[k, i] += _between(corner[0, i], corner[1, i], corner[2, i], corner[3, i], right[i], down[i], np.uint32(8 * k))
+            total[k, i] += _between(
+                corner[0, i], corner[1, i], corner[2, i], corner[3, i], right[i], down[i], np.uint32(8 * k)
+            )
 
 
 @part(error_model="numpy", fastmath={"contract"})
@@ -180,7 +188,9 @@ def _resample(pixels, left, top, homography, patches, rows, antialiased):
             for j in range(n_y):
                 y = (row + (j + 0.5) / n_y) * (2.0 / PATCH_SIZE) - 1.0
                 for k in range(n_x):
-                    _project_row(homography[i], y, (k + 0.5) / n_x, left, top, last_x, last_y, stride, place, right, down)
+                    _project_row(
+                        homography[i], y, (k + 0.5) / n_x, left, top, last_x, last_y, stride, place, right, down
+                    )
                     _fetch_row(flat, stride, place, corner)
                     _add_row(corner, right, down, total)
             _write_row(total, np.float32(1.0 / (n_x * n_y)), byte, patches[rows[i], row])
@@ -213,9 +223,18 @@ def _probe(pixels, left, top, homography, patches, rows, first_splat, error):
             column, row = np.int64(px), np.int64(py)
             right, down = np.float32(px - column), np.float32(py - row)
             for k in range(3):
-                photo = _between(pixels[row, column], pixels[row, column + 1], pixels[row + 1, column],
-                                 pixels[row + 1, column + 1], right, down, np.uint32(8 * k))
-                patch = _texel_between(patches[rows[i]], (x + 1) * PATCH_SIZE / 2 - 0.5, (y + 1) * PATCH_SIZE / 2 - 0.5, k)
+                photo = _between(
+                    pixels[row, column],
+                    pixels[row, column + 1],
+                    pixels[row + 1, column],
+                    pixels[row + 1, column + 1],
+                    right,
+                    down,
+                    np.uint32(8 * k),
+                )
+                patch = _texel_between(
+                    patches[rows[i]], (x + 1) * PATCH_SIZE / 2 - 0.5, (y + 1) * PATCH_SIZE / 2 - 0.5, k
+                )
                 error[i] += ((photo - patch) / 255.0) ** 2
 
 

@@ -1,4 +1,5 @@
-"""Blended levels: a splat between two mip levels of its atoms has both looked up and mixed (atom_texture.glsl), else the nearer one."""
+"""Blended levels: a splat between two mip levels of its atoms has both looked up and mixed (atom_texture.glsl), else
+the nearer one."""
 
 from renderer.effects import ShaderPart
 

@@ -1,7 +1,7 @@
 """Relighting: what photographs recorded is lit once more, splat by splat or, with smoothed normals, pixel by pixel.
 
-HPG 2021, section 3.6: "If relighting should be supported, another RGBA16F target can be used to accumulate normals". The
-weighted mean of splats that blend smooths their normals as it does their colours: that is `normal_smoothing`.
+HPG 2021, section 3.6: "If relighting should be supported, another RGBA16F target can be used to accumulate normals".
+The weighted mean of splats that blend smooths their normals as it does their colours: that is `normal_smoothing`.
 """
 
 from __future__ import annotations

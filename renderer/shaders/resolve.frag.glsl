@@ -2,7 +2,7 @@
 
 const float LEAST_WEIGHT = 1.0 / 1024.0;  // below it the 16-bit sums hold no colour worth showing
 #ifdef WATCHED
-const float OVERDRAWN = 16.0;  // above it 16-bit sums may be off by 1/255, see renderer/targets.py
+const float OVERDRAWN = 16.0;  // above it 16-bit sums may be off by 1/255, see renderer/splats/targets.py
 #endif
 layout(binding = 0) uniform sampler2D sums;
 #ifdef SMOOTH

@@ -1,4 +1,4 @@
-// The atoms of a splat and their weights, read from the code stream of storage/codes.py. Needs bits.glsl, groups.glsl.
+// The atoms of a splat and their weights, read from the code stream of storage/packed/codes.py. Needs bits.glsl, groups.glsl.
 
 layout(std430, binding = 4) readonly buffer Codes { uint codes[]; };
 layout(std430, binding = 6) readonly buffer Weights { float weights[]; };  // weight_levels (n_ranks, levels), then atom_scale
@@ -18,7 +18,7 @@ flat out float level;
 flat out uvec2 turns;  // 3 bits a rank, 8 ranks in each
 #endif
 
-// Where an atom's texels begin, row above column in 16 bits each; see corner() of renderer/atlas.py.
+// Where an atom's texels begin, row above column in 16 bits each; see corner() of renderer/splats/atlas.py.
 uint atom_corner(uint atom, uint at_level) {
     uint size = 32u >> at_level;
     uint columns = scene.atlas_width / size;

@@ -1,4 +1,4 @@
-// The view and the scene, as renderer/projection.py and renderer/scene.py write them, field for field.
+// The view and the scene, as renderer/splats/projection.py and renderer/splats/scene.py write them, field for field.
 // Camera axes: x right, y down, z forward; row 0 of the framebuffer is the top row of the picture.
 
 layout(std140, binding = 0) uniform View {

@@ -14,23 +14,44 @@ from services.api import artifacts, estimates, events, health, jobs, page, scans
 from services.api.limits import MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyGuard, Guard, cap, first_look
 from services.problems import RESOURCE, Problem, is_of_database, mistake
 from services.settings import ServiceSettings
-from services.store import Store
+from services.store.store import Store
 
 PROBLEM_JSON = "application/problem+json"
-_PROBLEM = {"description": "RFC 9457 problem details", "content": {PROBLEM_JSON: {"schema": {
-    "type": "object", "required": ["type", "title", "status", "detail", "class", "retryable"],
-    "properties": {"type": {"type": "string"}, "title": {"type": "string"}, "status": {"type": "integer"},
-                   "detail": {"type": "string"}, "class": {"enum": ["data", "resource", "internal"]},
-                   "retryable": {"type": "boolean"}, "hint": {"type": "string"}}}}}}
+_PROBLEM = {
+    "description": "RFC 9457 problem details",
+    "content": {
+        PROBLEM_JSON: {
+            "schema": {
+                "type": "object",
+                "required": ["type", "title", "status", "detail", "class", "retryable"],
+                "properties": {
+                    "type": {"type": "string"},
+                    "title": {"type": "string"},
+                    "status": {"type": "integer"},
+                    "detail": {"type": "string"},
+                    "class": {"enum": ["data", "resource", "internal"]},
+                    "retryable": {"type": "boolean"},
+                    "hint": {"type": "string"},
+                },
+            }
+        }
+    },
+}
 _SECURITY = {
-    "x-content-type-options": "nosniff", "referrer-policy": "no-referrer", "x-frame-options": "DENY",
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "x-frame-options": "DENY",
     "content-security-policy": "default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'",
 }
 
 
 def create_app(settings: ServiceSettings) -> FastAPI:
     app = FastAPI(
-        title="splatpress", version="1", docs_url=None, redoc_url=None, openapi_url="/v1/openapi.json",
+        title="splatpress",
+        version="1",
+        docs_url=None,
+        redoc_url=None,
+        openapi_url="/v1/openapi.json",
         description="Turns textured scans into small packed files that a GPU renders directly.",
         responses={"4XX": _PROBLEM},
     )
@@ -86,8 +107,16 @@ async def _http(_: Request, error: HTTPException) -> JSONResponse:
 async def _database(_: Request, error: Exception) -> JSONResponse:
     if is_of_database(error, full=True):
         return _answer(Problem(507, "disk-full", "no room for the database", kind=RESOURCE, retryable=True))
-    return _answer(Problem(503, "database-away", "the database does not answer", kind=RESOURCE, retryable=True,
-                           headers={"Retry-After": "5"}))
+    return _answer(
+        Problem(
+            503,
+            "database-away",
+            "the database does not answer",
+            kind=RESOURCE,
+            retryable=True,
+            headers={"Retry-After": "5"},
+        )
+    )
 
 
 async def _mistake(request: Request, error: Exception) -> JSONResponse:

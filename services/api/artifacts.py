@@ -6,15 +6,17 @@ from fastapi import APIRouter
 from fastapi.responses import FileResponse
 
 from services.api.context import Database, Job, Settings
-from services.api.documents import artifact_document
-from services.jobs import job_folder
+from services.jobs.documents import artifact_document
+from services.jobs.workflow import job_folder
 from services.problems import Problem
-from services.store import LIVE
+from services.store.store import LIVE
 
 router = APIRouter(tags=["artifacts"])
 # A report is a page of ours that names things a stranger chose: it may run its plots, and reach nothing else.
-_PAGE = "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; " \
-        "img-src 'self' data:; frame-ancestors 'self'"
+_PAGE = (
+    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
+    "img-src 'self' data:; frame-ancestors 'self'"
+)
 
 
 @router.get("/jobs/{id}/artifacts")
@@ -23,14 +25,21 @@ def get_artifacts(job: Job, settings: Settings, store: Database) -> dict:
     return {"artifacts": [artifact_document(a, job, settings) for a in store.artifacts(job["id"])]}
 
 
-@router.get("/jobs/{id}/artifacts/{name:path}", response_class=FileResponse,
-            responses={200: {"content": {"application/octet-stream": {}}, "description": "the file, or a range of it"}})
+@router.get(
+    "/jobs/{id}/artifacts/{name:path}",
+    response_class=FileResponse,
+    responses={200: {"content": {"application/octet-stream": {}}, "description": "the file, or a range of it"}},
+)
 def get_artifact(job: Job, name: str, settings: Settings, store: Database) -> FileResponse:
     artifact = store.artifact(job["id"], name) if len(name) <= 300 and name.isprintable() else None
     if artifact is None:
         early = job["status"] in LIVE
-        raise Problem(404, "result-not-ready" if early else "no-such-artifact",
-                      f"job {job['id']} has no {name!r}" + (f" yet: it is {job['status']}" if early else ""), retryable=early)
+        raise Problem(
+            404,
+            "result-not-ready" if early else "no-such-artifact",
+            f"job {job['id']} has no {name!r}" + (f" yet: it is {job['status']}" if early else ""),
+            retryable=early,
+        )
     path = job_folder(settings, job["id"]) / artifact["path"]
     if not path.is_file():
         raise Problem(410, "expired", f"{name} has expired")

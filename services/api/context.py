@@ -9,7 +9,7 @@ from fastapi import Depends, Path, Request
 
 from services.problems import Problem
 from services.settings import LOOPBACK, ServiceSettings
-from services.store import Store
+from services.store.store import Store
 
 LOCAL_OWNER = "local"
 
@@ -45,8 +45,13 @@ def owner_of(request: Request) -> str:
 
 
 def _unauthorised(detail: str) -> Problem:
-    return Problem(401, "no-token", detail, hint="send Authorization: Bearer TOKEN; `splatpress token OWNER` makes one",
-                   headers={"WWW-Authenticate": "Bearer"})
+    return Problem(
+        401,
+        "no-token",
+        detail,
+        hint="send Authorization: Bearer TOKEN; `splatpress token OWNER` makes one",
+        headers={"WWW-Authenticate": "Bearer"},
+    )
 
 
 def _is_loopback(host: str) -> bool:

@@ -11,12 +11,12 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 
-from pipeline.knobs import BY_NAME
-from pipeline.settings import DEFAULT_PRESET, PRESETS, settings_for
+from pipeline.planning.knobs import BY_NAME
+from pipeline.planning.settings import DEFAULT_PRESET, PRESETS, settings_for
 from services.api.context import Database, Owner, Settings
-from services.kept_estimates import known_estimate
+from services.flow.estimate_cache import known_estimate
 from services.problems import RESOURCE, Problem
-from services.scans import scan_path, work_folder
+from services.uploads.scans import scan_path, work_folder
 
 router = APIRouter(tags=["jobs"])
 PILOT_S = 300.0
@@ -25,9 +25,14 @@ _ROOT = Path(__file__).resolve().parent.parent.parent
 
 
 @router.get("/jobs/estimate")
-def get_estimate(request: Request, owner: Owner, settings: Settings, store: Database,
-                 scan: Annotated[str, Query(pattern="^[0-9a-f]{64}$")],
-                 preset: Annotated[str, Query(max_length=40)] = DEFAULT_PRESET) -> dict:
+def get_estimate(
+    request: Request,
+    owner: Owner,
+    settings: Settings,
+    store: Database,
+    scan: Annotated[str, Query(pattern="^[0-9a-f]{64}$")],
+    preset: Annotated[str, Query(max_length=40)] = DEFAULT_PRESET,
+) -> dict:
     """Seconds, peak memory, bytes and PSNR, each with a band. Further query parameters are options by name, as
     `target_psnr_db=42`. What was estimated before is answered at once; else a pilot runs, one at a time."""
     found = store.scan(scan, owner)
@@ -55,17 +60,47 @@ def _settings(preset: str, options: dict[str, str]):
 
 def _pilot(scan: Path, folder: Path, preset: str, options: dict[str, str]) -> dict:
     if not _one_pilot.acquire(blocking=False):
-        raise Problem(429, "pilot-running", "another estimate is being made", kind=RESOURCE, retryable=True, headers={"Retry-After": "15"})
+        raise Problem(
+            429,
+            "pilot-running",
+            "another estimate is being made",
+            kind=RESOURCE,
+            retryable=True,
+            headers={"Retry-After": "15"},
+        )
     try:
         arguments = [f"--{name.replace('_', '-')}={text}" for name, text in options.items()]
         child = subprocess.run(
-            [sys.executable, "-m", "services.cli", "estimate", str(scan.resolve()), "--preset", preset, "--work", str(folder.resolve()), "--json", *arguments],
-            capture_output=True, text=True, timeout=PILOT_S, cwd=_ROOT)
+            [
+                sys.executable,
+                "-m",
+                "services.cli",
+                "estimate",
+                str(scan.resolve()),
+                "--preset",
+                preset,
+                "--work",
+                str(folder.resolve()),
+                "--json",
+                *arguments,
+            ],
+            capture_output=True,
+            text=True,
+            timeout=PILOT_S,
+            cwd=_ROOT,
+        )
     except subprocess.TimeoutExpired:
-        raise Problem(503, "pilot-too-slow", f"the pilot took longer than {PILOT_S:g} s", kind=RESOURCE, retryable=True) from None
+        raise Problem(
+            503, "pilot-too-slow", f"the pilot took longer than {PILOT_S:g} s", kind=RESOURCE, retryable=True
+        ) from None
     finally:
         _one_pilot.release()
     if child.returncode != 0:
         said = (child.stderr.strip().splitlines() or ["it said nothing"])[-1].replace(str(scan.parent) + "/", "")
-        raise Problem(422 if child.returncode == 3 else 500, "no-estimate", said, kind="data" if child.returncode == 3 else "internal")
+        raise Problem(
+            422 if child.returncode == 3 else 500,
+            "no-estimate",
+            said,
+            kind="data" if child.returncode == 3 else "internal",
+        )
     return json.loads(child.stdout.splitlines()[-1])

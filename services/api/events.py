@@ -13,21 +13,30 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 
 from services.api.context import Database, Job
-from services.api.documents import timestamp
-from services.store import LIVE, Store
+from services.jobs.documents import timestamp
+from services.store.store import LIVE, Store
 
 router = APIRouter(tags=["jobs"])
 POLL_S = 0.5
 KEEP_ALIVE_S = 15.0
 
 
-@router.get("/jobs/{id}/events", response_class=StreamingResponse,
-            responses={200: {"content": {"text/event-stream": {}}, "description": "server-sent events"}})
-async def get_events(job: Job, store: Database, request: Request,
-                     last_event_id: Annotated[str | None, Header(pattern="^[0-9]{1,9}$")] = None) -> StreamingResponse:
+@router.get(
+    "/jobs/{id}/events",
+    response_class=StreamingResponse,
+    responses={200: {"content": {"text/event-stream": {}}, "description": "server-sent events"}},
+)
+async def get_events(
+    job: Job,
+    store: Database,
+    request: Request,
+    last_event_id: Annotated[str | None, Header(pattern="^[0-9]{1,9}$")] = None,
+) -> StreamingResponse:
     """status, progress, learning and log events; ends after the event that says how the job ended."""
     stream = _events(job["id"], int(last_event_id or 0), store, request)
-    return StreamingResponse(stream, media_type="text/event-stream", headers={"cache-control": "no-store", "x-accel-buffering": "no"})
+    return StreamingResponse(
+        stream, media_type="text/event-stream", headers={"cache-control": "no-store", "x-accel-buffering": "no"}
+    )
 
 
 async def _events(job: str, after: int, store: Store, request: Request) -> AsyncIterator[str]:

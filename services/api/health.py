@@ -9,7 +9,7 @@ from fastapi import APIRouter
 from fastapi.responses import JSONResponse, PlainTextResponse
 
 from services.api.context import Database, Owner, Settings
-from services.runner_sign import runner_age_s
+from services.jobs.heartbeat import runner_age_s
 
 router = APIRouter(tags=["health"])
 RUNNER_AGE_S = 30.0
@@ -25,8 +25,11 @@ def get_healthz() -> dict:
 def get_readyz(settings: Settings, store: Database) -> JSONResponse:
     """The database answers, the disk has room, and the runner is alive."""
     age = runner_age_s(settings.data)
-    checks = {"database": _answers(store), "disk": shutil.disk_usage(settings.data).free > settings.reserve_bytes,
-              "runner": age is not None and age < RUNNER_AGE_S}
+    checks = {
+        "database": _answers(store),
+        "disk": shutil.disk_usage(settings.data).free > settings.reserve_bytes,
+        "runner": age is not None and age < RUNNER_AGE_S,
+    }
     ready = all(checks.values())
     return JSONResponse({"status": "ready" if ready else "not ready", "checks": checks}, 200 if ready else 503)
 
@@ -43,14 +46,25 @@ def _answers(store) -> bool:
 def get_metrics(owner: Owner, settings: Settings, store: Database) -> PlainTextResponse:
     """Prometheus text."""
     figures = store.figures()
-    lines = ["# TYPE splatpress_jobs gauge", *(f'splatpress_jobs{{status="{s}"}} {n}' for s, n in figures["jobs"].items())]
-    for name, key in (("stage_seconds_total", "seconds"), ("stage_runs_total", "runs"), ("stage_splats_total", "splats")):
+    lines = [
+        "# TYPE splatpress_jobs gauge",
+        *(f'splatpress_jobs{{status="{s}"}} {n}' for s, n in figures["jobs"].items()),
+    ]
+    for name, key in (
+        ("stage_seconds_total", "seconds"),
+        ("stage_runs_total", "runs"),
+        ("stage_splats_total", "splats"),
+    ):
         lines.append(f"# TYPE splatpress_{name} counter")
         lines += [f'splatpress_{name}{{stage="{row["stage"]}"}} {row[key]}' for row in figures["stages"]]
     coded = sum(row["splats"] for row in figures["stages"] if row["stage"] == "encode")
     lines += ["# TYPE splatpress_splats_coded_total counter", f"splatpress_splats_coded_total {coded}"]
     for kind in ("scan", "artifact"):
         lines += [f"# TYPE splatpress_{kind}_bytes gauge", f"splatpress_{kind}_bytes {figures[f'{kind}_bytes']}"]
-    lines += ["# TYPE splatpress_disk_free_bytes gauge", f"splatpress_disk_free_bytes {shutil.disk_usage(settings.data).free}",
-              "# TYPE splatpress_time_seconds gauge", f"splatpress_time_seconds {time.time():.0f}"]
+    lines += [
+        "# TYPE splatpress_disk_free_bytes gauge",
+        f"splatpress_disk_free_bytes {shutil.disk_usage(settings.data).free}",
+        "# TYPE splatpress_time_seconds gauge",
+        f"splatpress_time_seconds {time.time():.0f}",
+    ]
     return PlainTextResponse("\n".join(lines) + "\n", media_type="text/plain; version=0.0.4")

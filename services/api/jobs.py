@@ -11,23 +11,26 @@ from typing import Annotated, Literal, Union
 from fastapi import APIRouter, Header, Query, Response
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
-from pipeline.knobs import KNOBS
-from pipeline.settings import DEFAULT_PRESET, PRESETS, settings_for
+from pipeline.planning.knobs import KNOBS
+from pipeline.planning.settings import DEFAULT_PRESET, PRESETS, settings_for
 from services.api.context import Database, Job, Owner, Settings
-from services.api.documents import job_document, timestamp
-from services.jobs import dismissal_token, job_folder
+from services.jobs.documents import job_document, timestamp
+from services.jobs.webhooks import RefusedAddress, check_url
+from services.jobs.workflow import dismissal_token, job_folder
 from services.problems import RESOURCE, Problem
-from services.processes import BUDGET_S, COMPRESS, PROCESSES, stored
-from services.store import DISMISSED, FAILED, LEVELS, LIVE, STATES, SUCCESSFUL, KeyReused, TooManyJobs
-from services.webhooks import RefusedAddress, check_url
+from services.processes.kinds import BUDGET_S, COMPRESS, PROCESSES, stored
+from services.store.store import DISMISSED, FAILED, LEVELS, LIVE, STATES, SUCCESSFUL, KeyReused, TooManyJobs
 
 router = APIRouter(tags=["jobs"])
 Offset = Annotated[int, Query(ge=0, le=1 << 31)]
 
 
 # What a preset is changed by; `GET /v1/options` says what each allows.
-JobOptions = create_model("JobOptions", __config__=ConfigDict(extra="forbid", strict=True), **{
-    knob.name: (Union[*knob.kinds, None], None) for knob in KNOBS if knob.name != "seed"})
+JobOptions = create_model(
+    "JobOptions",
+    __config__=ConfigDict(extra="forbid", strict=True),
+    **{knob.name: (Union[*knob.kinds, None], None) for knob in KNOBS if knob.name != "seed"},
+)
 
 
 class JobRequest(BaseModel):
@@ -38,7 +41,9 @@ class JobRequest(BaseModel):
     preset: Literal[*PRESETS] = DEFAULT_PRESET
     options: JobOptions = JobOptions()
     seed: int = Field(0, ge=0, lt=2**63)
-    knobs: dict[str, Annotated[list[int | float | str], Field(max_length=20)]] | None = Field(None, max_length=len(KNOBS))
+    knobs: dict[str, Annotated[list[int | float | str], Field(max_length=20)]] | None = Field(
+        None, max_length=len(KNOBS)
+    )
     budget_s: float = Field(BUDGET_S, gt=0, le=86_400)
     name: str = Field("", max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")
     webhook: str | None = Field(None, max_length=2000, pattern=r"^[\x21-\x7e]+$")
@@ -51,23 +56,42 @@ class JobChange(BaseModel):
 
 
 @router.post("/jobs", status_code=201)
-def post_job(request: JobRequest, response: Response, owner: Owner, settings: Settings, store: Database,
-             idempotency_key: Annotated[str | None, Header(pattern=r"^[\x21-\x7e]{1,255}$")] = None) -> dict:
+def post_job(
+    request: JobRequest,
+    response: Response,
+    owner: Owner,
+    settings: Settings,
+    store: Database,
+    idempotency_key: Annotated[str | None, Header(pattern=r"^[\x21-\x7e]{1,255}$")] = None,
+) -> dict:
     """Submit a job. The same Idempotency-Key with the same request gives the same job, with another request 422."""
     scan = store.scan(request.scan, owner)
     if scan is None:
-        raise Problem(422, "no-such-scan", f"no scan {request.scan}", hint="upload it first; its id is the answer's `id`")
+        raise Problem(
+            422, "no-such-scan", f"no scan {request.scan}", hint="upload it first; its id is the answer's `id`"
+        )
     row = {
-        "owner": owner, "scan": scan["id"], "name": request.name or Path(scan["file"]).stem, "settings": _settings(request),
-        "webhook": _webhook(request, settings), "request_key": idempotency_key, "request_hash": _hash(request),
+        "owner": owner,
+        "scan": scan["id"],
+        "name": request.name or Path(scan["file"]).stem,
+        "settings": _settings(request),
+        "webhook": _webhook(request, settings),
+        "request_key": idempotency_key,
+        "request_hash": _hash(request),
     }
     try:
         job, new = store.add_job(row, settings.max_jobs_in_flight)
     except KeyReused:
         raise Problem(422, "key-reused", "this Idempotency-Key came before with another request") from None
     except TooManyJobs:
-        raise Problem(429, "too-many-jobs", f"{settings.max_jobs_in_flight} jobs in flight already", kind=RESOURCE,
-                      retryable=True, headers={"Retry-After": "60"}) from None
+        raise Problem(
+            429,
+            "too-many-jobs",
+            f"{settings.max_jobs_in_flight} jobs in flight already",
+            kind=RESOURCE,
+            retryable=True,
+            headers={"Retry-After": "60"},
+        ) from None
     response.headers["Location"] = f"/v1/jobs/{job['id']}"
     if not new:
         response.headers["Idempotent-Replayed"] = "true"
@@ -96,11 +120,21 @@ def _hash(request: JobRequest) -> str:
 
 
 @router.get("/jobs")
-def get_jobs(owner: Owner, settings: Settings, store: Database, status: Literal[*STATES] | None = None,
-             scan: Annotated[str | None, Query(pattern="^[0-9a-f]{64}$")] = None,
-             limit: Annotated[int, Query(ge=1, le=1000)] = 100, offset: Offset = 0) -> dict:
+def get_jobs(
+    owner: Owner,
+    settings: Settings,
+    store: Database,
+    status: Literal[*STATES] | None = None,
+    scan: Annotated[str | None, Query(pattern="^[0-9a-f]{64}$")] = None,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    offset: Offset = 0,
+) -> dict:
     rows, n_matched = store.jobs(owner, limit, offset, status, scan)
-    return {"jobs": [job_document(row, settings) for row in rows], "numberMatched": n_matched, "numberReturned": len(rows)}
+    return {
+        "jobs": [job_document(row, settings) for row in rows],
+        "numberMatched": n_matched,
+        "numberReturned": len(rows),
+    }
 
 
 @router.get("/jobs/{id}")
@@ -136,14 +170,26 @@ def delete_job(job: Job, settings: Settings, store: Database) -> dict:
 def post_retry(job: Job, settings: Settings, store: Database) -> dict:
     """Go on from the stage that failed or was dismissed; log and creation date stay."""
     if not store.retry(job["id"]):
-        raise Problem(409, "not-ended", f"job {job['id']} is {store.job(job['id'])['status']}; allowed: failed, {DISMISSED}")
+        raise Problem(
+            409, "not-ended", f"job {job['id']} is {store.job(job['id'])['status']}; allowed: failed, {DISMISSED}"
+        )
     return job_document(store.job(job["id"]), settings)
 
 
 @router.get("/jobs/{id}/logs")
-def get_logs(job: Job, store: Database, offset: Offset = 0, level: Literal[*LEVELS] = "info",
-             limit: Annotated[int, Query(ge=1, le=1000)] = 200) -> dict:
+def get_logs(
+    job: Job,
+    store: Database,
+    offset: Offset = 0,
+    level: Literal[*LEVELS] = "info",
+    limit: Annotated[int, Query(ge=1, le=1000)] = 200,
+) -> dict:
     """Lines of `level` and above, oldest first."""
     rows = store.logs(job["id"], offset, limit, level)
-    return {"logs": [{"id": row["id"], "time": timestamp(row["time"]), "level": row["level"],
-                      "message": row["data"]["message"]} for row in rows], "next_offset": offset + len(rows)}
+    return {
+        "logs": [
+            {"id": row["id"], "time": timestamp(row["time"]), "level": row["level"], "message": row["data"]["message"]}
+            for row in rows
+        ],
+        "next_offset": offset + len(rows),
+    }

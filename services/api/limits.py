@@ -7,10 +7,10 @@ import json
 import re
 from collections.abc import Callable
 
-from services.first_bytes import PEEK_BYTES, Look, look
 from services.problems import Problem
-from services.scans import safe_name
 from services.settings import ServiceSettings
+from services.uploads.first_bytes import PEEK_BYTES, Look, look
+from services.uploads.scans import safe_name
 
 MAX_JSON_BYTES = 1 << 20
 MULTIPART_OVERHEAD = 1 << 16
@@ -62,8 +62,12 @@ class BodyGuard:
 
 def cap(allowed: int, promised: int) -> Guard:
     """No more than so many bytes. Raises Problem at once where more are promised."""
-    too_many = Problem(413, "too-large", f"a body of more than {allowed:,} bytes",
-                       hint="larger scans go through /v1/uploads, which takes them in pieces")
+    too_many = Problem(
+        413,
+        "too-large",
+        f"a body of more than {allowed:,} bytes",
+        hint="larger scans go through /v1/uploads, which takes them in pieces",
+    )
     if promised > allowed:
         raise too_many
     n_read = 0
@@ -88,10 +92,12 @@ def first_look(settings: ServiceSettings, promised: int) -> Guard:
         head += block
         named = re.search(rb'filename="([^"]*)"[\s\S]*?\r\n\r\n', head[:MULTIPART_OVERHEAD])
         if named:
-            name, content = safe_name(named[1].decode(errors="replace")), bytes(head[named.end():])
+            name, content = safe_name(named[1].decode(errors="replace")), bytes(head[named.end() :])
             boundary = head[: head.find(b"\r\n")]
             if boundary not in content:  # else it is there whole, and is looked at as such
-                look(io.BytesIO(content), len(content), promised or settings.max_multipart_bytes, name, Look(), settings)
+                look(
+                    io.BytesIO(content), len(content), promised or settings.max_multipart_bytes, name, Look(), settings
+                )
         if len(head) > FIRST_BYTES:
             head = None
 
@@ -100,6 +106,15 @@ def first_look(settings: ServiceSettings, promised: int) -> Guard:
 
 async def _refuse(send, problem: Problem) -> None:
     body = json.dumps(problem.body()).encode()
-    await send({"type": "http.response.start", "status": problem.status, "headers": [
-        (b"content-type", b"application/problem+json"), (b"content-length", str(len(body)).encode()), (b"connection", b"close")]})
+    await send(
+        {
+            "type": "http.response.start",
+            "status": problem.status,
+            "headers": [
+                (b"content-type", b"application/problem+json"),
+                (b"content-length", str(len(body)).encode()),
+                (b"connection", b"close"),
+            ],
+        }
+    )
     await send({"type": "http.response.body", "body": body})

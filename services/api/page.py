@@ -8,8 +8,8 @@ from fastapi import APIRouter
 from fastapi.responses import FileResponse
 
 from services.api.context import Owner, Settings
+from services.jobs.heartbeat import dashboard
 from services.problems import Problem
-from services.runner_sign import dashboard
 
 router = APIRouter(include_in_schema=False)
 _FOLDER = Path(__file__).parent.parent / "web"

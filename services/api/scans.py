@@ -8,17 +8,19 @@ from typing import Annotated
 from fastapi import APIRouter, File, Query, Response, UploadFile
 from fastapi.concurrency import run_in_threadpool
 
-from pipeline.stages.effects import known_rows
+from pipeline.stages.points.measure_effects import known_rows
 from services.api.context import Database, Hash, Owner, Settings
-from services.api.documents import scan_document
+from services.jobs.documents import scan_document
 from services.problems import Problem
-from services.scans import BLOCK_BYTES, accept_scan, incoming_folder, safe_name, work_folder
+from services.uploads.scans import BLOCK_BYTES, accept_scan, incoming_folder, safe_name, work_folder
 
 router = APIRouter(tags=["scans"])
 
 
 @router.post("/scans", status_code=201)
-async def post_scan(file: Annotated[UploadFile, File()], response: Response, owner: Owner, settings: Settings, store: Database) -> dict:
+async def post_scan(
+    file: Annotated[UploadFile, File()], response: Response, owner: Owner, settings: Settings, store: Database
+) -> dict:
     """Take in a scan of one file. 201 if it is new to the service, 200 if its content is known already."""
     scan, new = await run_in_threadpool(_take_in, file, owner, settings, store)
     response.status_code = 201 if new else 200
@@ -38,8 +40,13 @@ def _take_in(file: UploadFile, owner: str, settings, store) -> tuple[dict, bool]
 
 
 @router.get("/scans")
-def get_scans(owner: Owner, settings: Settings, store: Database, limit: Annotated[int, Query(ge=1, le=1000)] = 100,
-              offset: Annotated[int, Query(ge=0, le=1 << 31)] = 0) -> dict:
+def get_scans(
+    owner: Owner,
+    settings: Settings,
+    store: Database,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    offset: Annotated[int, Query(ge=0, le=1 << 31)] = 0,
+) -> dict:
     return {"scans": [scan_document(scan, settings) for scan in store.scans(owner, limit, offset)]}
 
 

@@ -25,11 +25,11 @@ from starlette.requests import ClientDisconnect
 
 from pipeline.readers.detect import handled_suffixes
 from services.api.context import Database, JobID, Owner, Settings
-from services.api.documents import upload_document
-from services.first_bytes import Look, look
+from services.jobs.documents import upload_document
 from services.problems import Problem
-from services.scans import accept_scan, safe_name
 from services.settings import ServiceSettings
+from services.uploads.first_bytes import Look, look
+from services.uploads.scans import accept_scan, safe_name
 
 TUS = {"Tus-Resumable": "1.0.0"}
 ALGORITHMS = ("sha256", "sha1", "md5")
@@ -42,7 +42,9 @@ REFUSALS = ("bad-scan", "archive-too-large")
 def _check_version(request: Request) -> None:
     found = request.headers.get("tus-resumable")
     if request.method != "GET" and found != "1.0.0":
-        raise Problem(412, "tus-version", f"Tus-Resumable is {found!r}; allowed: 1.0.0", headers={**TUS, "Tus-Version": "1.0.0"})
+        raise Problem(
+            412, "tus-version", f"Tus-Resumable is {found!r}; allowed: 1.0.0", headers={**TUS, "Tus-Version": "1.0.0"}
+        )
 
 
 router = APIRouter(prefix="/uploads", tags=["uploads"])
@@ -51,9 +53,16 @@ _versioned = [Depends(_check_version)]
 
 @router.options("", status_code=204)
 def get_abilities(settings: Settings) -> Response:
-    return Response(status_code=204, headers={
-        **TUS, "Tus-Version": "1.0.0", "Tus-Max-Size": str(settings.max_upload_bytes),
-        "Tus-Extension": "creation,expiration,checksum,termination", "Tus-Checksum-Algorithm": ",".join(ALGORITHMS)})
+    return Response(
+        status_code=204,
+        headers={
+            **TUS,
+            "Tus-Version": "1.0.0",
+            "Tus-Max-Size": str(settings.max_upload_bytes),
+            "Tus-Extension": "creation,expiration,checksum,termination",
+            "Tus-Checksum-Algorithm": ",".join(ALGORITHMS),
+        },
+    )
 
 
 @router.post("", status_code=201, dependencies=_versioned)
@@ -61,15 +70,26 @@ def create(request: Request, owner: Owner, settings: Settings, store: Database) 
     """Begin an upload: Upload-Length, and Upload-Metadata with `filename`. Its address is the answer's Location."""
     length = _number(request, "upload-length")
     if length > settings.max_upload_bytes:
-        raise Problem(413, "too-large", f"Upload-Length is {length:,}; allowed: {settings.max_upload_bytes:,} bytes", headers=TUS)
+        raise Problem(
+            413, "too-large", f"Upload-Length is {length:,}; allowed: {settings.max_upload_bytes:,} bytes", headers=TUS
+        )
     if length > shutil.disk_usage(settings.data).free - settings.reserve_bytes:
         raise Problem(507, "disk-full", f"no room for {length:,} bytes", kind="resource", retryable=True, headers=TUS)
     text = request.headers.get("upload-metadata", "")
     file = safe_name(_metadata(text).get("filename", ""))
     if Path(file).suffix.lower() not in handled_suffixes():
-        raise Problem(415, "unsupported-scan", f"filename is {file!r}; allowed: {', '.join(handled_suffixes())}", headers=TUS)
-    upload = store.add_upload({"owner": owner, "file": file, "length": length, "metadata": text,
-                               "expires": time.time() + settings.upload_expires_s})
+        raise Problem(
+            415, "unsupported-scan", f"filename is {file!r}; allowed: {', '.join(handled_suffixes())}", headers=TUS
+        )
+    upload = store.add_upload(
+        {
+            "owner": owner,
+            "file": file,
+            "length": length,
+            "metadata": text,
+            "expires": time.time() + settings.upload_expires_s,
+        }
+    )
     path = _path(settings, upload)
     path.parent.mkdir(parents=True)
     path.touch()
@@ -90,8 +110,14 @@ Upload = Annotated[dict, Depends(upload_of)]
 
 @router.head("/{id}", dependencies=_versioned)
 def head(upload: Upload, settings: Settings) -> Response:
-    return Response(headers={**TUS, **_state(upload, _path(settings, upload)), "Cache-Control": "no-store",
-                             **({"Upload-Metadata": upload["metadata"]} if upload["metadata"] else {})})
+    return Response(
+        headers={
+            **TUS,
+            **_state(upload, _path(settings, upload)),
+            "Cache-Control": "no-store",
+            **({"Upload-Metadata": upload["metadata"]} if upload["metadata"] else {}),
+        }
+    )
 
 
 @router.get("/{id}")
@@ -110,14 +136,24 @@ def delete(upload: Upload, settings: Settings, store: Database) -> Response:
 async def patch(upload: Upload, request: Request, owner: Owner, settings: Settings, store: Database) -> Response:
     """The bytes from Upload-Offset on. With the last of them the upload becomes a scan: Splatpress-Scan is its id."""
     if request.headers.get("content-type") != OFFSET_TYPE:
-        raise Problem(415, "wrong-type", f"Content-Type is {request.headers.get('content-type')!r}; allowed: {OFFSET_TYPE}", headers=TUS)
+        raise Problem(
+            415,
+            "wrong-type",
+            f"Content-Type is {request.headers.get('content-type')!r}; allowed: {OFFSET_TYPE}",
+            headers=TUS,
+        )
     offset, checksum = _number(request, "upload-offset"), _checksum(request)
     path = _path(settings, upload)
     with _only_writer(path):
         found = _offset(upload, path)
         if offset != found:
-            raise Problem(409, "wrong-offset", f"Upload-Offset is {offset}; allowed: {found}", retryable=True,
-                          headers={**TUS, "Upload-Offset": str(found)})
+            raise Problem(
+                409,
+                "wrong-offset",
+                f"Upload-Offset is {offset}; allowed: {found}",
+                retryable=True,
+                headers={**TUS, "Upload-Offset": str(found)},
+            )
         if upload["scan"] is None:
             look = _Looking(upload, path, settings)
             try:
@@ -133,7 +169,7 @@ async def patch(upload: Upload, request: Request, owner: Owner, settings: Settin
 
 
 class _Looking:
-    """What has been seen of an upload by services/first_bytes.py, kept beside it from one piece to the next."""
+    """What has been seen of an upload by services/uploads/first_bytes.py, kept beside it from one piece to the next."""
 
     def __init__(self, upload: dict, path: Path, settings: ServiceSettings) -> None:
         self._upload, self._path, self._settings, self._kept = upload, path, settings, path.with_name(LOOKED)
@@ -149,10 +185,11 @@ class _Looking:
         self._kept.write_text(json.dumps(vars(self._done)))
 
 
-async def _append(path: Path, request: Request, length: int, offset: int, checksum: tuple[str, bytes] | None,
-                  look: _Looking) -> None:
-    """A piece with a checksum counts whole or not at all; without one, every byte that arrived. Looked at as it arrives,
-    or once its checksum has been: damage on the way is no fault of the scan."""
+async def _append(
+    path: Path, request: Request, length: int, offset: int, checksum: tuple[str, bytes] | None, look: _Looking
+) -> None:
+    """A piece with a checksum counts whole or not at all; without one, every byte that arrived. Looked at as it
+    arrives, or once its checksum has been: damage on the way is no fault of the scan."""
     digest = hashlib.new(checksum[0]) if checksum else None
     whole = False
     with open(path, "r+b", buffering=0) as stream:
@@ -174,7 +211,9 @@ async def _append(path: Path, request: Request, length: int, offset: int, checks
                 stream.truncate(offset)
                 stream.seek(offset)
         if whole and digest and digest.digest() != checksum[1]:
-            raise Problem(460, "checksum-mismatch", "the bytes do not have the Upload-Checksum", retryable=True, headers=TUS)
+            raise Problem(
+                460, "checksum-mismatch", "the bytes do not have the Upload-Checksum", retryable=True, headers=TUS
+            )
         look(stream.tell())
         look.keep()
 
@@ -205,9 +244,12 @@ def _offset(upload: dict, path: Path) -> int:
 
 
 def _state(upload: dict, path: Path) -> dict[str, str]:
-    return {"Upload-Offset": str(_offset(upload, path)), "Upload-Length": str(upload["length"]),
-            "Upload-Expires": formatdate(upload["expires"], usegmt=True),
-            **({"Splatpress-Scan": upload["scan"]} if upload["scan"] else {})}
+    return {
+        "Upload-Offset": str(_offset(upload, path)),
+        "Upload-Length": str(upload["length"]),
+        "Upload-Expires": formatdate(upload["expires"], usegmt=True),
+        **({"Splatpress-Scan": upload["scan"]} if upload["scan"] else {}),
+    }
 
 
 @contextmanager
@@ -218,7 +260,9 @@ def _only_writer(path: Path) -> Iterator[None]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise Problem(423, "locked", "another request is writing this upload", retryable=True, headers=TUS) from None
+            raise Problem(
+                423, "locked", "another request is writing this upload", retryable=True, headers=TUS
+            ) from None
         yield
 
 
@@ -232,12 +276,16 @@ def _number(request: Request, name: str) -> int:
 def _metadata(text: str) -> dict[str, str]:
     """Pairs of a key and a base64 value, with commas between them."""
     if len(text) > MAX_METADATA:
-        raise Problem(400, "wrong-header", f"Upload-Metadata of {len(text)} characters; allowed: {MAX_METADATA}", headers=TUS)
+        raise Problem(
+            400, "wrong-header", f"Upload-Metadata of {len(text)} characters; allowed: {MAX_METADATA}", headers=TUS
+        )
     pairs = (part.strip().partition(" ") for part in text.split(",") if part.strip())
     try:
         return {key: b64decode(value, validate=True).decode() for key, _, value in pairs}
     except ValueError:
-        raise Problem(400, "wrong-header", "Upload-Metadata has a value that is not base64 of UTF-8", headers=TUS) from None
+        raise Problem(
+            400, "wrong-header", "Upload-Metadata has a value that is not base64 of UTF-8", headers=TUS
+        ) from None
 
 
 def _checksum(request: Request) -> tuple[str, bytes] | None:
@@ -250,5 +298,10 @@ def _checksum(request: Request) -> tuple[str, bytes] | None:
     except ValueError:
         digest = b""
     if algorithm not in ALGORITHMS or not digest:
-        raise Problem(400, "wrong-header", f"Upload-Checksum is {text[:80]!r}; allowed: {', '.join(ALGORITHMS)} and base64", headers=TUS)
+        raise Problem(
+            400,
+            "wrong-header",
+            f"Upload-Checksum is {text[:80]!r}; allowed: {', '.join(ALGORITHMS)} and base64",
+            headers=TUS,
+        )
     return algorithm, digest

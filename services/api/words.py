@@ -6,11 +6,11 @@ from dataclasses import asdict
 
 from fastapi import APIRouter
 
-from pipeline.knobs import KNOBS, Knob
-from pipeline.settings import DEFAULT_PRESET, PRESETS
+from pipeline.planning.knobs import KNOBS, Knob
+from pipeline.planning.settings import DEFAULT_PRESET, PRESETS
 from services.api.context import Owner
 from services.api.context import Settings as ServiceSettings
-from services.webhooks import owner_secret
+from services.jobs.webhooks import owner_secret
 
 router = APIRouter(tags=["words"])
 _TYPES = {int: "integer", float: "number", str: "string"}
@@ -18,19 +18,29 @@ _TYPES = {int: "integer", float: "number", str: "string"}
 
 @router.get("/options")
 def get_options() -> list[dict]:
-    """Each option's name, type, default, domain, meaning, what it buys and what it costs; `value` is that of the default
-    preset. The seed is none of them: it is a job's own field."""
+    """Each option's name, type, default, domain, meaning, what it buys and what it costs; `value` is that of the
+    default preset. The seed is none of them: it is a job's own field."""
     return [_option(knob) for knob in KNOBS if knob.name != "seed"]
 
 
 def _option(knob: Knob) -> dict:
-    return {"name": knob.name, "type": _TYPES[knob.kind], "value": getattr(PRESETS[DEFAULT_PRESET], knob.name),
-            "domain": knob.domain, "help": knob.help, "buys": knob.buys, "costs": knob.costs}
+    return {
+        "name": knob.name,
+        "type": _TYPES[knob.kind],
+        "value": getattr(PRESETS[DEFAULT_PRESET], knob.name),
+        "domain": knob.domain,
+        "help": knob.help,
+        "buys": knob.buys,
+        "costs": knob.costs,
+    }
 
 
 @router.get("/presets")
 def get_presets() -> list[dict]:
-    return [{"name": name, "default": name == DEFAULT_PRESET, "settings": asdict(settings)} for name, settings in PRESETS.items()]
+    return [
+        {"name": name, "default": name == DEFAULT_PRESET, "settings": asdict(settings)}
+        for name, settings in PRESETS.items()
+    ]
 
 
 @router.get("/webhook-secret")

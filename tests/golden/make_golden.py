@@ -1,4 +1,5 @@
-"""Golden packed files and the numbers that they decode to; `python -m tests.golden.make_golden` makes those of new cases.
+"""Golden packed files and the numbers that they decode to; `python -m tests.golden.make_golden` makes those of new
+cases.
 
 Files that exist must decode for ever, so they and their numbers are never made again.
 """
@@ -13,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.geometry.frame import tangent_frames
-from storage.packed import SUFFIX, PackedFile
-from storage.scene import PackedScene
+from storage.packed.packed import SUFFIX, PackedFile
+from storage.packed.scene import PackedScene
 from tests import reference_packed
 from tests.packed_files import Case, write_packed_file
 
@@ -35,7 +36,9 @@ CASES = {
     "v4-two-levels": Case(atom_size=16, n_turns=8, coarsest_size=8),
     "v5-color-boxes": Case(atom_size=8, n_turns=8, color_step=100),
     "v5-sixteen-atoms": Case(atom_size=8, n_turns=8, atom_counts=(0, 7, 9, 16), n_ranks=16, color_step=133),
-    "v5-boxes-of-two-groups": Case(n_splats=8192 + 130, period=128, n_dictionary=0, atom_counts=(0,), n_cameras=0, color_step=80),
+    "v5-boxes-of-two-groups": Case(
+        n_splats=8192 + 130, period=128, n_dictionary=0, atom_counts=(0,), n_cameras=0, color_step=80
+    ),
 }
 
 
@@ -49,17 +52,25 @@ def decoded_numbers(scene: PackedScene) -> dict:
     chosen = sorted({0, 1, 127, 128, n // 2, n - 2, n - 1})
     digests = {name: hashlib.sha256(values.tobytes()).hexdigest() for name, values in sorted(scene.arrays.items())}
     header = asdict(scene.header) | {"batches": scene.header.to_json()["batches"]}
-    return {"header": header, "sha256": digests,
-            "splats": {str(i): _splat_numbers(scene, i) for i in chosen}}
+    return {"header": header, "sha256": digests, "splats": {str(i): _splat_numbers(scene, i) for i in chosen}}
 
 
 def _splat_numbers(scene: PackedScene, i: int) -> dict:
-    u, v, normal = (rows[0].tolist() for rows in tangent_frames(scene.arrays["normal"][i:i + 1], scene.header.up, scene.header.ahead))
+    u, v, normal = (
+        rows[0].tolist()
+        for rows in tangent_frames(scene.arrays["normal"][i : i + 1], scene.header.up, scene.header.ahead)
+    )
     patch = reference_packed.decode_patch(scene, i) if scene.header.n_dictionary else np.zeros((32, 32, 3))
     return {
-        "position": reference_packed.decode_position(scene, i), "normal": normal, "u": u, "v": v,
-        **_color_numbers(scene, i), "code": reference_packed.decode_code(scene, i),
-        "clipline": reference_packed.decode_clipline(scene, i), **_ellipsoid_numbers(scene, i), "texels": patch[[0, 9, 31], [31, 20, 0]].tolist(),
+        "position": reference_packed.decode_position(scene, i),
+        "normal": normal,
+        "u": u,
+        "v": v,
+        **_color_numbers(scene, i),
+        "code": reference_packed.decode_code(scene, i),
+        "clipline": reference_packed.decode_clipline(scene, i),
+        **_ellipsoid_numbers(scene, i),
+        "texels": patch[[0, 9, 31], [31, 20, 0]].tolist(),
     }
 
 

@@ -9,10 +9,10 @@ from pipeline.geometry.cliplines import decode_cliplines
 from pipeline.geometry.ellipsoids import decode_ellipsoids
 from pipeline.geometry.normals import decode_normals
 from pipeline.geometry.positions import Boxes, decode_positions
-from pipeline.stages.measure import decoded_colors
-from storage.bits import unpack_bits
-from storage.packed import SUFFIX, PackedFile
-from storage.schema import CLIPLINE_BITS, FORMAT_VERSION, GROUP
+from pipeline.stages.packed.measure import decoded_colors
+from storage.packed.bits import unpack_bits
+from storage.packed.packed import SUFFIX, PackedFile
+from storage.packed.schema import CLIPLINE_BITS, FORMAT_VERSION, GROUP
 from tests.golden.make_golden import CASES, EXPECTED, HERE, decoded_numbers, golden_file
 from tests.packed_files import write_packed_file
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.executors import SerialExecutor
-from pipeline.settings import settings_for
-from services.workflow import compress
-from storage.packed import SUFFIX, PackedFile, PackedScene
+from pipeline.execution.executors import SerialExecutor
+from pipeline.planning.settings import settings_for
+from services.processes.compress import compress
+from storage.packed.packed import SUFFIX, PackedFile, PackedScene
+from tests.pipeline.execution.test_stage import Heard
 from tests.pipeline.readers.workspace import write_photo, write_vis
-from tests.pipeline.test_stage import Heard
 
 QUICK = settings_for("draft", target_psnr_db=34.0, training_splats=1000, iterations=2)
 
@@ -33,7 +33,9 @@ class Placed:
 STILL = Placed(np.eye(3))
 
 
-def write_points(path: Path, position: np.ndarray, normal: np.ndarray | None = None, color: np.ndarray | None = None) -> Path:
+def write_points(
+    path: Path, position: np.ndarray, normal: np.ndarray | None = None, color: np.ndarray | None = None
+) -> Path:
     """A binary PLY with coordinates of double precision."""
     columns = [(name, "<f8", "double") for name in "xyz"]
     values = list(np.asarray(position, float).T)
@@ -86,10 +88,20 @@ def photographed_wall(path: Path, placed: Placed = STILL, n_side: int = 22, orde
     normal = np.column_stack([0.15 * np.cos(3 * x), 0 * x, -np.ones_like(x)])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     order = np.arange(len(x)) if order is None else order
-    cameras = [(200.0, 205.0, 80.0, 60.0, placed.turn.T, placed.points(np.array([dx, 0.1 * dx, -2.6])[None])[0]) for dx in (-0.3, 0.3)]
+    cameras = [
+        (200.0, 205.0, 80.0, 60.0, placed.turn.T, placed.points(np.array([dx, 0.1 * dx, -2.6])[None])[0])
+        for dx in (-0.3, 0.3)
+    ]
     color = np.full((len(x), 3), 128, np.uint8)
-    return write_photographed(path, placed.points(position)[order], (normal @ placed.turn.T)[order].astype(np.float32), color,
-                              ((0, 1),) * len(x), cameras, [grained_photo(i) for i in range(2)])
+    return write_photographed(
+        path,
+        placed.points(position)[order],
+        (normal @ placed.turn.T)[order].astype(np.float32),
+        color,
+        ((0, 1),) * len(x),
+        cameras,
+        [grained_photo(i) for i in range(2)],
+    )
 
 
 def compressed(scan: Path, out: Path, settings=QUICK, render: bool = False) -> tuple[dict, Path]:

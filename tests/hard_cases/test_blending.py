@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from renderer.renderer import Renderer
-from renderer.scene import GpuScene
-from renderer.stacks import has_stacks
-from renderer.targets import NARROW, WIDE
-from storage.schema import Camera
+from renderer.splats.renderer import Renderer
+from renderer.splats.scene import GpuScene
+from renderer.splats.stacks import has_stacks
+from renderer.splats.targets import NARROW, WIDE
+from storage.packed.schema import Camera
 from tests import reference
 from tests.renderer.reference_renderer import render
 from tests.scenes import Settings, Splats, build_scene, camera_looking
@@ -64,13 +64,16 @@ def test_blending__half_float_sums_are_within_1_of_255_up_to_a_weight_of_16():
             weight = rng.uniform(0.3, 1, 5 * most)
             weight = weight[np.cumsum(weight) <= most]
             linear = np.full(len(weight), rng.uniform(0, 1))
-            off = reference.srgb(reference.half_float_mean(linear, weight)) - reference.srgb((linear * weight).sum() / weight.sum())
+            off = reference.srgb(reference.half_float_mean(linear, weight)) - reference.srgb(
+                (linear * weight).sum() / weight.sum()
+            )
             worst[most] = max(worst[most], abs(off))
     assert worst[16] <= 1 / 255 < worst[400]
 
 
 def test_blending__rims_of_a_thousand_layers_that_differ_stay_narrow_and_within_1_of_255():
-    """Nothing but rims adds up to a weight below 16, so sums are narrow; where layers are copies, roundings add up too."""
+    """Nothing but rims adds up to a weight below 16, so sums are narrow; where layers are copies, roundings add up
+    too."""
     rng = np.random.default_rng(0)
     off = []
     for n in (30, 100, 300, 1000):
@@ -78,8 +81,13 @@ def test_blending__rims_of_a_thousand_layers_that_differ_stay_narrow_and_within_
             weight = rng.uniform(0, 24 / n, n)
             linear = np.clip(rng.normal(mean, 0.1 * mean, n), 0, 1)
             assert weight.sum() < 16
-            off.append(reference.srgb(reference.half_float_mean(linear, weight)) - reference.srgb((linear * weight).sum() / weight.sum()))
-    copies = reference.srgb(reference.half_float_mean(np.full(100, 0.616), np.full(100, 0.0278))) - reference.srgb(0.616)
+            off.append(
+                reference.srgb(reference.half_float_mean(linear, weight))
+                - reference.srgb((linear * weight).sum() / weight.sum())
+            )
+    copies = reference.srgb(reference.half_float_mean(np.full(100, 0.616), np.full(100, 0.0278))) - reference.srgb(
+        0.616
+    )
     assert np.abs(off).max() <= 1 / 255 < abs(copies)
 
 
@@ -101,7 +109,7 @@ def test_blending__rims_of_copies_are_within_1_of_255_of_exact_sums(renderer, n,
 
 def test_blending__rims_of_copies_break_where_overdraw_is_told_by_weight_alone(renderer, monkeypatch):
     """The naive formulation: sums are narrow until a pixel's weight reaches 16."""
-    monkeypatch.setattr("renderer.scene.has_stacks", lambda scene: False)
+    monkeypatch.setattr("renderer.splats.scene.has_stacks", lambda scene: False)
     scene = build_scene(stack(1000, "bright", True, 0.0))
     picture, (expected, covered) = drawn(renderer, scene, RIM), render(scene, RIM)
     assert picture.accumulation == NARROW
@@ -122,9 +130,14 @@ def test_blending__stacks_are_found_wherever_chunks_and_cells_part_them(n, jitte
 
 def test_blending__what_is_no_stack_is_none():
     rng = np.random.default_rng(0)
-    for position in (rng.uniform(-1, 1, (5000, 3)) * [1, 0, 1], np.repeat(rng.uniform(-1, 1, (300, 3)), 4, axis=0),
-                     np.stack(np.meshgrid(*[np.linspace(-1, 1, 60)] * 2, [0]), -1).reshape(-1, 3)):
-        assert not has_stacks(build_scene(Splats(position, np.tile([0.0, -1, 0], (len(position), 1))), Settings(radius=0.03)))
+    for position in (
+        rng.uniform(-1, 1, (5000, 3)) * [1, 0, 1],
+        np.repeat(rng.uniform(-1, 1, (300, 3)), 4, axis=0),
+        np.stack(np.meshgrid(*[np.linspace(-1, 1, 60)] * 2, [0]), -1).reshape(-1, 3),
+    ):
+        assert not has_stacks(
+            build_scene(Splats(position, np.tile([0.0, -1, 0], (len(position), 1))), Settings(radius=0.03))
+        )
 
 
 def test_blending__a_scene_once_overdrawn_keeps_its_wide_sums_and_others_do_not(renderer):
@@ -145,8 +158,10 @@ def test_blending__two_renderers_draw_the_same(renderer):
 @pytest.mark.parametrize("scale", [1e-11, 1e-6, 1e6, 1e14])
 def test_blending__no_nan_and_no_inf_reach_a_picture_at_any_scale(renderer, scale):
     splats = stack(30, "middle", False, 0.3)
-    scene = build_scene(Splats(splats.position * scale, splats.normal, splats.color),
-                        Settings(radius=0.1 * scale, depth_margin=0.05 * scale))
+    scene = build_scene(
+        Splats(splats.position * scale, splats.normal, splats.color),
+        Settings(radius=0.1 * scale, depth_margin=0.05 * scale),
+    )
     view = camera_looking((0.3 * scale, -1.2 * scale, 0.2 * scale), (0, 0, 0), (24, 18), (30, 30))
     picture = drawn(renderer, scene, view)
     with renderer.context:

@@ -77,7 +77,9 @@ def test_coding__a_patch_of_1e_minus_22_is_coded_as_one_of_1():
     faint = (patches.astype(float) * 1e-22).astype(np.float32)
     tiny = sparse_encode(faint, atoms, max_atoms=4)
     correlation = faint @ atoms.T
-    assert ((correlation**2).argmax(axis=1) != np.abs(correlation).argmax(axis=1)).any()  # the naive way: float32 squares
+    assert (
+        (correlation**2).argmax(axis=1) != np.abs(correlation).argmax(axis=1)
+    ).any()  # the naive way: float32 squares
     assert (plain.atom_index == tiny.atom_index).all()
 
 
@@ -143,9 +145,13 @@ def hard_patches() -> dict[str, np.ndarray]:
     y, x = np.mgrid[:32, :32]
     rng = np.random.default_rng(6)
     return {
-        "zero": np.zeros((32, 32, 3)), "constant": np.full((32, 32, 3), 0.37), "black": np.zeros((32, 32, 3)),
-        "white": np.ones((32, 32, 3)), "impulse": ((x == 5) & (y == 9))[..., None] * np.ones(3),
-        "checkerboard": ((x + y) % 2)[..., None] * np.ones(3), "half black, half white": (x < 16)[..., None] * np.ones(3),
+        "zero": np.zeros((32, 32, 3)),
+        "constant": np.full((32, 32, 3), 0.37),
+        "black": np.zeros((32, 32, 3)),
+        "white": np.ones((32, 32, 3)),
+        "impulse": ((x == 5) & (y == 9))[..., None] * np.ones(3),
+        "checkerboard": ((x + y) % 2)[..., None] * np.ones(3),
+        "half black, half white": (x < 16)[..., None] * np.ones(3),
         "contrast of 1e-3": 0.5 + 1e-3 * (rng.random((32, 32, 3)) - 0.5),
     }
 
@@ -205,9 +211,14 @@ def test_coding__every_layout_of_inputs_gives_the_same_codes(layout):
     atoms, patches = unit_rows(rng, 16, 64), smooth_patches(rng, 20, 64)
     plain = sparse_encode(patches, atoms, max_atoms=3)
     n = 0 if layout == "empty" else 20
-    changed = {"read-only": patches.copy(), "strided": np.repeat(np.repeat(patches, 2, axis=0), 3, axis=1)[::2, ::3],
-               "reversed": patches[::-1].copy()[::-1], "float64": patches.astype(float),
-               "fortran": np.asfortranarray(patches), "empty": patches[:0]}[layout]
+    changed = {
+        "read-only": patches.copy(),
+        "strided": np.repeat(np.repeat(patches, 2, axis=0), 3, axis=1)[::2, ::3],
+        "reversed": patches[::-1].copy()[::-1],
+        "float64": patches.astype(float),
+        "fortran": np.asfortranarray(patches),
+        "empty": patches[:0],
+    }[layout]
     changed.setflags(write=False)
     before = changed.copy()
     codes = sparse_encode(changed, np.asfortranarray(atoms), max_atoms=3)
@@ -236,12 +247,14 @@ def test_coding__levels_far_from_every_weight_end_the_pursuit_and_never_raise_th
     atoms, patches = unit_rows(rng, 32, 192), smooth_patches(rng, 100)
     for levels in (np.full((8, 16), 1e6), np.zeros((8, 16)), np.tile([-1e-9, 1e-9], (8, 1))):
         found = pursue_patches(patches, atoms, max_atoms=8, weight_levels=levels)
-        codes, residual = found.codes, found.residual
+        residual = found.residual
         energy = (patches.astype(float) ** 2).sum(axis=1)
         assert np.isfinite(residual).all() and (residual <= energy * (1 + 1e-9)).all()
     exact = sparse_encode(patches, atoms, max_atoms=8)
     rounded = reference.nearest_weights(exact.weight[0], np.full((8, 16), 1e6)) @ atoms[exact.atom_index[0]]
-    assert np.linalg.norm(patches[0] - rounded) > np.linalg.norm(patches[0])  # the naive way: the nearest level, come what may
+    assert np.linalg.norm(patches[0] - rounded) > np.linalg.norm(
+        patches[0]
+    )  # the naive way: the nearest level, come what may
 
 
 # --- the same without numba's compiler -------------------------------------------------------------------------------
@@ -260,6 +273,15 @@ print(codes.atom_index.tolist(), codes.n_atoms.tolist(), weight_code.tolist())
 
 
 def test_coding__takes_the_same_atoms_with_the_jit_off():
-    printed = [subprocess.run([sys.executable, "-c", _CODE], env={**os.environ, "NUMBA_DISABLE_JIT": off}, check=True,
-                              capture_output=True, text=True, timeout=100).stdout for off in ("0", "1")]
+    printed = [
+        subprocess.run(
+            [sys.executable, "-c", _CODE],
+            env={**os.environ, "NUMBA_DISABLE_JIT": off},
+            check=True,
+            capture_output=True,
+            text=True,
+            timeout=100,
+        ).stdout
+        for off in ("0", "1")
+    ]
     assert printed[0] == printed[1] and len(printed[0]) > 500

@@ -1,4 +1,5 @@
-"""Files that nobody has seen here: each ends in finite output or in one clear error, and leaves nothing half-written."""
+"""Files that nobody has seen here: each ends in finite output or in one clear error, and leaves nothing
+half-written."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ import pye57
 import pytest
 from PIL import Image
 
-from services.cli import main
+from services.cli.main import main
 from tests.hard_cases.scans import arrays_of_packed, write_points
 from tests.pipeline.readers.workspace import centre_of, write_photo, write_ply, write_vis, write_workspace
 
@@ -37,12 +38,19 @@ def colors(values: np.ndarray, kind: str) -> dict[str, np.ndarray]:
     return {channel: values.astype(kind) for channel in ("red", "green", "blue")}
 
 
-def ply(folder: Path, columns: dict[str, np.ndarray], order: str = "<", first: tuple[list[str], bytes] = ([], b"")) -> Path:
+def ply(
+    folder: Path, columns: dict[str, np.ndarray], order: str = "<", first: tuple[list[str], bytes] = ([], b"")
+) -> Path:
     """A binary PLY; `first` is an element that stands before the vertices, its header lines and its bytes."""
     rows = np.empty(len(columns["x"]), [(name, order + values.dtype.str[1:]) for name, values in columns.items()])
     for name, values in columns.items():
         rows[name] = values
-    lines = ["ply", f"format binary_{'little' if order == '<' else 'big'}_endian 1.0", *first[0], f"element vertex {len(rows)}"]
+    lines = [
+        "ply",
+        f"format binary_{'little' if order == '<' else 'big'}_endian 1.0",
+        *first[0],
+        f"element vertex {len(rows)}",
+    ]
     lines += [f"property {TYPES[values.dtype.str[1:]]} {name}" for name, values in columns.items()] + ["end_header", ""]
     (folder / "scan.ply").write_bytes("\n".join(lines).encode() + first[1] + rows.tobytes())
     return folder / "scan.ply"
@@ -61,7 +69,9 @@ def las(folder: Path, points: np.ndarray, offset, point_format: int, suffix: str
 def e57(folder: Path, *stations: dict, at: np.ndarray = UTM) -> Path:
     with pye57.E57(str(folder / "scan.e57"), mode="w") as file:
         for i, fields in enumerate(stations):
-            file.write_scan_raw({k: np.ascontiguousarray(v) for k, v in fields.items()}, name=f"{i}", translation=at + [i, 0, 0])
+            file.write_scan_raw(
+                {k: np.ascontiguousarray(v) for k, v in fields.items()}, name=f"{i}", translation=at + [i, 0, 0]
+            )
     return folder / "scan.e57"
 
 
@@ -129,10 +139,16 @@ CASES = {  # name: what makes it, exit code of compress
     "float colours to 1": (lambda f: ply(f, xyz(sheet()) | colors(np.linspace(0, 1.0000001, 200), "f4")), 0),
     "float colours to 255": (lambda f: ply(f, xyz(sheet()) | colors(np.linspace(0, 255, 200), "f4")), 3),
     "colours of NaN": (lambda f: ply(f, xyz(sheet()) | colors(np.where(np.arange(200) < 9, np.nan, 0.5), "f4")), 0),
-    "colours of infinity": (lambda f: ply(f, xyz(sheet()) | colors(np.where(np.arange(200) < 9, np.inf, 0.5), "f4")), 3),
+    "colours of infinity": (
+        lambda f: ply(f, xyz(sheet()) | colors(np.where(np.arange(200) < 9, np.inf, 0.5), "f4")),
+        3,
+    ),
     "normals of 0": (lambda f: ply(f, xyz(sheet()) | {a: np.zeros(200, "f4") for a in ("nx", "ny", "nz")}), 0),
     "normals of 3e38": (lambda f: ply(f, xyz(sheet()) | {a: np.full(200, 3e38, "f4") for a in ("nx", "ny", "nz")}), 0),
-    "normals of 1e-44": (lambda f: ply(f, xyz(sheet()) | {a: np.full(200, 1e-44, "f4") for a in ("nx", "ny", "nz")}), 0),
+    "normals of 1e-44": (
+        lambda f: ply(f, xyz(sheet()) | {a: np.full(200, 1e-44, "f4") for a in ("nx", "ny", "nz")}),
+        0,
+    ),
     "one point": (lambda f: ply(f, xyz(sheet(1))), 3),
     "four points": (lambda f: ply(f, xyz(sheet(4))), 3),
     "points that are equal": (lambda f: ply(f, xyz(np.ones((300, 3)))), 3),
@@ -142,9 +158,14 @@ CASES = {  # name: what makes it, exit code of compress
     "las 1.4 of format 7 at 5e9": (lambda f: las(f, sheet() + 1e4 * UTM, 1e4 * UTM, 7, ".las"), 0),
     "laz 1.4 of format 8": (lambda f: las(f, sheet() + UTM, UTM, 8, ".laz"), 0),
     "e57 of two stations": (lambda f: e57(f, cartesian(sheet()), cartesian(sheet())), 0),
-    "e57 of invalid points": (lambda f: e57(f, cartesian(sheet(), cartesianInvalidState=(np.arange(200) % 2 * 2).astype(np.int8))), 0),
+    "e57 of invalid points": (
+        lambda f: e57(f, cartesian(sheet(), cartesianInvalidState=(np.arange(200) % 2 * 2).astype(np.int8))),
+        0,
+    ),
     "fisheye cameras in text": (
-        lambda f: workspace(f, model="OPENCV_FISHEYE", params=(60, 60, 32, 24, 0.01, 0.001, 0, 0), ending=".txt"), 0),
+        lambda f: workspace(f, model="OPENCV_FISHEYE", params=(60, 60, 32, 24, 0.01, 0.001, 0, 0), ending=".txt"),
+        0,
+    ),
     "distorted cameras": (lambda f: workspace(f, model="OPENCV", params=(60, 60, 32, 24, 0.1, 0.01, 1e-3, 1e-3)), 0),
     "wild distortion": (lambda f: workspace(f, model="RADIAL", params=(60, 32, 24, 5.0, -9.0)), 0),
     "names of all kinds": (lambda f: renamed(f, NAMES, ".bin"), 0),
@@ -162,7 +183,10 @@ CASES = {  # name: what makes it, exit code of compress
     "all behind the cameras": (lambda f: with_points(f, sheet() - [0, 0, 10]), 0),
     "all turned away": (lambda f: with_points(f, sheet(), (0, 0, 1.0)), 0),
     "all around the cameras": (lambda f: with_points(f, rng().standard_normal((300, 3)) + centre_of(1, 3)), 0),
-    "points at the cameras": (lambda f: with_points(f, np.concatenate([sheet(), [centre_of(i, 3) for i in range(3)]])), 0),
+    "points at the cameras": (
+        lambda f: with_points(f, np.concatenate([sheet(), [centre_of(i, 3) for i in range(3)]])),
+        0,
+    ),
     "points of NaN": (lambda f: with_points(f, np.where(rng().random((200, 1)) < 0.2, np.nan, sheet())), 0),
     "a photographed point": (lambda f: with_points(f, np.zeros((1, 3))), 3),
 }
@@ -175,7 +199,10 @@ def test_formats__end_in_finite_output_or_one_clear_error(tmp_path, capsys, case
     capsys.readouterr()
     checked = main(["check", str(scan)])
     found = capsys.readouterr().out
-    assert main(["compress", str(scan), "--out", str(out), "--preset", "draft", "--executor", "serial", "--no-render"]) == code
+    assert (
+        main(["compress", str(scan), "--out", str(out), "--preset", "draft", "--executor", "serial", "--no-render"])
+        == code
+    )
     err = capsys.readouterr().err
     assert checked in (0, code) and "Traceback" not in err
     if code:
@@ -184,7 +211,9 @@ def test_formats__end_in_finite_output_or_one_clear_error(tmp_path, capsys, case
         return
     report = json.loads((out / "report.json").read_text())
     json.dumps(report, allow_nan=False)
-    assert all(np.isfinite(a).all() for a in arrays_of_packed(next(out.glob("*.splatpress"))).values() if a.dtype.kind == "f")
+    assert all(
+        np.isfinite(a).all() for a in arrays_of_packed(next(out.glob("*.splatpress"))).values() if a.dtype.kind == "f"
+    )
     assert report["splats"] + report["numerics"]["dropped_points"] == report["scan"]["n_points"]
 
 
@@ -195,15 +224,35 @@ def test_formats__a_normal_of_zero_is_that_of_its_neighbours(tmp_path, capsys):
     normal[::7] = 0
     scan = write_points(tmp_path / "wall.ply", position, normal)
     assert main(["compress", str(scan), "--out", str(tmp_path / "out"), "--executor", "serial", "--no-render"]) == 0
-    assert np.array_equal(np.abs(arrays_of_packed(tmp_path / "out" / "wall.splatpress")["normal"]), np.tile([127, 0], (400, 1)))
+    assert np.array_equal(
+        np.abs(arrays_of_packed(tmp_path / "out" / "wall.splatpress")["normal"]), np.tile([127, 0], (400, 1))
+    )
     numerics = json.loads((tmp_path / "out" / "report.json").read_text())["numerics"]
     assert numerics["degenerate_normals"] == 0
 
 
 def test_formats__photographs_of_one_colour_are_kept_exactly_and_the_words_say_so(tmp_path, capsys):
-    """In whole bytes; in boxes, points that no photograph shows have colours of their own, and cells are as wide as they ask."""
+    """In whole bytes; in boxes, points that no photograph shows have colours of their own, and cells are as wide as
+    they ask."""
     scan = photos_of(tmp_path, np.full((48, 64, 3), 77, np.uint8))
-    assert main(["compress", str(scan), "--out", str(tmp_path / "out"), "--preset", "draft", "--coder", "paper", "--executor", "serial", "--no-render"]) == 0
+    assert (
+        main(
+            [
+                "compress",
+                str(scan),
+                "--out",
+                str(tmp_path / "out"),
+                "--preset",
+                "draft",
+                "--coder",
+                "paper",
+                "--executor",
+                "serial",
+                "--no-render",
+            ]
+        )
+        == 0
+    )
     assert "resampling identical" in capsys.readouterr().out
     quality = json.loads((tmp_path / "out" / "report.json").read_text())["quality"]
     assert quality["texture_psnr_db"] == quality["resampling_psnr_db"] == 100.0

@@ -10,10 +10,10 @@ import pytest
 from pipeline.geometry.chunks import median_split
 from pipeline.geometry.normals import decode_normals, encode_normals
 from pipeline.geometry.positions import decode_positions, encode_positions, fit_boxes
-from pipeline.limits import LARGEST_COORDINATE
+from pipeline.numerics.limits import LARGEST_COORDINATE
 from pipeline.splats.neighbours import find_neighbours
 from pipeline.splats.normals import NEIGHBOURS, estimate_normals, turned_to, usable_normals
-from storage.schema import CHUNK, GROUP
+from storage.packed.schema import CHUNK, GROUP
 from tests import reference
 
 FAR = np.array([4.5e5, 5.4e6, 100.0])
@@ -35,7 +35,8 @@ def degrees_apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.degrees(np.arcsin(np.minimum(1, np.linalg.norm(np.cross(a, b), axis=1))))
 
 
-# --- far from zero -----------------------------------------------------------------------------------------------------
+# --- far from zero
+# -----------------------------------------------------------------------------------------------------
 
 
 def test_geometry__positions_far_from_zero_are_as_exact_as_near():
@@ -62,21 +63,41 @@ def test_geometry__normals_far_from_zero_are_as_exact_as_near():
     assert np.median(degrees_apart(naive, expected)) > 10  # the naive way: raw second moments in float32
 
 
-# --- neighbourhoods that define no plane -------------------------------------------------------------------------------
+# --- neighbourhoods that define no plane
+# -------------------------------------------------------------------------------
 
 
 def degenerate(name: str) -> np.ndarray:
     rng = np.random.default_rng(1)
     t = rng.uniform(-1, 1, 40)
     line = np.outer(t, [0.3, -0.5, 0.8])
-    return {"identical": np.tile([1.0, 2, 3], (40, 1)), "collinear": line, "collinear, along x": np.outer(t, [1, 0, 0]),
-            "two points": np.array([[0.0, 0, 0], [1, 1, 0]]), "one point": np.zeros((1, 3)),
-            "collinear, almost": line + 1e-9 * rng.standard_normal((40, 3)),
-            "collinear, far": line + FAR, "collinear, tiny": line * 1e-150, "collinear, huge": line * 1e14}[name]
+    return {
+        "identical": np.tile([1.0, 2, 3], (40, 1)),
+        "collinear": line,
+        "collinear, along x": np.outer(t, [1, 0, 0]),
+        "two points": np.array([[0.0, 0, 0], [1, 1, 0]]),
+        "one point": np.zeros((1, 3)),
+        "collinear, almost": line + 1e-9 * rng.standard_normal((40, 3)),
+        "collinear, far": line + FAR,
+        "collinear, tiny": line * 1e-150,
+        "collinear, huge": line * 1e14,
+    }[name]
 
 
-@pytest.mark.parametrize("name", ["identical", "collinear", "collinear, along x", "two points", "one point",
-                                  "collinear, almost", "collinear, far", "collinear, tiny", "collinear, huge"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "identical",
+        "collinear",
+        "collinear, along x",
+        "two points",
+        "one point",
+        "collinear, almost",
+        "collinear, far",
+        "collinear, tiny",
+        "collinear, huge",
+    ],
+)
 def test_geometry__a_neighbourhood_without_a_plane_is_flagged_and_has_a_unit_normal(name):
     points = degenerate(name)
     found = neighbours_of(points)
@@ -110,7 +131,10 @@ def test_geometry__isolated_points_and_pairs_among_many_have_unit_normals():
 
 
 def test_geometry__given_normals_that_are_none_are_flagged():
-    given = np.array([[0, 0, 0], [np.nan, 0, 1], [0, np.inf, 0], [0, 0, 5], [1e-30, 0, 0], [1e-45, 0, 0], [3e38, 3e38, 0]], np.float32)
+    given = np.array(
+        [[0, 0, 0], [np.nan, 0, 1], [0, np.inf, 0], [0, 0, 5], [1e-30, 0, 0], [1e-45, 0, 0], [3e38, 3e38, 0]],
+        np.float32,
+    )
     normal, flagged = usable_normals(given)
     assert flagged.tolist() == [True, True, True, False, False, False, False]
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, atol=1e-12)

@@ -1,4 +1,5 @@
-"""Dictionary learning where atoms occur together, do not occur, or cannot be told apart. Bounds as in docs/NUMERICS.md."""
+"""Dictionary learning where atoms occur together, do not occur, or cannot be told apart. Bounds as in
+docs/NUMERICS.md."""
 
 from __future__ import annotations
 
@@ -9,21 +10,29 @@ import pytest
 
 from pipeline.coding import ksvd
 from pipeline.coding.ksvd import (
-    MOMENTUM, Best, Sums, block_sums, initial_dictionary, judge, learn_dictionary, next_trial, updated_dictionary,
+    MOMENTUM,
+    Best,
+    Sums,
+    block_sums,
+    initial_dictionary,
+    judge,
+    learn_dictionary,
+    next_trial,
+    updated_dictionary,
 )
-from pipeline.coding.twins import TWIN_COHERENCE
 from pipeline.coding.omp import pursue_patches
-from pipeline.stage import run_stage
-from pipeline.stages import dictionary as stages
-from pipeline.stages.dictionary import DictionarySeed, KsvdUpdate
-from pipeline.stages.training import TrainingPart
-from pipeline.executors import SerialExecutor
-from storage import arrays
+from pipeline.coding.twins import TWIN_COHERENCE
+from pipeline.execution.executors import SerialExecutor
+from pipeline.execution.stage import run_stage
+from pipeline.stages.texture import dictionary as stages
+from pipeline.stages.texture.dictionary import DictionarySeed, KsvdUpdate
+from pipeline.stages.texture.training import TrainingPart
+from storage.work import arrays
 from tests import reference
 from tests.pipeline.coding.test_certified import normalised
 from tests.pipeline.coding.test_ksvd import assert_sound, dense, planted
 from tests.pipeline.coding.test_omp import unit_rows
-from tests.pipeline.test_stage import Heard
+from tests.pipeline.execution.test_stage import Heard
 
 MONOTONE = 1e-6
 
@@ -42,8 +51,14 @@ def measured(patches, dictionary, most, tolerance=0.0):
 
 def curve_of(patches, n_atoms, most, iterations, seed=0):
     curve = []
-    learned = learn_dictionary(patches, n_atoms, max_atoms=most, iterations=iterations, seed=seed,
-                               on_iteration=lambda i, error: curve.append(error))
+    learned = learn_dictionary(
+        patches,
+        n_atoms,
+        max_atoms=most,
+        iterations=iterations,
+        seed=seed,
+        on_iteration=lambda i, error: curve.append(error),
+    )
     return learned, np.array(curve)
 
 
@@ -160,10 +175,16 @@ def test_learning__atoms_go_on_as_they_came_but_not_where_they_were_replaced_or_
 def staged(tmp_path, monkeypatch):
     """The stages of learning on patches of this file, without the stages before them."""
     patches = np.random.default_rng(4).permutation(always_together(2, noise=0.05))  # as a training set lies
-    monkeypatch.setattr(stages, "training_part", lambda folder, index:
-                        TrainingPart(patches[750 * index : 750 * index + 750], np.zeros(750)))
-    monkeypatch.setattr(stages.work, "summary", lambda folder, read=stages.work.summary:
-                        {"n_tasks": 2} if folder.name == "training" else read(folder))
+    monkeypatch.setattr(
+        stages,
+        "training_part",
+        lambda folder, index: TrainingPart(patches[750 * index : 750 * index + 750], np.zeros(750)),
+    )
+    monkeypatch.setattr(
+        stages.work,
+        "summary",
+        lambda folder, read=stages.work.summary: {"n_tasks": 2} if folder.name == "training" else read(folder),
+    )
     return tmp_path, patches
 
 
@@ -183,7 +204,8 @@ def test_learning__the_stages_keep_the_best_dictionary_too(staged):
     assert measured(patches, arrays.read(learned, "best"), 2).error == pytest.approx(curve[-1], rel=1e-6)
 
 
-# --- atoms that are not used, or not told apart -------------------------------------------------------------------------
+# --- atoms that are not used, or not told apart
+# -------------------------------------------------------------------------
 
 
 def test_learning__unused_atoms_and_twins_become_different_inputs():
@@ -208,8 +230,15 @@ def test_learning__twins_are_found_wherever_they_stand_in_a_large_dictionary():
         atoms[later] = -atoms[earlier]
     atoms /= np.linalg.norm(atoms, axis=1, keepdims=True)
     n = len(atoms)
-    sums = Sums(np.zeros((n, 24)), np.ones(n), np.full(n, 9), 0.0, 9 * n, np.zeros(len(pairs)),
-                rng.standard_normal((len(pairs), 24)).astype(np.float32))
+    sums = Sums(
+        np.zeros((n, 24)),
+        np.ones(n),
+        np.full(n, 9),
+        0.0,
+        9 * n,
+        np.zeros(len(pairs)),
+        rng.standard_normal((len(pairs), 24)).astype(np.float32),
+    )
     updated, n_replaced = updated_dictionary(atoms, sums)
     assert n_replaced == len(pairs)
     assert np.flatnonzero(np.abs(updated - atoms).max(axis=1) > 1e-3).tolist() == sorted(pairs.values())
@@ -242,9 +271,11 @@ def poor_inputs() -> dict[str, np.ndarray]:
     rng = np.random.default_rng(7)
     row = rng.standard_normal(48).astype(np.float32)
     return {
-        "all equal": np.tile(row, (100, 1)), "all equal but for sign": np.outer(np.tile([1, -1], 50), row).astype(np.float32),
+        "all equal": np.tile(row, (100, 1)),
+        "all equal but for sign": np.outer(np.tile([1, -1], 50), row).astype(np.float32),
         "equal but for rounding": (row + 1e-7 * rng.standard_normal((100, 48))).astype(np.float32),
-        "fewer than atoms": rng.standard_normal((5, 48)).astype(np.float32), "one": row[None],
+        "fewer than atoms": rng.standard_normal((5, 48)).astype(np.float32),
+        "one": row[None],
         "rank one": np.outer(rng.standard_normal(100), row).astype(np.float32),
         "mostly zero": np.concatenate([np.zeros((99, 48)), row[None]]).astype(np.float32),
         "tiny": (1e-15 * rng.standard_normal((100, 48))).astype(np.float32),
@@ -280,7 +311,9 @@ def test_learning__an_atom_orthogonal_to_all_inputs_does_not_stay_there():
     start = np.zeros((2, 48), np.float32)
     start[0, 0] = start[1, 1] = 1
     residual = patches.astype(float)
-    naive = reference.dead_atom_normalised(residual, residual @ start[0])  # the naive power iteration: no direction at all
+    naive = reference.dead_atom_normalised(
+        residual, residual @ start[0]
+    )  # the naive power iteration: no direction at all
     assert np.isnan(naive).all()
     updated, n_replaced = updated_dictionary(start, measured(patches, start, 1))
     assert n_replaced == 1 and updated[0, 0] == 0

@@ -8,7 +8,11 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def test_numerics__every_test_that_the_table_names_exists():
     named = set(re.findall(r"`(test_\w+__\w+)`", (ROOT / "docs" / "NUMERICS.md").read_text()))
-    there = {name for path in (ROOT / "tests").rglob("test_*.py") for name in re.findall(r"^def (test_\w+)", path.read_text(), re.M)}
+    there = {
+        name
+        for path in (ROOT / "tests").rglob("test_*.py")
+        for name in re.findall(r"^def (test_\w+)", path.read_text(), re.M)
+    }
     assert len(named) > 30 and not named - there
 
 

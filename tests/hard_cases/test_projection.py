@@ -1,4 +1,5 @@
-"""Patches against a float64 ray cast of an analytic texture, and the flags where nothing is seen. Bounds: docs/NUMERICS.md."""
+"""Patches against a float64 ray cast of an analytic texture, and the flags where nothing is seen. Bounds:
+docs/NUMERICS.md."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from pipeline.splats.cameras import best_cameras
 from pipeline.texture.patches import make_patches
 from pipeline.texture.projection import homographies, is_in_front, is_whole, project_corners
 from pipeline.texture.resample import Window, resample_patches, window_bounds
-from storage.schema import NO_CAMERA, Camera
+from storage.packed.schema import NO_CAMERA, Camera
 from tests import reference
 
 LEVEL = 1 / 255
@@ -70,7 +71,9 @@ def test_projection__footprints_of_any_size_are_within_1_of_255(footprint_px):
 def test_projection__one_lookup_a_texel_breaks_where_a_texel_covers_many_pixels():
     """The naive formulation, on a photo of fine stripes: what a texel of 31 pixels shows is their mean."""
     u, v = frame_at(0, turn=0.0)
-    stripes = np.where(np.arange(2400) % 5 < 2, 255, 0).astype(np.uint8)[None, :, None] * np.ones((1800, 1, 3), np.uint8)
+    stripes = np.where(np.arange(2400) % 5 < 2, 255, 0).astype(np.uint8)[None, :, None] * np.ones(
+        (1800, 1, 3), np.uint8
+    )
     h = homographies(CAMERA, (0.0, 0.0, 0.0), np.array([[0.0, 0, 10]]), u[None], v[None], 2.5)
     naive = reference.patch_of(stripes, h[0])
     found = resample_patches(Window(stripes, 0, 0), h).reshape(32, 32, 3)
@@ -107,7 +110,10 @@ def test_projection__far_from_zero_patches_are_those_at_zero():
     far = patch_and_ray_cast(replace(CAMERA, centre=(4.5e5, 5.4e6, 100.0)), centre, u, v, 0.1, (4.5e5, 5.4e6, 100.0))[0]
     assert np.abs(near.astype(int) - far).max() <= 1
     naive = reference.float32_homography(CAMERA, centre + [4.5e5, 5.4e6, 100.0], u, v, 0.1, (4.5e5, 5.4e6, 100.0))
-    moved_px = np.abs(naive[:2, 2] / naive[2, 2] - (homographies(CAMERA, (0, 0, 0), centre[None], u[None], v[None], 0.1)[0, :2, 2] / 5.0))
+    moved_px = np.abs(
+        naive[:2, 2] / naive[2, 2]
+        - (homographies(CAMERA, (0, 0, 0), centre[None], u[None], v[None], 0.1)[0, :2, 2] / 5.0)
+    )
     assert moved_px.max() > 5  # the naive way: absolute coordinates in float32
 
 
@@ -124,20 +130,27 @@ def test_projection__splats_at_the_photo_s_edge_are_exact_inside_and_flagged():
     assert patch_and_ray_cast(CAMERA, centre, u, v, 0.1)[2]
 
 
-# --- where nothing is seen ----------------------------------------------------------------------------------------------
+# --- where nothing is seen
+# ----------------------------------------------------------------------------------------------
 
 
 def hopeless() -> dict[str, tuple[Camera, np.ndarray]]:
     """Cameras and centres of splats of radius 0.1 that they cannot texture."""
     singular = {
-        "no depth": ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 0)), "rank two": ((1.0, 0, 0), (1.0, 0, 0), (0, 0, 1.0)),
-        "nan": ((np.nan, 0, 0), (0, 1.0, 0), (0, 0, 1.0)), "inf": ((1.0, 0, 0), (0, np.inf, 0), (0, 0, 1.0)),
+        "no depth": ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 0)),
+        "rank two": ((1.0, 0, 0), (1.0, 0, 0), (0, 0, 1.0)),
+        "nan": ((np.nan, 0, 0), (0, 1.0, 0), (0, 0, 1.0)),
+        "inf": ((1.0, 0, 0), (0, np.inf, 0), (0, 0, 1.0)),
     }
     ahead = np.array([0.0, 0, 5])
     return {name: (replace(CAMERA, rotation=r), ahead) for name, r in singular.items()} | {
-        "behind": (CAMERA, -ahead), "at the eye": (CAMERA, 0 * ahead), "around the camera plane": (CAMERA, np.array([0, 0, 0.01])),
-        "a corner behind": (CAMERA, np.array([0.0, 0, 0.09])), "w near zero": (CAMERA, np.array([0, 0, 1e-300])),
-        "beside the photo": (CAMERA, np.array([50.0, 0, 5])), "no focal length": (replace(CAMERA, fx_px=0.0), ahead),
+        "behind": (CAMERA, -ahead),
+        "at the eye": (CAMERA, 0 * ahead),
+        "around the camera plane": (CAMERA, np.array([0, 0, 0.01])),
+        "a corner behind": (CAMERA, np.array([0.0, 0, 0.09])),
+        "w near zero": (CAMERA, np.array([0, 0, 1e-300])),
+        "beside the photo": (CAMERA, np.array([50.0, 0, 5])),
+        "no focal length": (replace(CAMERA, fx_px=0.0), ahead),
         "edge on": (CAMERA, ahead),
     }
 
@@ -155,7 +168,9 @@ def test_projection__what_is_not_seen_is_flagged_and_takes_the_scan_s_colour(nam
             return PHOTO[top:bottom, left:right]
 
         color = np.array([[10, 200, 30]], np.uint8)
-        patches = make_patches((camera,), read, (0, 0, 0), centre[None], (u[None], v[None]), 0.1, np.zeros(1, np.uint16), color, 0)
+        patches = make_patches(
+            (camera,), read, (0, 0, 0), centre[None], (u[None], v[None]), 0.1, np.zeros(1, np.uint16), color, 0
+        )
         assert patches.n_flagged == 1
         assert np.isfinite(patches.energy).all() and np.isfinite(patches.resampling_error)
         if not is_in_front(h)[0]:
@@ -180,7 +195,13 @@ def test_projection__a_naive_test_of_the_centre_alone_lets_corners_behind_throug
 
 
 def test_projection__the_nearest_corner_may_be_a_twentieth_of_the_distance_away():
-    for share, seen, depth in ((0.051, True, 1.0), (0.049, False, 1.0), (0.051, True, 1e3), (0.049, False, 1e3), (0.051, True, 1e-3)):
+    for share, seen, depth in (
+        (0.051, True, 1.0),
+        (0.049, False, 1.0),
+        (0.051, True, 1e3),
+        (0.049, False, 1e3),
+        (0.051, True, 1e-3),
+    ):
         v = np.array([0, 0, 1.0])
         radius = depth * (1 - share)
         h = homographies(CAMERA, (0, 0, 0), np.array([[0, 0, depth]]), np.array([[1.0, 0, 0]]), v[None], radius)

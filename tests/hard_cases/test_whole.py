@@ -13,24 +13,36 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pipeline.limits import LARGEST_COORDINATE, SMALLEST_RADIUS
+from pipeline.numerics.limits import LARGEST_COORDINATE, SMALLEST_RADIUS
 from pipeline.readers.check import check_scan
-from pipeline.stages.measure import decoded_colors
+from pipeline.stages.packed.measure import decoded_colors
 from pipeline.texture.colors import length_of
-from services.cli import main
-from services.workflow import compress
+from services.cli.main import main
+from services.processes.compress import compress
 from storage.errors import InvalidScan, SplatpressError
 from tests.hard_cases.scans import (
-    QUICK, Placed, arrays_of_packed, compressed, grained_photo, photographed_wall, scene_of_packed, write_photographed, write_points,
+    QUICK,
+    Placed,
+    arrays_of_packed,
+    compressed,
+    grained_photo,
+    photographed_wall,
+    scene_of_packed,
+    write_photographed,
+    write_points,
 )
+from tests.pipeline.execution.test_stage import Heard
 from tests.pipeline.readers.shared_data import shared_scan
-from tests.pipeline.test_stage import Heard
 
 WILD = st.one_of(
-    st.floats(-1, 1), st.floats(-1e3, 1e3), st.floats(width=64),
-    st.sampled_from([0.0, -0.0, 1e-300, 1e-45, 1e-20, 1e15, 1e16, 1e38, 1e39, 1e308, np.inf, -np.inf, np.nan, 5.4e6, 4.5e5]),
+    st.floats(-1, 1),
+    st.floats(-1e3, 1e3),
+    st.floats(width=64),
+    st.sampled_from(
+        [0.0, -0.0, 1e-300, 1e-45, 1e-20, 1e15, 1e16, 1e38, 1e39, 1e308, np.inf, -np.inf, np.nan, 5.4e6, 4.5e5]
+    ),
 )
-HYPOTHESIS = dict(deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
+HYPOTHESIS = {"deadline": None, "derandomize": True, "database": None, "suppress_health_check": list(HealthCheck)}
 
 
 @st.composite
@@ -38,7 +50,9 @@ def wild_points(draw):
     """Positions, perhaps normals, perhaps colours, of 0 to 300 points; some of them copies."""
     seed, n = draw(st.integers(0, 2**32 - 1)), draw(st.sampled_from([0, 1, 2, 3, 5, 17, 127, 128, 129, 300]))
     rng = np.random.default_rng(seed)
-    position = rng.uniform(-1, 1, (n, 3)) * draw(st.sampled_from([1.0, 1e-6, 1e-14, 1e6, 1e14])) + draw(st.sampled_from([0.0, 5.4e6]))
+    position = rng.uniform(-1, 1, (n, 3)) * draw(st.sampled_from([1.0, 1e-6, 1e-14, 1e6, 1e14])) + draw(
+        st.sampled_from([0.0, 5.4e6])
+    )
     for value in draw(st.lists(WILD, max_size=4)):
         if n:
             position[rng.integers(0, n, 1 + n // 10), rng.integers(0, 3)] = value
@@ -86,8 +100,16 @@ def odd_cameras(draw):
     for _ in range(draw(st.integers(1, 3))):
         turn = Rotation.random(random_state=rng).as_matrix() if draw(st.booleans()) else np.eye(3)
         centre = np.array([0.0, 0, draw(st.sampled_from([-2.0, 0.0, -1e-9, -1e9, 1.0, 0.05, -0.1]))])
-        cameras.append((draw(st.sampled_from([1e-6, 1.0, 60.0, 1e7])), draw(st.sampled_from([50.0, 1e-3, 1e9])),
-                        draw(st.sampled_from([80.0, -1e6])), 60.0, turn, centre))
+        cameras.append(
+            (
+                draw(st.sampled_from([1e-6, 1.0, 60.0, 1e7])),
+                draw(st.sampled_from([50.0, 1e-3, 1e9])),
+                draw(st.sampled_from([80.0, -1e6])),
+                60.0,
+                turn,
+                centre,
+            )
+        )
     n = draw(st.sampled_from([6, 40, 150]))
     position = rng.uniform(-1, 1, (n, 3)) * draw(st.sampled_from([[1, 1, 0], [1, 1, 1], [1, 0, 0]]))
     position[: n // 5] = position[0]
@@ -102,13 +124,21 @@ def test_whole__odd_cameras_end_in_finite_output_or_one_clear_error(scan):
     position, normal, cameras, visible = scan
     with tempfile.TemporaryDirectory() as folder:
         color = np.full((len(position), 3), 90, np.uint8)
-        path = write_photographed(Path(folder) / "scan", position, normal, color, visible, cameras,
-                                  [grained_photo(i) for i in range(len(cameras))])
+        path = write_photographed(
+            Path(folder) / "scan",
+            position,
+            normal,
+            color,
+            visible,
+            cameras,
+            [grained_photo(i) for i in range(len(cameras))],
+        )
         report = ends_well(path, Path(folder) / "out")
         assert report is None or 0 <= report["numerics"]["flagged_projections"] <= report["splats"]
 
 
-# --- too large, too small -----------------------------------------------------------------------------------------------
+# --- too large, too small
+# -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("value", [1e16, 1e39, 1e300, -1e39])
@@ -132,7 +162,19 @@ def test_whole__the_largest_and_the_smallest_scans_are_drawn(tmp_path, renderer,
 @pytest.mark.parametrize("radius", [1e-13, 1e16, 1e300])
 def test_whole__a_radius_that_squares_cannot_hold_is_refused(tmp_path, radius, capsys):
     scan = write_points(tmp_path / "scan.ply", np.random.default_rng(0).uniform(-1, 1, (50, 3)))
-    code = main(["compress", str(scan), "--out", str(tmp_path / "out"), "--radius", str(radius), "--executor", "serial", "--no-render"])
+    code = main(
+        [
+            "compress",
+            str(scan),
+            "--out",
+            str(tmp_path / "out"),
+            "--radius",
+            str(radius),
+            "--executor",
+            "serial",
+            "--no-render",
+        ]
+    )
     assert code == 3 and f"a splat radius of {radius:g}; allowed: 1e-12 to 1e+15" in capsys.readouterr().err
 
 
@@ -143,14 +185,20 @@ def test_whole__intensities_that_are_not_finite_are_black_and_break_nothing(tmp_
         rows[:n_bad, 3] = np.nan
         text = "\n".join(" ".join(f"{v:g}" for v in row) for row in rows)
         scan = tmp_path / f"{n_bad}.ply"
-        scan.write_text("ply\nformat ascii 1.0\nelement vertex 60\n" + "".join(f"property float {p}\n" for p in ("x", "y", "z", "intensity"))
-                        + f"end_header\n{text}\n")
+        scan.write_text(
+            "ply\nformat ascii 1.0\nelement vertex 60\n"
+            + "".join(f"property float {p}\n" for p in ("x", "y", "z", "intensity"))
+            + f"end_header\n{text}\n"
+        )
         report, packed = compressed(scan, tmp_path / f"out{n_bad}")
         color = arrays_of_packed(packed)["color"]
-        assert report["splats"] == 60 and ((color == 0).all(axis=1).sum() >= 5 if n_bad < 60 else ((color > 30) & (color < 225)).all())
+        assert report["splats"] == 60 and (
+            (color == 0).all(axis=1).sum() >= 5 if n_bad < 60 else ((color > 30) & (color < 225)).all()
+        )
 
 
-# --- the same scan elsewhere ----------------------------------------------------------------------------------------------
+# --- the same scan elsewhere
+# ----------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -163,10 +211,17 @@ N_SIDE = 50  # of the wall: what fewer splats teach a dictionary hangs on the la
 QUARTER = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
 
 
-@pytest.mark.parametrize("placed", [
-    Placed(np.eye(3), shift=(4.5e5, 5.4e6, 100.0)), Placed(np.eye(3), 1e-6), Placed(np.eye(3), 1e6),
-    Placed(QUARTER), Placed(QUARTER, 1000.0, (-3e5, 1e5, 2e6)),
-], ids=["far", "tiny", "huge", "turned by axes", "all three"])
+@pytest.mark.parametrize(
+    "placed",
+    [
+        Placed(np.eye(3), shift=(4.5e5, 5.4e6, 100.0)),
+        Placed(np.eye(3), 1e-6),
+        Placed(np.eye(3), 1e6),
+        Placed(QUARTER),
+        Placed(QUARTER, 1000.0, (-3e5, 1e5, 2e6)),
+    ],
+    ids=["far", "tiny", "huge", "turned by axes", "all three"],
+)
 def test_whole__moving_turning_and_scaling_leave_psnr(tmp_path, wall, placed):
     report, packed = compressed(photographed_wall(tmp_path / "scan", placed, N_SIDE), tmp_path / "out")
     for figure in ("texture_psnr_db", "visible_psnr_db"):
@@ -178,24 +233,35 @@ def test_whole__moving_turning_and_scaling_leave_psnr(tmp_path, wall, placed):
 def test_whole__turning_a_scan_by_any_angles_leaves_psnr(tmp_path):
     """Chunks then hold other splats, but learning starts from the same ones."""
     settings = replace(QUICK, training_splats=4000)
-    turns = (np.eye(3), *(Rotation.from_euler("zyx", angles, degrees=True).as_matrix() for angles in ((10, 20, 30), (115, -40, 65))))
-    still, *turned = (compressed(photographed_wall(tmp_path / f"scan{i}", Placed(turn), n_side=60), tmp_path / f"out{i}", settings)[0]
-                      for i, turn in enumerate(turns))
+    turns = (
+        np.eye(3),
+        *(Rotation.from_euler("zyx", angles, degrees=True).as_matrix() for angles in ((10, 20, 30), (115, -40, 65))),
+    )
+    still, *turned = (
+        compressed(photographed_wall(tmp_path / f"scan{i}", Placed(turn), n_side=60), tmp_path / f"out{i}", settings)[0]
+        for i, turn in enumerate(turns)
+    )
     for report in turned:
         for figure in ("texture_psnr_db", "visible_psnr_db"):
             assert report["quality"][figure] == pytest.approx(still["quality"][figure], abs=0.05)
-        assert report["quality"]["geometry"]["mean_position_error_in_radii"] < 1 / 30  # a tilted wall's boxes are thicker
+        assert (
+            report["quality"]["geometry"]["mean_position_error_in_radii"] < 1 / 30
+        )  # a tilted wall's boxes are thicker
 
 
 def test_whole__patches_of_a_far_scan_are_those_of_the_near_one(tmp_path):
     placed = (Placed(np.eye(3)), Placed(np.eye(3), shift=(4.5e5, 5.4e6, 128.0)))
-    near, far = (scene_of_packed(compressed(photographed_wall(tmp_path / f"scan{i}", p), tmp_path / f"out{i}")[1]) for i, p in enumerate(placed))
+    near, far = (
+        scene_of_packed(compressed(photographed_wall(tmp_path / f"scan{i}", p), tmp_path / f"out{i}")[1])
+        for i, p in enumerate(placed)
+    )
     apart = np.abs(decoded_colors(near) - decoded_colors(far))  # a colour may fall into the next cell, few do
     assert apart.max() <= 1.7 * length_of(near.header.color_step) and np.median(apart) < 0.05
     assert (near.arrays["normal"] == far.arrays["normal"]).all()
 
 
-# --- order and workers -----------------------------------------------------------------------------------------------------
+# --- order and workers
+# -----------------------------------------------------------------------------------------------------
 
 
 class _Backwards:
@@ -204,7 +270,7 @@ class _Backwards:
     n_workers = 1
 
     def run(self, stage, folder, indices, on_done):
-        from pipeline.task import run_task
+        from pipeline.execution.task import run_task
 
         for index in [*indices[::-1], *indices[:1]][: len(indices) + 1]:
             result = run_task(stage, folder, index)
@@ -216,16 +282,29 @@ class _Backwards:
 
 
 def test_whole__bytes_do_not_depend_on_the_order_of_tasks(tmp_path, wall, monkeypatch):
-    compress(photographed_wall(tmp_path / "scan", n_side=N_SIDE), tmp_path / "out", QUICK, _Backwards(), Heard(), render=False)
+    compress(
+        photographed_wall(tmp_path / "scan", n_side=N_SIDE),
+        tmp_path / "out",
+        QUICK,
+        _Backwards(),
+        Heard(),
+        render=False,
+    )
     assert (tmp_path / "out" / wall[1].name).read_bytes() == wall[1].read_bytes()
 
 
-# --- in the product ----------------------------------------------------------------------------------------------------------
+# --- in the product
+# ----------------------------------------------------------------------------------------------------------
 
 
 def test_whole__the_report_counts_what_was_met(tmp_path, renderer):
-    position = np.concatenate([np.random.default_rng(0).uniform(-1, 1, (200, 3)), np.full((7, 3), np.nan),
-                               np.outer(np.linspace(50, 60, 30), [1, 0, 0])])
+    position = np.concatenate(
+        [
+            np.random.default_rng(0).uniform(-1, 1, (200, 3)),
+            np.full((7, 3), np.nan),
+            np.outer(np.linspace(50, 60, 30), [1, 0, 0]),
+        ]
+    )
     scan = write_points(tmp_path / "scan.ply", position)
     report, _ = compressed(scan, tmp_path / "out", render=True)
     numerics = report["numerics"]
@@ -246,7 +325,14 @@ def test_whole__the_report_says_when_sums_are_wide(tmp_path, renderer):
 
 def test_whole__projections_beyond_a_photo_and_without_one_are_counted(wall):
     numerics = wall[0]["numerics"]
-    assert set(numerics) == {"dropped_points", "degenerate_normals", "flagged_projections", "replaced_atoms", "safeguard_steps", "accumulation"}
+    assert set(numerics) == {
+        "dropped_points",
+        "degenerate_normals",
+        "flagged_projections",
+        "replaced_atoms",
+        "safeguard_steps",
+        "accumulation",
+    }
     assert numerics["accumulation"] is None and numerics["dropped_points"] == 0
     curve = [row["psnr_db"] for row in wall[0]["learning"]]
     assert curve == sorted(curve)
@@ -259,7 +345,12 @@ def test_whole__check_prints_a_line_a_finding_and_exits_with_0_or_3(tmp_path, ca
     odd[:3] = np.nan
     normal = np.zeros((50, 3), np.float32)
     cases = {
-        "good": (good, 0, []), "odd": (write_points(tmp_path / "odd.ply", odd, normal), 0, ["3 of 50 points have a position", "47 of 50 points have a normal", "the points lie"]),
+        "good": (good, 0, []),
+        "odd": (
+            write_points(tmp_path / "odd.ply", odd, normal),
+            0,
+            ["3 of 50 points have a position", "47 of 50 points have a normal", "the points lie"],
+        ),
         "wide": (write_points(tmp_path / "wide.ply", np.diag([1e300, 1, 1])), 3, ["error: ", "a coordinate of 1e+300"]),
         "none": (write_points(tmp_path / "none.ply", np.full((5, 3), np.nan)), 3, ["none of its 5 points"]),
         "equal": (write_points(tmp_path / "equal.ply", np.ones((5, 3))), 0, ["all points are one position"]),
@@ -275,15 +366,19 @@ def test_whole__check_prints_a_line_a_finding_and_exits_with_0_or_3(tmp_path, ca
         assert found["ok"] == (code == 0) and len(found["findings"]) == len(out.splitlines())
 
 
-REAL = ["autzen_rgb_statefeet/autzen_trim.las", "organised_table_scene/scan.ply", "tree_spruce_tls/spruce.laz",
-        "stanford_bunny/bunny.ply"]
+REAL = [
+    "autzen_rgb_statefeet/autzen_trim.las",
+    "organised_table_scene/scan.ply",
+    "tree_spruce_tls/spruce.laz",
+    "stanford_bunny/bunny.ply",
+]
 
 
 @pytest.mark.parametrize("name", REAL)
 def test_whole__real_hard_scans_pass_readers_and_geometry(tmp_path, name):
-    from pipeline.executors import SerialExecutor
-    from services.run import Run
-    from services.workflow import prepare
+    from pipeline.execution.executors import SerialExecutor
+    from services.flow.prepare import prepare
+    from services.flow.run import Run
 
     scan = shared_scan(name)
     assert all(f.severity != "error" for f in check_scan(str(scan)))

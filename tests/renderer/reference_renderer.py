@@ -16,15 +16,17 @@ from pipeline.geometry.cliplines import decode_cliplines
 from pipeline.geometry.ellipsoids import decode_ellipsoids
 from pipeline.geometry.frame import tangent_frames
 from pipeline.geometry.positions import Boxes, decode_positions
-from storage.bits import unpack_bits
-from storage.packed import PackedScene
-from storage.schema import CLIPLINE_BITS, GROUP, MIP_SIZES, NO_CAMERA, Camera
+from storage.packed.bits import unpack_bits
+from storage.packed.packed import PackedScene
+from storage.packed.schema import CLIPLINE_BITS, GROUP, MIP_SIZES, NO_CAMERA, Camera
 from tests.reference_packed import decode_color, turned
 
 NEAR_IN_RADII = 0.01
 ROUNDING = 1e-5
 LEAST_WEIGHT = 1 / 1024
-SNAPPED_PX = 1 / 512  # how far rasterisers move a corner at most: GPUs round to 8 bits below a pixel, llvmpipe shades as if it did not
+SNAPPED_PX = (
+    1 / 512
+)  # how far rasterisers move a corner at most: GPUs round to 8 bits below a pixel, llvmpipe shades as if it did not
 ATOM_AREA = 0.5 * 16 * 16  # half a level finer than one texel a pixel
 
 
@@ -48,7 +50,9 @@ class Fragments:
     z: np.ndarray
     pushed_z: np.ndarray
     area_px: float  # None where the splat is too close for it
-    ball: np.ndarray | None = None  # (m, 3) of an ellipsoid: where it is hit, in its own axes, as a point of the unit ball
+    ball: np.ndarray | None = (
+        None  # (m, 3) of an ellipsoid: where it is hit, in its own axes, as a point of the unit ball
+    )
 
 
 def render(scene: PackedScene, view: Camera, max_atoms: int = 16) -> tuple[np.ndarray, np.ndarray]:
@@ -99,7 +103,9 @@ def render_baseline(scene: PackedScene, photos: list[np.ndarray], view: Camera) 
         image = image_of(disc, splat, camera)
         level = mip_level(abs(np.linalg.det(image)), fragments.area_px, len(pyramids[index]) - 1)
         x, y = np.clip(fragments.x, -1, 1)[:, None], np.clip(fragments.y, -1, 1)[:, None]
-        point = disc.centre[splat] + (x * disc.u[splat] + y * disc.v[splat] if fragments.ball is None else fragments.ball @ axes)
+        point = disc.centre[splat] + (
+            x * disc.u[splat] + y * disc.v[splat] if fragments.ball is None else fragments.ball @ axes
+        )
         px_x = camera.fx_px * point[:, 0] / point[:, 2] + camera.cx_px
         px_y = camera.fy_px * point[:, 1] / point[:, 2] + camera.cy_px
         return sample(pyramids[index], px_x, px_y, level)
@@ -116,9 +122,12 @@ def blend(scene: PackedScene, view: Camera, color) -> tuple[np.ndarray, np.ndarr
     header = scene.header
     discs, lines = discs_of(scene, view), cliplines_of(scene)
     axes = ellipsoids_of(scene, view)
-    drawn = [ellipsoid_fragments(discs.centre[splat], axes[splat], view, header.radius, header.depth_margin) if splat in axes
-             else fragments_of(discs, splat, lines[splat], view, header.radius, header.depth_margin)
-             for splat in range(header.n_splats)]
+    drawn = [
+        ellipsoid_fragments(discs.centre[splat], axes[splat], view, header.radius, header.depth_margin)
+        if splat in axes
+        else fragments_of(discs, splat, lines[splat], view, header.radius, header.depth_margin)
+        for splat in range(header.n_splats)
+    ]
     n_pixels = view.width_px * view.height_px
     nearest = np.full(n_pixels, np.inf)
     for fragments in drawn:
@@ -161,10 +170,14 @@ def ellipsoids_of(scene: PackedScene, view: Camera) -> dict[int, np.ndarray]:
     """Half axes as rows (3, 3) in the axes of a camera, by splat."""
     found = {}
     for splat in np.flatnonzero(scene.rows.extra["ellipsoid"] >= 0):
-        word = scene.arrays["ellipsoids"][scene.arrays["ellipsoid_word"][splat // GROUP] + scene.rows.extra["ellipsoid"][splat]]
+        word = scene.arrays["ellipsoids"][
+            scene.arrays["ellipsoid_word"][splat // GROUP] + scene.rows.extra["ellipsoid"][splat]
+        ]
         fields = np.frombuffer(word.tobytes(), np.uint8)[None]
         header, normal = scene.header, scene.arrays["normal"][splat : splat + 1]
-        found[int(splat)] = decode_ellipsoids(fields, normal, header.up, header.ahead, header.radius)[0] @ np.array(view.rotation).T
+        found[int(splat)] = (
+            decode_ellipsoids(fields, normal, header.up, header.ahead, header.radius)[0] @ np.array(view.rotation).T
+        )
     return found
 
 
@@ -188,7 +201,9 @@ def ellipsoid_fragments(centre: np.ndarray, axes: np.ndarray, view: Camera, radi
         area_px = abs(np.linalg.det(image))
         small = np.linalg.svd(image, compute_uv=False)[1] < 1
     if small:
-        return _small_ellipsoid(outline, distance, np.stack([x, y, eye / distance]), view, image, area_px, radius, margin)
+        return _small_ellipsoid(
+            outline, distance, np.stack([x, y, eye / distance]), view, image, area_px, radius, margin
+        )
     a, b, c = (step**2).sum(axis=1), step @ eye, distance**2 - 1
     with np.errstate(invalid="ignore"):
         z = (-b - np.sqrt(b**2 - a * c)) / a
@@ -235,8 +250,9 @@ def image_of(discs: Discs, splat: int, view: Camera) -> np.ndarray:
     """(2, 2): how the projected px moves with x and y on the disc, at its centre."""
     centre = discs.centre[splat]
     focal = np.array([view.fx_px, view.fy_px])
-    columns = [focal * (axis[:2] - centre[:2] / centre[2] * axis[2]) / centre[2]
-               for axis in (discs.u[splat], discs.v[splat])]
+    columns = [
+        focal * (axis[:2] - centre[:2] / centre[2] * axis[2]) / centre[2] for axis in (discs.u[splat], discs.v[splat])
+    ]
     return np.stack(columns, axis=1)
 
 
@@ -326,10 +342,13 @@ def psnr_db(a: np.ndarray, b: np.ndarray) -> float:
     return 10 * np.log10(1 / max(np.mean((a - b) ** 2), 1e-20))
 
 
-def agreement_db(rgb: np.ndarray, expected: np.ndarray, twin: Callable[[Camera], np.ndarray], view: Camera, enough_db: float = 45) -> float:
-    """PSNR of a picture, uint8, against the one that the twin drew of `view`. Where it is not enough each pixel is compared with the nearest
-    of five: the twin's picture, and it once more with the picture moved by SNAPPED_PX to each of four sides. For a splat's rim that
-    crosses a pixel's centre within that distance may hide what lies behind it there, or not, on a rasteriser that rounds corners."""
+def agreement_db(
+    rgb: np.ndarray, expected: np.ndarray, twin: Callable[[Camera], np.ndarray], view: Camera, enough_db: float = 45
+) -> float:
+    """PSNR of a picture, uint8, against the one that the twin drew of `view`. Where it is not enough each pixel is
+    compared with the nearest of five: the twin's picture, and it once more with the picture moved by SNAPPED_PX to each
+    of four sides. For a splat's rim that crosses a pixel's centre within that distance may hide what lies behind it
+    there, or not, on a rasteriser that rounds corners."""
     shown, s = rgb / 255, SNAPPED_PX
     found = psnr_db(shown, expected)
     if found >= enough_db:

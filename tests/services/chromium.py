@@ -10,8 +10,17 @@ import time
 from base64 import b64decode
 from pathlib import Path
 
-FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
-         "--disable-component-update", "--disable-sync", "--window-size=1280,1400", "--remote-debugging-pipe")
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--window-size=1280,1400",
+    "--remote-debugging-pipe",
+)
 
 
 def chromium_path() -> str | None:
@@ -33,8 +42,12 @@ class Page:
             os.set_inheritable(4, True)
 
         self._process = subprocess.Popen(
-            [chromium_path(), *FLAGS, f"--user-data-dir={profile}", "about:blank"], preexec_fn=as_three_and_four, close_fds=False,
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            [chromium_path(), *FLAGS, f"--user-data-dir={profile}", "about:blank"],
+            preexec_fn=as_three_and_four,
+            close_fds=False,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         os.close(to_read), os.close(to_write)
         self._buffer, self._id, self._session = b"", 0, None
         self.complaints: list[str] = []
@@ -47,7 +60,9 @@ class Page:
     def call(self, method: str, **parameters) -> dict:
         self._id += 1
         message = {"id": self._id, "method": method, "params": parameters}
-        os.write(self._write, json.dumps(message | ({"sessionId": self._session} if self._session else {})).encode() + b"\0")
+        os.write(
+            self._write, json.dumps(message | ({"sessionId": self._session} if self._session else {})).encode() + b"\0"
+        )
         while (answer := self._message()).get("id") != self._id:
             self._listen(answer)
         if "error" in answer:
@@ -80,7 +95,9 @@ class Page:
 
     def look(self, script: str):
         """The value of a JavaScript expression; None where it fails."""
-        return self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)["result"].get("value")
+        return self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)["result"].get(
+            "value"
+        )
 
     def until(self, script: str, seconds: float = 60.0):
         deadline = time.monotonic() + seconds
@@ -88,7 +105,9 @@ class Page:
             if found := self.look(script):
                 return found
             time.sleep(0.2)
-        raise AssertionError(f"not within {seconds:g} s: {script}; {self.complaints}; page: {self.look('document.body.innerText')}")
+        raise AssertionError(
+            f"not within {seconds:g} s: {script}; {self.complaints}; page: {self.look('document.body.innerText')}"
+        )
 
     def choose_file(self, selector: str, path: Path) -> None:
         root = self.call("DOM.getDocument")["root"]["nodeId"]

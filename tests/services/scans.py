@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
-from pipeline.executors import SerialExecutor
-from pipeline.settings import settings_for
-from services.workflow import compress
+from pipeline.execution.executors import SerialExecutor
+from pipeline.planning.settings import settings_for
+from services.processes.compress import compress
+from tests.pipeline.execution.test_stage import Heard
 from tests.pipeline.readers.workspace import write_photo, write_ply, write_workspace
-from tests.pipeline.test_stage import Heard
 
 
 def photo_scan(path: Path, n_side: int = 140, grain: int = 40, n_cameras: int = 3) -> Path:

@@ -15,7 +15,7 @@ from pathlib import Path
 import httpx
 import psutil
 
-from services.client import Client
+from services.cli.client import Client
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -96,15 +96,34 @@ def _command(process: psutil.Process) -> list[str]:
 
 @contextmanager
 def service(data: Path, workers: int = 2, log: Path | None = None, **settings: str):
-    """`splatpress serve`, ready; ends with all its parts. It runs in the folder that holds `data`, which it is told by a
-    relative path, as users do."""
+    """`splatpress serve`, ready; ends with all its parts. It runs in the folder that holds `data`, which it is told by
+    a relative path, as users do."""
     port, log = free_port(), log or data.with_name(data.name + ".log")
-    environment = {**os.environ, **{f"SPLATPRESS_{name.upper()}": value for name, value in settings.items()},
-                   "PYTHONPATH": str(ROOT)}
+    environment = {
+        **os.environ,
+        **{f"SPLATPRESS_{name.upper()}": value for name, value in settings.items()},
+        "PYTHONPATH": str(ROOT),
+    }
     with open(log, "w") as stream:
         process = subprocess.Popen(
-            [sys.executable, "-m", "services.cli", "serve", "--data", data.name, "--port", str(port), "--workers", str(workers)],
-            env=environment, stdout=stream, stderr=subprocess.STDOUT, start_new_session=True, cwd=data.parent)
+            [
+                sys.executable,
+                "-m",
+                "services.cli.main",
+                "serve",
+                "--data",
+                data.name,
+                "--port",
+                str(port),
+                "--workers",
+                str(workers),
+            ],
+            env=environment,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            cwd=data.parent,
+        )
     started = ServiceProcess(data, port, process, log)
     try:
         until(started.is_ready)

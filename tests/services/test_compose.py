@@ -13,7 +13,7 @@ import psutil
 import pytest
 from dask.config import collect_env, get
 
-from pipeline.executors import DASK_SETTINGS
+from pipeline.execution.executors import DASK_SETTINGS
 from tests.services.composed import COMPOSE, OURS, composed_in
 from tests.services.scans import packed_by_compress, photo_scan
 from tests.services.service_process import ROOT
@@ -45,7 +45,11 @@ def test_compose__dask_runs_there_as_in_one_command():
 
 def test_compose__the_image_is_debians_and_runs_as_no_root():
     text = (ROOT / "deploy" / "Dockerfile").read_text()
-    assert re.search(r"^FROM debian:bookworm-slim AS base$", text, re.M) and text.count("FROM debian") == text.count("debian:") and re.search(r"^USER 10001$", text, re.M)
+    assert (
+        re.search(r"^FROM debian:bookworm-slim AS base$", text, re.M)
+        and text.count("FROM debian") == text.count("debian:")
+        and re.search(r"^USER 10001$", text, re.M)
+    )
     assert set(re.findall(r"^COPY (\w+) ", text, re.M)) == {"storage", "pipeline", "renderer", "services"}
 
 
@@ -96,7 +100,9 @@ def run_and_break(composed, scan: Path, out: Path, seed: int, breaks) -> tuple[b
     return (out / "plane.splatpress").read_bytes(), log
 
 
-def test_compose__every_command_starts_and_a_job_goes_through_though_the_scheduler_is_killed(composed, scan, expected, tmp_path):
+def test_compose__every_command_starts_and_a_job_goes_through_though_the_scheduler_is_killed(
+    composed, scan, expected, tmp_path
+):
     assert httpx.get(composed.url + "/v1/jobs").status_code == 401
     found, log = run_and_break(composed, scan, tmp_path, 0, lambda: composed.running["scheduler"].kill())
     assert "the scheduler was lost" in log and found == expected

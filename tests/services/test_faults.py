@@ -1,4 +1,5 @@
-"""Faults that need a machine's leave: a full disk, and a worker that the network cuts off. Real processes throughout."""
+"""Faults that need a machine's leave: a full disk, and a worker that the network cuts off. Real processes
+throughout."""
 
 from __future__ import annotations
 
@@ -64,9 +65,14 @@ def network():
     if not allowed("ip", "netns", "add", name):
         pytest.skip("network namespaces are not permitted here")
     try:
-        for command in (f"link add {ours} type veth peer name {theirs} netns {name}", f"addr add 10.213.7.1/24 dev {ours}",
-                        f"link set {ours} up", f"-n {name} addr add 10.213.7.2/24 dev {theirs}", f"-n {name} link set {theirs} up",
-                        f"-n {name} link set lo up"):
+        for command in (
+            f"link add {ours} type veth peer name {theirs} netns {name}",
+            f"addr add 10.213.7.1/24 dev {ours}",
+            f"link set {ours} up",
+            f"-n {name} addr add 10.213.7.2/24 dev {theirs}",
+            f"-n {name} link set {theirs} up",
+            f"-n {name} link set lo up",
+        ):
             if not allowed("ip", *command.split()):
                 pytest.skip(f"not permitted here: ip {command}")
         yield name, "10.213.7.1", ours
@@ -76,9 +82,15 @@ def network():
 
 @contextmanager
 def process(*command: str, log: Path):
-    """Any program; a Dask scheduler gives a silent worker up after 6 s, in place of 300, and the nanny it asks after 3, in place of 30."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "6s",
-                   "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "3s"}
+    """Any program; a Dask scheduler gives a silent worker up after 6 s, in place of 300, and the nanny it asks after 3,
+    in place of 30."""
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "OMP_NUM_THREADS": "1",
+        "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "6s",
+        "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "3s",
+    }
     with open(log, "w") as stream:
         started = subprocess.Popen(command, env=environment, stdout=stream, stderr=subprocess.STDOUT)
     try:
@@ -100,11 +112,33 @@ def test_faults__a_worker_that_is_cut_off_is_given_up_and_what_it_still_does_cha
     dask = [str(Path(sys.executable).with_name("dask"))]
     worker = [*dask, "worker", scheduler, "--nworkers", "1", "--nthreads", "1", "--no-dashboard"]
     with ExitStack() as stack:
+
         def start(name: str, *command: str):
             return stack.enter_context(process(*command, log=tmp_path / f"{name}.log"))
 
-        start("scheduler", *dask, "scheduler", "--host", address, "--port", scheduler.rpartition(":")[2], "--dashboard-address", ":0")
-        start("far", "ip", "netns", "exec", namespace, *worker, "--resources", "CPU=1", "--local-directory", str(tmp_path / "far"))
+        start(
+            "scheduler",
+            *dask,
+            "scheduler",
+            "--host",
+            address,
+            "--port",
+            scheduler.rpartition(":")[2],
+            "--dashboard-address",
+            ":0",
+        )
+        start(
+            "far",
+            "ip",
+            "netns",
+            "exec",
+            namespace,
+            *worker,
+            "--resources",
+            "CPU=1",
+            "--local-directory",
+            str(tmp_path / "far"),
+        )
         start("drawer", *worker, "--resources", "GL=1", "--local-directory", str(tmp_path / "drawer"))
         served = stack.enter_context(service(tmp_path / "data", scheduler=scheduler, log=tmp_path / "log"))
         job = served.client.submit(served.client.upload(scan)["id"], preset="draft", options=options)["jobID"]

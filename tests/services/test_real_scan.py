@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.executors import DaskExecutor
-from pipeline.settings import settings_for
-from services.client import Client
-from services.workflow import compress
-from tests.pipeline.test_stage import Heard
+from pipeline.execution.executors import DaskExecutor
+from pipeline.planning.settings import settings_for
+from services.cli.client import Client
+from services.processes.compress import compress
+from tests.pipeline.execution.test_stage import Heard
 from tests.services.composed import composed_in
 from tests.services.service_process import service
 
@@ -59,7 +59,10 @@ def test_real_scan__upload_job_previews_report_and_download_over_http(how, expec
         _check_artifacts(client, job, tmp_path / "got", scan, expected)
     assert len([e for e in events if e["kind"] == "progress"]) > 10
     with capsys.disabled():
-        print(f"\n{how.__name__}, {PRESET}, {scan['points']:,} points: " + ", ".join(f"{k} {s:.1f} s" for k, s in took.items()))
+        print(
+            f"\n{how.__name__}, {PRESET}, {scan['points']:,} points: "
+            + ", ".join(f"{k} {s:.1f} s" for k, s in took.items())
+        )
 
 
 def _timed(took: dict, name: str, what):

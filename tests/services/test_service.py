@@ -8,8 +8,8 @@ import threading
 import time
 import tomllib
 import zipfile
-from concurrent.futures import ThreadPoolExecutor
 from base64 import b64encode
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
@@ -17,8 +17,8 @@ import httpx
 import psutil
 import pytest
 
-from services.cli import main
-from services.client import Client, zip_folder
+from services.cli.client import Client, zip_folder
+from services.cli.main import main
 from tests.services.chromium import Page, chromium_path
 from tests.services.scans import packed_by_compress, photo_scan
 from tests.services.service_process import service, until
@@ -53,33 +53,54 @@ def packed(served, job: str, out: Path) -> bytes:
     return (out / "plane.splatpress").read_bytes()
 
 
-def test_service__a_job_over_http_packs_the_bytes_of_compress_and_makes_every_artifact(served, uploaded, expected, tmp_path):
+def test_service__a_job_over_http_packs_the_bytes_of_compress_and_makes_every_artifact(
+    served, uploaded, expected, tmp_path
+):
     events = []
     job = served.client.submit(uploaded, preset="draft", options=OPTIONS)
     ended = served.client.watch(job["jobID"], events.append)
     assert ended["status"] == "successful" and ended["progress"] == 100 and ended["expires_at"] > ended["finished"]
     assert packed(served, job["jobID"], tmp_path) == expected
     names = {a["name"] for a in served.client.artifacts(job["jobID"])}
-    assert {"plane.splatpress", "report.html", "report.json", "learning.json", "dask-performance.html",
-            "previews/0000.packed.png", "previews/0000.baseline.png"} <= names
+    assert {
+        "plane.splatpress",
+        "report.html",
+        "report.json",
+        "learning.json",
+        "dask-performance.html",
+        "previews/0000.packed.png",
+        "previews/0000.baseline.png",
+    } <= names
     found = httpx.get(f"{served.url}/v1/scans/{uploaded}").json()
-    assert found["bounds"]["min"][:2] == pytest.approx([-0.8, -0.6]) and found["bounds"]["max"][:2] == pytest.approx([0.8, 0.6])
-    assert {row["effect"] for row in found["effects"]} > {"cliplines"} and all(row["reason"] for row in found["effects"])
+    assert found["bounds"]["min"][:2] == pytest.approx([-0.8, -0.6]) and found["bounds"]["max"][:2] == pytest.approx(
+        [0.8, 0.6]
+    )
+    assert {row["effect"] for row in found["effects"]} > {"cliplines"} and all(
+        row["reason"] for row in found["effects"]
+    )
     percents = [e["data"]["progress"] for e in events if e["kind"] == "progress"]
     assert percents == sorted(percents) and percents[-1] > 90
     assert [e["data"]["status"] for e in events if e["kind"] == "status"] == ["accepted", "running", "successful"]
     learned = [e["data"]["psnr_db"] for e in events if e["kind"] == "learning"]
-    assert len(learned) == 2 and learned == [p["psnr_db"] for p in json.loads(served.client.fetch(job["jobID"], tmp_path, ["learning.json"])[0].read_text())]
+    assert len(learned) == 2 and learned == [
+        p["psnr_db"] for p in json.loads(served.client.fetch(job["jobID"], tmp_path, ["learning.json"])[0].read_text())
+    ]
     assert {"ksvd-update", "render"} <= {e["data"]["stage"] for e in events if e["kind"] == "progress"}
 
 
 def test_service__a_tradeoff_is_a_job_too(served, uploaded, tmp_path):
-    job = served.client.submit(uploaded, process="tradeoff", preset="draft", options=OPTIONS, knobs={}, budget_s=0.01)["jobID"]
+    job = served.client.submit(uploaded, process="tradeoff", preset="draft", options=OPTIONS, knobs={}, budget_s=0.01)[
+        "jobID"
+    ]
     ended = served.client.watch(job, lambda event: None)
     assert ended["status"] == "successful" and ended["processID"] == "tradeoff"
     served.client.fetch(job, tmp_path, ["tradeoff.json", "tradeoff.html"])
     document = json.loads((tmp_path / "tradeoff.json").read_text())
-    assert [p["key"] for p in document["points"]] == ["chosen"] and document["points"][0]["frame_seconds"] > 0 and document["skipped"]
+    assert (
+        [p["key"] for p in document["points"]] == ["chosen"]
+        and document["points"][0]["frame_seconds"] > 0
+        and document["skipped"]
+    )
     assert not [a for a in served.client.artifacts(job) if a["name"].startswith("packed/")]
 
 
@@ -105,7 +126,11 @@ def test_service__artifacts_come_in_ranges(served):
     found = next(a for a in served.client.artifacts(job) if a["name"] == "plane.splatpress")
     whole = httpx.get(served.url + found["href"]).content
     part = httpx.get(served.url + found["href"], headers={"Range": "bytes=100-199"})
-    assert part.status_code == 206 and part.content == whole[100:200] and part.headers["content-range"] == f"bytes 100-199/{len(whole)}"
+    assert (
+        part.status_code == 206
+        and part.content == whole[100:200]
+        and part.headers["content-range"] == f"bytes 100-199/{len(whole)}"
+    )
 
 
 def test_service__the_same_job_submitted_ten_times_at_once_is_one_and_ends_once(served, uploaded, expected, tmp_path):
@@ -113,7 +138,9 @@ def test_service__the_same_job_submitted_ten_times_at_once_is_one_and_ends_once(
 
     def submit():
         with Client(served.url) as client:
-            found.append(client.submit(uploaded, key="ten at once".replace(" ", "-"), preset="draft", options=OPTIONS)["jobID"])
+            found.append(
+                client.submit(uploaded, key="ten at once".replace(" ", "-"), preset="draft", options=OPTIONS)["jobID"]
+            )
 
     threads = [threading.Thread(target=submit) for _ in range(10)]
     [t.start() for t in threads]
@@ -170,7 +197,10 @@ def test_service__a_render_worker_that_dies_in_a_picture_is_replaced_and_the_pic
     assert served.render_worker().pid != render_worker.pid
     again = served.client.submit(scan, preset="draft", options=OPTIONS)["jobID"]
     served.client.watch(again, lambda event: None)
-    pictures = [{a["name"]: a["sha256"] for a in served.client.artifacts(id) if a["name"].endswith((".png", ".splatpress"))} for id in (job, again)]
+    pictures = [
+        {a["name"]: a["sha256"] for a in served.client.artifacts(id) if a["name"].endswith((".png", ".splatpress"))}
+        for id in (job, again)
+    ]
     assert len(pictures[0]) == 25 and pictures[0] == pictures[1]
 
 
@@ -186,7 +216,9 @@ def test_service__ten_equal_jobs_without_a_key_are_ten_and_share_what_they_make(
     assert len(set(jobs)) == 10
     assert {served.client.watch(job, lambda event: None)["status"] for job in jobs} == {"successful"}
     logs = [served.log_of(job) for job in jobs]
-    assert sum(bool(re.search(r"resample: [0-9.]+ s", log)) for log in logs) == 1  # the others waited for it and took it
+    assert (
+        sum(bool(re.search(r"resample: [0-9.]+ s", log)) for log in logs) == 1
+    )  # the others waited for it and took it
     hashes = {a["sha256"] for job in jobs for a in served.client.artifacts(job) if a["name"] == "ten.splatpress"}
     assert len(hashes) == 1
 
@@ -200,7 +232,9 @@ def test_service__a_job_dismissed_in_a_reduction_whose_worker_hangs_stops_and_a_
     try:
         served.client.cancel(job)
         until(lambda: "what it made so far stays" in served.log_of(job), 20)
-        left = [w for w in frozen if psutil.pid_exists(w.pid) and w.is_running() and w.status() == psutil.STATUS_STOPPED]
+        left = [
+            w for w in frozen if psutil.pid_exists(w.pid) and w.is_running() and w.status() == psutil.STATUS_STOPPED
+        ]
     finally:
         for worker in frozen:
             with suppress(psutil.NoSuchProcess):
@@ -232,8 +266,14 @@ def test_service__an_upload_goes_on_where_a_killed_api_left_it(served, scan, tmp
     zip_folder(scan, path)
     content = path.read_bytes()
     tus = {"Tus-Resumable": "1.0.0"}
-    made = httpx.post(served.url + "/v1/uploads", headers={
-        **tus, "Upload-Length": str(len(content)), "Upload-Metadata": "filename " + b64encode(b"again.zip").decode()})
+    made = httpx.post(
+        served.url + "/v1/uploads",
+        headers={
+            **tus,
+            "Upload-Length": str(len(content)),
+            "Upload-Metadata": "filename " + b64encode(b"again.zip").decode(),
+        },
+    )
     where = served.url + made.headers["Location"]
     half = len(content) // 2
 
@@ -268,7 +308,9 @@ def test_service__the_page_uploads_runs_and_shows_a_job(served, scan, tmp_path):
         page.until("document.querySelectorAll('#options input').length >= 7")
         page.choose_file("#file", other)
         page.until("/3,600 points, 3 photographs/.test(document.getElementById('upload-state').textContent)")
-        page.look("document.getElementById('preset').value = 'draft'; document.querySelector('[name=iterations]').value = 3")
+        page.look(
+            "document.getElementById('preset').value = 'draft'; document.querySelector('[name=iterations]').value = 3"
+        )
         page.look("document.getElementById('start').click()")
         page.until("/%/.test(document.getElementById('job-live').textContent)")
         page.until("/ksvd-update/.test(document.getElementById('log').textContent)", 120)
@@ -311,7 +353,9 @@ def test_service__the_command_line_does_it_all(served, scan, tmp_path, capsys, m
     assert run("submit", id, "--option", "iterations=0")[0] == 1 and run("submit", id, "--option", "iterations")[0] == 1
 
 
-def test_service__regress_updates_a_list_holds_it_and_exits_with_7_on_a_miss(served, scan, tmp_path, capsys, monkeypatch):
+def test_service__regress_updates_a_list_holds_it_and_exits_with_7_on_a_miss(
+    served, scan, tmp_path, capsys, monkeypatch
+):
     monkeypatch.setenv("SPLATPRESS_URL", served.url)
     jobs = tmp_path / "jobs.toml"
     jobs.write_text(f"""# kept
@@ -322,7 +366,10 @@ preset = "draft"
 options = {{ target_psnr_db = 32.0, training_splats = 2000, iterations = 2 }}
 """)
     assert main(["regress", str(jobs), "--update"]) == 0
-    assert jobs.read_text().startswith("# kept") and tomllib.loads(jobs.read_text())["job"][0]["expected"]["file_bytes"] > 1000
+    assert (
+        jobs.read_text().startswith("# kept")
+        and tomllib.loads(jobs.read_text())["job"][0]["expected"]["file_bytes"] > 1000
+    )
     figures = tomllib.loads(jobs.read_text())["job"][0]["expected"]
     jobs.write_text(re.sub(r"seconds = [0-9.]+", "seconds = 9999.0", jobs.read_text()))
     assert main(["regress", str(jobs)]) == 0

@@ -7,11 +7,11 @@ from math import pi
 
 import numpy as np
 
-from pipeline.compiled import kernel
 from pipeline.effects.block import Block, Sources
+from pipeline.execution.compiled import kernel
 from pipeline.splats.visibility import seen_points
-from storage import arrays
-from storage.schema import Camera
+from storage.packed.schema import Camera
+from storage.work import arrays
 
 STATION_CELLS = 4096  # around the whole circle, at most: 1.5 mm at a metre, finer than scanners step
 
@@ -38,7 +38,8 @@ class Eye:
         return np.array([project(self.numbers, self.around, *point)[2] for point in points.tolist()])
 
     def may_see(self, low: np.ndarray, high: np.ndarray) -> bool:
-        """Whether any point of a box, absolute, may fall into the picture: not if one of its sides leaves out all corners."""
+        """Whether any point of a box, absolute, may fall into the picture: not if one of its sides leaves out all
+        corners."""
         if self.around:
             return True
         corners = np.stack(np.meshgrid(*zip(low, high)), axis=-1).reshape(-1, 3)
@@ -77,7 +78,8 @@ def seen_by_eye(block: Block, eye: int) -> np.ndarray:
 
 @kernel()
 def project(eye, around, px, py, pz):
-    """Cell x and y at a scale of 1, and distance, of an absolute point; NaN for what an eye (its `numbers`) does not see."""
+    """Cell x and y at a scale of 1, and distance, of an absolute point; NaN for what an eye (its `numbers`) does not
+    see."""
     x, y, z = px - eye[0], py - eye[1], pz - eye[2]
     if around:
         distance = np.sqrt(x * x + y * y + z * z)

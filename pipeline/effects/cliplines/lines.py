@@ -1,9 +1,9 @@
 """The clipline of a splat: the line, of all that 12 bits can say, that best parts its own surface from another one.
 
 A splat's disc is looked at in points of a grid. In each, the nearest point that the eye saw is either near the splat's
-plane, and the disc is right to be there, or far in front of or behind it: then the splat is either hidden there, and shows
-the colours of what hides it, or sticks out over its own edge. HPG 2021, section 3.5.2, has cliplines "pre-computed for
-splats with strong depth discontinuities"; it does not say how.
+plane, and the disc is right to be there, or far in front of or behind it: then the splat is either hidden there, and
+shows the colours of what hides it, or sticks out over its own edge. HPG 2021, section 3.5.2, has cliplines
+"pre-computed for splats with strong depth discontinuities"; it does not say how.
 """
 
 from __future__ import annotations

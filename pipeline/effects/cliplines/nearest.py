@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from pipeline.compiled import kernel
 from pipeline.effects.block import Sources
 from pipeline.effects.cliplines.eyes import cell_of, eyes_of, seen_by_eye
-from storage import arrays, work
+from pipeline.execution.compiled import kernel
+from storage.work import arrays, work
 
 CELLS_A_RADIUS = 3.0
 UNKNOWN = np.float32(np.nan)
@@ -23,8 +23,9 @@ UNKNOWN = np.float32(np.nan)
 
 @dataclass(frozen=True)
 class NearestPoints:
-    """A task an eye; it streams the blocks that may lie in its picture. Array nearest_<i> (h, w, 3) float32: the position, against the scan's origin,
-    of the point nearest to each cell of eye i, or NaN throughout where it sees nothing."""
+    """A task an eye; it streams the blocks that may lie in its picture. Array nearest_<i> (h, w, 3) float32: the
+    position, against the scan's origin, of the point nearest to each cell of eye i, or NaN throughout where it sees
+    nothing."""
 
     sources: Sources
     name = "nearest-points"
@@ -41,7 +42,9 @@ class NearestPoints:
         points = work.summary(s.partition)
         low, high = np.array(points["block_low"]) + s.origin, np.array(points["block_high"]) + s.origin
         for block in (s.block(i) for i in range(arrays.n_blocks(s.n_splats)) if eye.may_see(low[i], high[i])):
-            _keep_nearest(position, distance, eye.numbers, eye.around, scale, block.position, s.origin, seen_by_eye(block, index))
+            _keep_nearest(
+                position, distance, eye.numbers, eye.around, scale, block.position, s.origin, seen_by_eye(block, index)
+            )
         if np.isfinite(distance).any():
             row, column = distance_transform_edt(~np.isfinite(distance), return_distances=False, return_indices=True)
             position = position[row, column]
@@ -67,7 +70,9 @@ def _keep_nearest(position, distance, eye, around, scale, points, origin, seen):
         if not seen[i]:
             continue
         p = points[i]
-        row, column, away = cell_of(eye, around, scale, width, height, p[0] + origin[0], p[1] + origin[1], p[2] + origin[2])
+        row, column, away = cell_of(
+            eye, around, scale, width, height, p[0] + origin[0], p[1] + origin[1], p[2] + origin[2]
+        )
         if row >= 0 and away < distance[row, column]:
             distance[row, column] = away
             for k in range(3):

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.compiled import kernel
 from pipeline.effects.block import Block, Sources
 from pipeline.effects.cliplines.eyes import Eye, cell_of, eye_of_splats, eyes_of
 from pipeline.effects.cliplines.lines import best_lines, disc_points
-from storage import arrays, work
+from pipeline.execution.compiled import kernel
+from storage.work import arrays, work
 
 ROWS = 2048  # splats at a time
-# How far from a splat's plane a point belongs to another surface, in radii; and the share of a disc's weight that its line
-# must gain. Tuned on fountain_p11 (draft; 3 views of 768 px): gain of PSNR against the photographs and share of splats for
-# 1.5 radii and 0.08: 0.08 dB, 3.5 %; 1 and 0.08: 0.10 dB, 8.1 %; 0.75 and 0.08: 0.11 dB, 12 %; 0.5 and 0.08: 0.13 dB, 20 %.
-# 1 and 0.12 clips 5.9 %, the paper's share.
+# How far from a splat's plane a point belongs to another surface, in radii; and the share of a disc's weight that its
+# line must gain. Tuned on fountain_p11 (draft; 3 views of 768 px): gain of PSNR against the photographs and share of
+# splats for 1.5 radii and 0.08: 0.08 dB, 3.5 %; 1 and 0.08: 0.10 dB, 8.1 %; 0.75 and 0.08: 0.11 dB, 12 %; 0.5 and 0.08:
+# 0.13 dB, 20 %. 1 and 0.12 clips 5.9 %, the paper's share.
 FOREIGN_RADII = 1.0
 LEAST_GAIN = 0.12
 
@@ -52,7 +52,8 @@ class Cliplines:
 def cliplines_of(
     block: Block, nearest: Path, foreign_radii: float = FOREIGN_RADII, least_gain: float = LEAST_GAIN, every: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Codes (n,) uint32 of the splats of a block, and which are worth one, (n,) bool; of every n-th splat, zeros between."""
+    """Codes (n,) uint32 of the splats of a block, and which are worth one, (n,) bool; of every n-th splat, zeros
+    between."""
     code, has = np.zeros(len(block.centre), np.uint32), np.zeros(len(block.centre), bool)
     eye = np.where(np.arange(len(code)) % every, -1, eye_of_splats(block))
     eyes, scales = eyes_of(block.sources), work.summary(nearest)["scale"]
@@ -71,12 +72,26 @@ def _pieces(rows: np.ndarray) -> list[np.ndarray]:
     return [rows[at : at + ROWS] for at in range(0, len(rows), ROWS)]
 
 
-def _foreign(block: Block, rows: np.ndarray, eye: Eye, scale: float, nearest: np.ndarray, foreign_radii: float) -> np.ndarray:
+def _foreign(
+    block: Block, rows: np.ndarray, eye: Eye, scale: float, nearest: np.ndarray, foreign_radii: float
+) -> np.ndarray:
     """Which of the disc's points belong to another surface, (n, m) bool."""
     s, points = block.sources, disc_points()[0]
     foreign = np.zeros((len(rows), len(points)), bool)
-    _look_up(foreign, rows, block.centre, *block.frame, points, s.radius, foreign_radii * s.radius,
-             eye.numbers, eye.around, scale, s.origin, nearest)
+    _look_up(
+        foreign,
+        rows,
+        block.centre,
+        *block.frame,
+        points,
+        s.radius,
+        foreign_radii * s.radius,
+        eye.numbers,
+        eye.around,
+        scale,
+        s.origin,
+        nearest,
+    )
     return foreign
 
 

@@ -16,7 +16,7 @@ from pipeline.effects.ellipsoids.decision import REACH_RADII, thin_splats
 from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, gather, thinned
 from pipeline.effects.ellipsoids.noise import BINS, histogram_of, noise_radii, thirds_of
 from pipeline.effects.ellipsoids.stage import Ellipsoids
-from pipeline.stage import Stage
+from pipeline.execution.stage import Stage
 
 EVERY = 8  # splats of a measured block: 2,048 neighbourhoods
 
@@ -47,9 +47,13 @@ EFFECT = Effect(
     measures="share of splats that are slender or small, and that no plane with a clipline explains",
     threshold=0.02,
     reason="surfaces have less from noise and gaps alone: stanford_dragon 1.6 %, fountain_p11 1.9 %, which would gain 0.1 dB for a third of the "
-           "time of a job",
-    worth=Worth("fountain_p11 (draft, 4 views of 1,024 px) for dB; pump_e57, 6 % of its splats, for frame time", bytes_a_splat=4.0,
-                frame_share=0.07, gain_db=0.09),
+    "time of a job",
+    worth=Worth(
+        "fountain_p11 (draft, 4 views of 1,024 px) for dB; pump_e57, 6 % of its splats, for frame time",
+        bytes_a_splat=4.0,
+        frame_share=0.07,
+        gain_db=0.09,
+    ),
     measure_block=_measure_block,
     conclude=_conclude,
     build=_build,

@@ -13,7 +13,8 @@ as narrow as the rope, at either end; on a ball next to nothing, as all that lie
 Scan lines further apart than a splat look like wires, but have their like on both sides: what seems thin is looked at
 again in twice and three times the reach, and is a disc after all where a plane explains nearly the full turn there.
 
-Where two ropes cross a plane explains them as well as it explains a wall. So does a cross of two tubes, and no wall is one.
+Where two ropes cross a plane explains them as well as it explains a wall. So does a cross of two tubes, and no wall is
+one.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.compiled import kernel
 from pipeline.effects.ellipsoids.fit import moments, principal_axes
 from pipeline.effects.ellipsoids.neighbourhoods import LEAST_AFTER_OUTLIERS, OUTLIER_REACHES, Neighbourhood, gather
+from pipeline.execution.compiled import kernel
 
 # Lengths in splat radii, angles in radians. Tuned on the room of tests/thin_scene.py, seeds 0 to 2, with noise of
 # 0.05 to 0.23 radii; the test measures other seeds.
@@ -49,9 +50,10 @@ WIDE_RADII = 0.7
 # relief (deviations of 1.2, 0.9 and 0.5 on fountain_p11): it has no outline of its own to be drawn.
 SLENDER_RADII = 0.8  # second deviation: more than that of 95 % of points on ropes
 SMALL_RADII = 1.0  # first deviation, of all small balls
-# Two tubes that explain a neighbourhood twice as wide are ropes that cross. Half widths of 0.6 and 0.75 radii, shares of 0.85 and
-# 0.93, reaches of 3.75 and 5 radii and one to three tubes were tried on rooms of seeds 11, 13, 17 and 19: with these, ropes that are
-# right go from 0.82 to 0.96 up to 0.88 to 0.97 and flat things lose nothing; three tubes lose 1 % of those, 3.75 radii 2 % of round ones.
+# Two tubes that explain a neighbourhood twice as wide are ropes that cross. Half widths of 0.6 and 0.75 radii, shares
+# of 0.85 and 0.93, reaches of 3.75 and 5 radii and one to three tubes were tried on rooms of seeds 11, 13, 17 and 19:
+# with these, ropes that are right go from 0.82 to 0.96 up to 0.88 to 0.97 and flat things lose nothing; three tubes
+# lose 1 % of those, 3.75 radii 2 % of round ones.
 CROSSING_RADII = 5.0
 TUBE_RADII = 0.6
 TUBES_SHARE = 0.85
@@ -87,12 +89,14 @@ def decide(around: Neighbourhood, deviation: np.ndarray, radius: float, noise: f
 def thin_splats(
     point: np.ndarray, around: np.ndarray, radius: float, noise: float, near: Neighbourhood | None = None
 ) -> np.ndarray:
-    """Which of `point` (n, 3) call for an ellipsoid, (n,) bool. `around` (m, 3) are the scan's points, thinned by CELL_RADII, to
-    WIDEST_RADII about them; `near` their neighbourhoods of REACH_RADII, if they are known."""
+    """Which of `point` (n, 3) call for an ellipsoid, (n,) bool. `around` (m, 3) are the scan's points, thinned by
+    CELL_RADII, to WIDEST_RADII about them; `near` their neighbourhoods of REACH_RADII, if they are known."""
     near = gather(point, around, REACH_RADII * radius) if near is None else near
     deviation, _ = principal_axes(moments(near.offset, near.count)[1])
     thin = decide(near, deviation, radius, noise).ellipsoid
-    rows = np.flatnonzero(~thin & (near.count >= LEAST_AFTER_OUTLIERS) & (deviation[:, 1] <= CROSSING_WIDE_RADII * radius))
+    rows = np.flatnonzero(
+        ~thin & (near.count >= LEAST_AFTER_OUTLIERS) & (deviation[:, 1] <= CROSSING_WIDE_RADII * radius)
+    )
     thin[rows] = at_crossings(near.offset[rows] / radius)
     for scale in WIDER:
         rows = np.flatnonzero(thin)
@@ -107,8 +111,8 @@ def flat_further_out(around: Neighbourhood, radius: float, noise: float) -> np.n
 
 
 def at_crossings(offset: np.ndarray) -> np.ndarray:
-    """Which neighbourhoods (n, MOST, 3), in radii, nearest first and zeros beyond their members, two tubes explain, (n,) bool: the
-    first of them holds the splat itself."""
+    """Which neighbourhoods (n, MOST, 3), in radii, nearest first and zeros beyond their members, two tubes explain,
+    (n,) bool: the first of them holds the splat itself."""
     away = np.linalg.norm(offset, axis=2)
     count = 1 + ((away > 0) & (away <= CROSSING_RADII)).sum(axis=1)
     return _share_of_tubes(offset, count) >= TUBES_SHARE
@@ -116,7 +120,8 @@ def at_crossings(offset: np.ndarray) -> np.ndarray:
 
 @kernel()
 def _share_of_tubes(offset, count):
-    """The share (n,) of the first `count` members that lie in the best tube through member 0 and the best one of the others."""
+    """The share (n,) of the first `count` members that lie in the best tube through member 0 and the best one of the
+    others."""
     n, most, _ = offset.shape
     share = np.zeros(n)
     left = np.empty(most, np.int64)
@@ -131,7 +136,8 @@ def _share_of_tubes(offset, count):
 
 @kernel()
 def _outside_best_tube(offset, left, n, through_first):
-    """How many of the first `n` of `left` lie outside the tube along two of them that holds most; they become its first."""
+    """How many of the first `n` of `left` lie outside the tube along two of them that holds most; they become its
+    first."""
     best, at, to = 0, -1, -1
     for h in range(HYPOTHESES if n > 1 else 0):
         a, b, _ = _three(h, n)
@@ -148,7 +154,8 @@ def _outside_best_tube(offset, left, n, through_first):
 
 @kernel()
 def _inside_tube(offset, left, n, a, b, through_first):
-    """How many members lie in the tube along members `a` and `b`; 0 where those are too near to tell, or where it misses member 0."""
+    """How many members lie in the tube along members `a` and `b`; 0 where those are too near to tell, or where it
+    misses member 0."""
     length = 0.0
     for k in range(3):
         length += (offset[b, k] - offset[a, k]) ** 2
@@ -197,7 +204,11 @@ def _three(hypothesis, count):
     state = np.uint64(hypothesis + 1) * np.uint64(0x9E3779B97F4A7C15)
     state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     n = np.uint64(count)
-    return np.int64((state >> np.uint64(4)) % n), np.int64((state >> np.uint64(24)) % n), np.int64((state >> np.uint64(44)) % n)
+    return (
+        np.int64((state >> np.uint64(4)) % n),
+        np.int64((state >> np.uint64(24)) % n),
+        np.int64((state >> np.uint64(44)) % n),
+    )
 
 
 @kernel()
@@ -231,7 +242,8 @@ def _project(offset, count, a, b, c, height, x, y):
 
 @kernel()
 def _arc_of_plane(count, height, x, y, tolerance):
-    """The longest arc on the kept side of any line that leaves all members above the plane behind, and the point not."""
+    """The longest arc on the kept side of any line that leaves all members above the plane behind, and the point
+    not."""
     clean = True
     for j in range(count):
         clean = clean and height[j] <= tolerance
@@ -247,7 +259,11 @@ def _arc_of_plane(count, height, x, y, tolerance):
             continue
         kept = 0
         for j in range(count):
-            if abs(height[j]) <= tolerance and c * x[j] + s * y[j] >= cut and x[j] * x[j] + y[j] * y[j] >= RING_RADII**2:
+            if (
+                abs(height[j]) <= tolerance
+                and c * x[j] + s * y[j] >= cut
+                and x[j] * x[j] + y[j] * y[j] >= RING_RADII**2
+            ):
                 _insert(direction, kept, math.atan2(y[j], x[j]))
                 kept += 1
         best = max(best, _longest_run(direction[:kept]))

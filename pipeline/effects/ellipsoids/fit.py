@@ -28,7 +28,9 @@ def fit(point: np.ndarray, around: np.ndarray, radius: float) -> tuple[np.ndarra
     members = gather(point, around, REACH_RADII * radius)
     count = members.count
     deviation, _ = principal_axes(moments(members.offset, count)[1])
-    near = (np.linalg.norm(members.offset, axis=2) <= REACH_RADII * radius) & (np.arange(members.offset.shape[1]) < count[:, None])
+    near = (np.linalg.norm(members.offset, axis=2) <= REACH_RADII * radius) & (
+        np.arange(members.offset.shape[1]) < count[:, None]
+    )
     count = np.where(deviation[:, 1] <= LINE_SHARE * deviation[:, 0], count, near.sum(axis=1))
     mean, covariance = moments(members.offset, count)
     deviation, direction = principal_axes(covariance)

@@ -48,7 +48,9 @@ def gather(point: np.ndarray, around: np.ndarray, reach: float) -> Neighbourhood
     distance, index = cKDTree(around).query(point, k=k, distance_upper_bound=OUTLIER_REACHES * reach)
     distance, index = distance.reshape(len(point), k), index.reshape(len(point), k)
     offset = np.zeros((len(point), MOST, 3))
-    offset[:, :k] = np.where(np.isfinite(distance)[..., None], around[np.minimum(index, len(around) - 1)] - point[:, None], 0)
+    offset[:, :k] = np.where(
+        np.isfinite(distance)[..., None], around[np.minimum(index, len(around) - 1)] - point[:, None], 0
+    )
     absent = ~(distance[:, 0] == 0)
     offset[absent, 1:], offset[absent, 0] = offset[absent, :-1], 0
     near = (distance <= reach).sum(axis=1) + absent

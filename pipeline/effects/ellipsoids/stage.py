@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.effects.ellipsoids.decision import WIDEST_RADII, thin_splats
 from pipeline.effects.ellipsoids.fit import fit
 from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, thinned
-from storage import arrays, work
+from storage.work import arrays, work
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,11 @@ class Ellipsoids:
 
     def init(self, folder: Path) -> int:
         n = work.summary(self.partition)["n_splats"]
-        for name, shape, dtype in (("has_ellipsoid", (n,), "bool"), ("centre", (n, 3), "float64"), ("axes", (n, 3, 3), "float32")):
+        for name, shape, dtype in (
+            ("has_ellipsoid", (n,), "bool"),
+            ("centre", (n, 3), "float64"),
+            ("axes", (n, 3, 3), "float32"),
+        ):
             arrays.create(folder, name, shape, dtype)
         return arrays.n_blocks(n)
 
@@ -33,7 +37,9 @@ class Ellipsoids:
         start, stop = arrays.block_range(index, work.summary(self.partition)["n_splats"])
         position = arrays.read(self.partition, "position", start, stop)
         points = self._points_about(index)
-        thin = thin_splats(position, thinned(points, CELL_RADII * self.radius), self.radius, self.noise_radii * self.radius)
+        thin = thin_splats(
+            position, thinned(points, CELL_RADII * self.radius), self.radius, self.noise_radii * self.radius
+        )
         centre, axes = np.zeros((stop - start, 3)), np.zeros((stop - start, 3, 3), np.float32)
         if thin.any():
             offset, axes[thin] = fit(position[thin], np.unique(points, axis=0), self.radius)
@@ -48,7 +54,8 @@ class Ellipsoids:
         return {"n_splats": n, "n_ellipsoids": n_ellipsoids, "share": n_ellipsoids / n}
 
     def _points_about(self, index: int) -> np.ndarray:
-        """All points of the scan that can be neighbours of a block's: those in its box, grown by the outlier distance."""
+        """All points of the scan that can be neighbours of a block's: those in its box, grown by the outlier
+        distance."""
         summary = work.summary(self.partition)
         low, high = np.array(summary["block_low"]), np.array(summary["block_high"])
         reach = WIDEST_RADII * self.radius

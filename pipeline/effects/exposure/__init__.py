@@ -12,8 +12,8 @@ from pipeline.effects.exposure.light import N_TERMS
 from pipeline.effects.exposure.observe import observed
 from pipeline.effects.exposure.solve import Observations, solve_fields, spread
 from pipeline.effects.exposure.stage import Exposed
-from storage import work
 from storage.errors import InvalidScan
+from storage.work import work
 
 LEAST_SHARE = 0.01  # of light: a photograph that changes by less counts as unchanged
 
@@ -34,8 +34,11 @@ def _conclude(sums: list[dict], sources: Sources) -> Measured:
     before, after = spread(judged), spread(judged, of_half)
     fields = solve_fields(seen, n_photos, of_half)
     changed = np.abs(fields[:, :, 0]).max(axis=1) > LEAST_SHARE
-    return Measured(before - after, float(changed.mean()), {
-        "log_gain": fields.round(5).tolist(), "spread_before": before, "spread_after": after})
+    return Measured(
+        before - after,
+        float(changed.mean()),
+        {"log_gain": fields.round(5).tolist(), "spread_before": before, "spread_after": after},
+    )
 
 
 def _joined(sums: list[dict]) -> Observations:
@@ -44,8 +47,9 @@ def _joined(sums: list[dict]) -> Observations:
 
     first = np.concatenate([np.full(len(s["splat"]), i) for i, s in enumerate(sums)]) if sums else np.empty(0, np.int64)
     splat = first * (1 << 20) + column("splat", np.int64)
-    return Observations(splat, column("photo", np.int64), column("x", float), column("y", float),
-                        column("light", float).reshape(-1, 3))
+    return Observations(
+        splat, column("photo", np.int64), column("x", float), column("y", float), column("light", float).reshape(-1, 3)
+    )
 
 
 def exposed(ingest: Path, outcome: dict) -> Exposed:
@@ -59,7 +63,9 @@ def exposed(ingest: Path, outcome: dict) -> Exposed:
         if fields.shape != wanted or not np.isfinite(fields).all():
             raise ValueError(f"log_gain of shape {fields.shape}")
     except (KeyError, TypeError, ValueError) as error:
-        raise InvalidScan("effect exposure of the packed file", str(error), f"finite numbers of shape {wanted}") from error
+        raise InvalidScan(
+            "effect exposure of the packed file", str(error), f"finite numbers of shape {wanted}"
+        ) from error
     return Exposed(ingest, tuple(tuple(map(tuple, photo)) for photo in fields.tolist()))
 
 

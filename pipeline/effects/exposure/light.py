@@ -1,15 +1,16 @@
-"""How much light a photograph lets through, as a smooth field over it: one polynomial a channel, of the gain's logarithm.
+"""How much light a photograph lets through, as a smooth field over it: one polynomial a channel, of the gain's
+logarithm.
 
 Exposure and white balance are its constant, vignetting and veiling glare its slopes and curvature. Fitted from 20,000
-splats of monstree, the median spread of a splat's colours falls by 25 % with a constant, by 35 % with slopes, by 42 % with
-curvature; fountain_p11: 51, 61 and 65 %.
+splats of monstree, the median spread of a splat's colours falls by 25 % with a constant, by 35 % with slopes, by 42 %
+with curvature; fountain_p11: 51, 61 and 65 %.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from pipeline.compiled import kernel
+from pipeline.execution.compiled import kernel
 
 N_TERMS = 6  # 1, x, y, x^2, xy, y^2; x and y run over [-1, 1] across the photograph
 MOST_GAIN = 4.0  # two stops; a field that goes beyond between its splats was not measured there

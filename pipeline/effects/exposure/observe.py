@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.effects.block import Block
 from pipeline.effects.exposure.light import linear_of
-from storage.schema import Camera
+from storage.packed.schema import Camera
 
 EVERY = 32  # splats of a block: 512
 STEEPEST = 0.3  # cosine: beyond 73 degrees a disc is a smear of what lies about it
@@ -21,9 +21,18 @@ def observed(block: Block) -> dict:
     kept = ((i, camera) for i, camera in enumerate(block.sources.cameras) if i not in block.sources.held_out)
     found = [_in_photo(block, i, camera, rows) for i, camera in kept]
     splat, photo, x, y, light = (np.concatenate(columns) for columns in zip(*found)) if found else [np.empty(0)] * 5
-    twice = np.bincount(splat.astype(np.int64), minlength=len(rows))[splat.astype(np.int64)] > 1 if len(splat) else splat > 0
-    return {"splat": splat[twice].tolist(), "photo": photo[twice].tolist(), "x": x[twice].round(4).tolist(),
-            "y": y[twice].round(4).tolist(), "light": light[twice].round(6).ravel().tolist()}
+    twice = (
+        np.bincount(splat.astype(np.int64), minlength=len(rows))[splat.astype(np.int64)] > 1
+        if len(splat)
+        else splat > 0
+    )
+    return {
+        "splat": splat[twice].tolist(),
+        "photo": photo[twice].tolist(),
+        "x": x[twice].round(4).tolist(),
+        "y": y[twice].round(4).tolist(),
+        "light": light[twice].round(6).ravel().tolist(),
+    }
 
 
 def _in_photo(block: Block, index: int, camera: Camera, rows: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -31,8 +40,9 @@ def _in_photo(block: Block, index: int, camera: Camera, rows: np.ndarray) -> tup
     ray = centre - np.asarray(camera.centre)
     facing = -(ray * normal).sum(axis=1) > STEEPEST * np.linalg.norm(ray, axis=1)
     usable = np.flatnonzero(block.seen[rows, index] & facing)
-    around = [r * (np.cos(a) * u[usable] + np.sin(a) * v[usable])
-              for r, n in RINGS for a in 2 * np.pi * np.arange(n) / n]
+    around = [
+        r * (np.cos(a) * u[usable] + np.sin(a) * v[usable]) for r, n in RINGS for a in 2 * np.pi * np.arange(n) / n
+    ]
     x, y, depth = _pixels(camera, centre[usable][:, None] + block.sources.radius * np.stack(around, axis=1))
     whole = ((depth > 0) & (x >= 0) & (y >= 0) & (x < camera.width_px) & (y < camera.height_px)).all(axis=1)
     column, row = x[whole].astype(np.int64), y[whole].astype(np.int64)
@@ -41,8 +51,13 @@ def _in_photo(block: Block, index: int, camera: Camera, rows: np.ndarray) -> tup
         left, top = int(column.min()), int(row.min())
         window = block.photo(index, left, top, int(column.max()) + 1, int(row.max()) + 1)
         light = LINEAR[window[row - top, column - left]].mean(axis=1)
-    return (usable[whole], np.full(len(row), index), x[whole, 0] * 2 / camera.width_px - 1,
-            y[whole, 0] * 2 / camera.height_px - 1, light)
+    return (
+        usable[whole],
+        np.full(len(row), index),
+        x[whole, 0] * 2 / camera.width_px - 1,
+        y[whole, 0] * 2 / camera.height_px - 1,
+        light,
+    )
 
 
 def _pixels(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.compiled import kernel
 from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS, srgb_of, terms
+from pipeline.execution.compiled import kernel
 
 ROUNDS = 40  # of medians and fits in turn; the last of 40 moves no gain of monstree by 0.1 %
 MORE_ROUNDS = 10  # from fields that are near
@@ -32,12 +32,12 @@ class Observations:
 
 
 def solve_fields(seen: Observations, n_photos: int, near: np.ndarray | None = None) -> np.ndarray:
-    """Log-gain fields (n_photos, 3, N_TERMS) that make the photographs agree; the mean constant of those that show any splat is
-    zero, as is all of the others.
+    """Log-gain fields (n_photos, 3, N_TERMS) that make the photographs agree; the mean constant of those that show any
+    splat is zero, as is all of the others.
 
-    Iterated: the median of each splat's corrected light is its truth, and each photograph's field is fitted to the truths
-    of its splats, large residuals down-weighted (Huber). From fields `near` the solution, those of some of the splats, it takes
-    fewer rounds.
+    Iterated: the median of each splat's corrected light is its truth, and each photograph's field is fitted to the
+    truths of its splats, large residuals down-weighted (Huber). From fields `near` the solution, those of some of the
+    splats, it takes fewer rounds.
     """
     fields, n_rounds = (np.zeros((n_photos, 3, N_TERMS)), ROUNDS) if near is None else (near.copy(), MORE_ROUNDS)
     srgb = srgb_of(np.clip(seen.light, 0, 1))

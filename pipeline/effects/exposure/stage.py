@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.effects.exposure.light import relit
-from storage import arrays, work
+from storage.work import arrays, work
 
 TILE = 512
 
 
 @dataclass(frozen=True)
 class Exposed:
-    """A task a photograph. Arrays photo_<i> (h, w, 3) uint8; its summary has the cameras, so that its folder can stand for
-    the ingest's wherever photographs are looked at."""
+    """A task a photograph. Arrays photo_<i> (h, w, 3) uint8; its summary has the cameras, so that its folder can stand
+    for the ingest's wherever photographs are looked at."""
 
     ingest: Path
     log_gain: tuple  # (n_photos, 3, N_TERMS) as nested tuples

@@ -84,7 +84,9 @@ def test_certified__takes_the_atoms_of_the_float64_twin(case, split_by):
 def test_certified__takes_the_supports_of_exact_search_where_no_atoms_are_twins(case, split_by):
     patches, atoms = case(np.random.default_rng(1))
     split = split_by(atoms, components=12)
-    found, exact = (pursue_patches(patches, d, max_atoms=MOST, search=s).codes for d, s in ((split, "certified"), (atoms, "exact")))
+    found, exact = (
+        pursue_patches(patches, d, max_atoms=MOST, search=s).codes for d, s in ((split, "certified"), (atoms, "exact"))
+    )
     assert (found.atom_index == exact.atom_index).all(axis=1).mean() > 0.98
     assert (found.n_atoms == exact.n_atoms).all()
 
@@ -105,7 +107,9 @@ def test_certified__cuts_off_and_quantises_as_exact_search_does(quantised, split
     if quantised:
         for rank in range(MOST):
             used = found.codes.n_atoms > rank
-            assert (found.codes.weight[used, rank] == levels[rank][found.weight_code[used, rank]].astype(np.float32)).all()
+            assert (
+                found.codes.weight[used, rank] == levels[rank][found.weight_code[used, rank]].astype(np.float32)
+            ).all()
 
 
 def test_certified__settles_few_atoms_of_smooth_patches():
@@ -116,15 +120,29 @@ def test_certified__settles_few_atoms_of_smooth_patches():
     weight, path = np.zeros((n, most)), np.zeros((n, most + 1))
     energy = (patches.astype(np.float64) ** 2).sum(axis=1)
     n_settled = certified.pursue_rows(
-        patches, energy, split, True, np.zeros(n), 0.0, np.empty((0, 0)), np.zeros((n, most), np.int32), weight,
-        np.zeros((n, most), np.int32), np.zeros(n, np.int32), path)
+        patches,
+        energy,
+        split,
+        True,
+        np.zeros(n),
+        0.0,
+        np.empty((0, 0)),
+        np.zeros((n, most), np.int32),
+        weight,
+        np.zeros((n, most), np.int32),
+        np.zeros(n, np.int32),
+        path,
+    )
     assert n * most <= n_settled < 0.1 * n * most * N_ATOMS
 
 
 @both_ways
 def test_certified__approximate_search_loses_little_and_says_its_residual(split_by):
     patches, atoms = learned(np.random.default_rng(4))
-    found, certain = (pursue_patches(patches, split_by(atoms, components=24), max_atoms=MOST, search=s) for s in ("approximate", "certified"))
+    found, certain = (
+        pursue_patches(patches, split_by(atoms, components=24), max_atoms=MOST, search=s)
+        for s in ("approximate", "certified")
+    )
     assert (found.codes.atom_index != certain.codes.atom_index).any()
     exact = pursue_patches(patches, atoms, max_atoms=MOST)
     assert found.residual.sum() < 1.05 * exact.residual.sum()
@@ -137,7 +155,10 @@ def test_certified__recovers_through_atoms_in_the_span_of_the_support():
     atoms = unit_rows(rng, 20, DIM)
     twice = np.concatenate([atoms, atoms, -atoms])
     found = sparse_encode(smooth_patches(rng, 50), twice, max_atoms=8, search="certified")
-    split = [pursue_patches(smooth_patches(rng, 50), by(twice, components=8), max_atoms=8, search="certified").codes for by in (coarsen, shorten)]
+    split = [
+        pursue_patches(smooth_patches(rng, 50), by(twice, components=8), max_atoms=8, search="certified").codes
+        for by in (coarsen, shorten)
+    ]
     for codes in (found, *split):
         assert all(len(set(a[:n] % 20)) == n for a, n in zip(codes.atom_index, codes.n_atoms))
 

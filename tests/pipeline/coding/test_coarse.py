@@ -1,4 +1,5 @@
-"""Search by coarse products: the atoms of exact OMP, ties aside, whether they hold much of patches and atoms or little."""
+"""Search by coarse products: the atoms of exact OMP, ties aside, whether they hold much of patches and atoms or
+little."""
 
 from __future__ import annotations
 
@@ -20,7 +21,9 @@ def grainy(rng, n: int, grain: float) -> np.ndarray:
     low = axis_columns(coarse.SIZE)[:, :5]
     smooth = np.einsum("yp,xq,npqc->nyxc", low, low, 5 * rng.standard_normal((n, 5, 5, 3))).reshape(n, -1)
     noise = rng.standard_normal(smooth.shape)
-    return (smooth + noise * grain * np.linalg.norm(smooth, axis=1, keepdims=True) / np.sqrt(PATCH_DIM)).astype(np.float32)
+    return (smooth + noise * grain * np.linalg.norm(smooth, axis=1, keepdims=True) / np.sqrt(PATCH_DIM)).astype(
+        np.float32
+    )
 
 
 def smooth(rng):
@@ -32,7 +35,9 @@ def learned(rng):
 
 
 def all_grain(rng):
-    return rng.standard_normal((N_PATCHES, PATCH_DIM)).astype(np.float32), normalised(rng.standard_normal((N_ATOMS, PATCH_DIM)))
+    return rng.standard_normal((N_PATCHES, PATCH_DIM)).astype(np.float32), normalised(
+        rng.standard_normal((N_ATOMS, PATCH_DIM))
+    )
 
 
 def twins_but_for_grain(rng):

@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.coding import grid
 from pipeline.texture.resample import PATCH_DIM
-from storage.schema import ATOM_SIZES
+from storage.packed.schema import ATOM_SIZES
 
 SIZES = pytest.mark.parametrize("size", ATOM_SIZES)
 

@@ -7,10 +7,15 @@ import pytest
 
 from pipeline.coding import ksvd
 from pipeline.coding.ksvd import (
-    block_sums, initial_dictionary, learn_dictionary, merge_in_order, merge_sums, updated_dictionary,
+    block_sums,
+    initial_dictionary,
+    learn_dictionary,
+    merge_in_order,
+    merge_sums,
+    updated_dictionary,
 )
-from pipeline.coding.twins import TWIN_COHERENCE
 from pipeline.coding.omp import pursue_patches
+from pipeline.coding.twins import TWIN_COHERENCE
 from tests import reference
 from tests.pipeline.coding.test_omp import unit_rows
 
@@ -71,7 +76,9 @@ def test_ksvd__the_merge_keeps_the_worst_of_both():
     rng = np.random.default_rng(3)
     patches, _ = planted(rng, 2000, 16, 48)
     dictionary = initial_dictionary(patches, 16, seed=0)
-    a, b = (block_sums(p, dictionary, pursue_patches(p, dictionary, max_atoms=1)) for p in (patches[:1000], patches[1000:]))
+    a, b = (
+        block_sums(p, dictionary, pursue_patches(p, dictionary, max_atoms=1)) for p in (patches[:1000], patches[1000:])
+    )
     merged = merge_sums(a, b)
     everything = np.sort(np.concatenate([a.worst_error, b.worst_error]))[::-1]
     assert (merged.worst_error == everything[: len(merged.worst_error)]).all()
@@ -133,8 +140,12 @@ def test_ksvd__says_so_where_there_is_nothing_to_learn():
 def test_ksvd__moments_merged_by_ranges_of_atoms_are_the_same_bytes(n_atoms, n_blocks, monkeypatch):
     monkeypatch.setattr(ksvd, "MERGED_ATOMS", 16)
     rng = np.random.default_rng(8)
-    moments = (rng.standard_normal((n_blocks, n_atoms, 6)) * 10.0 ** rng.integers(-3, 4, (n_blocks, 1, 1))).astype(np.float32)
-    sums = [ksvd.Sums(m, np.zeros(n_atoms), np.zeros(n_atoms, int), 0.0, 1, np.zeros(0), np.zeros((0, 6))) for m in moments]
+    moments = (rng.standard_normal((n_blocks, n_atoms, 6)) * 10.0 ** rng.integers(-3, 4, (n_blocks, 1, 1))).astype(
+        np.float32
+    )
+    sums = [
+        ksvd.Sums(m, np.zeros(n_atoms), np.zeros(n_atoms, int), 0.0, 1, np.zeros(0), np.zeros((0, 6))) for m in moments
+    ]
     seen = []
 
     def load(block, atoms):

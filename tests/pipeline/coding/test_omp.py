@@ -194,7 +194,9 @@ def test_omp__patches_that_are_settled_leave_those_beside_them_as_they_are():
         rows = slice(start, start + 100)
         np.testing.assert_array_equal(together.atom_index[rows], part.atom_index)
         np.testing.assert_array_equal(together.n_atoms[rows], part.n_atoms)
-        np.testing.assert_allclose(together.weight[rows], part.weight, rtol=2e-6)  # BLAS has other kernels for small products
+        np.testing.assert_allclose(
+            together.weight[rows], part.weight, rtol=2e-6
+        )  # BLAS has other kernels for small products
 
 
 @pytest.mark.parametrize("n_levels", [2, 3, 4, 16])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.coding.quantize import dequantize_atoms, mip_levels, quantize_atoms, train_weight_levels
-from storage.schema import MIP_SIZES
+from storage.packed.schema import MIP_SIZES
 from tests.pipeline.coding.test_omp import unit_rows
 
 

@@ -58,7 +58,8 @@ def test_subspace__squared_errors_there_and_rests_are_squared_errors_of_whole_pa
     atoms = learn_dictionary(coefficients, 24, max_atoms=4, iterations=2)
     found = pursue_patches(coefficients, atoms, max_atoms=4)
     whole = patches.astype(float) - np.einsum(
-        "nt,ntd->nd", found.codes.weight, lift(atoms, basis).astype(float)[found.codes.atom_index])
+        "nt,ntd->nd", found.codes.weight, lift(atoms, basis).astype(float)[found.codes.atom_index]
+    )
     np.testing.assert_allclose(found.residual + rest, np.square(whole).sum(axis=1), rtol=1e-4, atol=1e-5)
 
 
@@ -70,8 +71,10 @@ def test_subspace__learning_there_is_as_good_as_learning_of_whole_patches():
     options = {"max_atoms": 6, "iterations": 5}
     whole = learn_dictionary(patches, 64, tolerance=tolerance, **options)
     short = learn_dictionary(coefficients, 64, tolerance=np.maximum(tolerance - rest, 0), **options)
-    error = [pursue_patches(unseen, np.ascontiguousarray(d), max_atoms=6, tolerance=tolerance).residual.mean()
-             for d in (whole, lift(short, basis))]
+    error = [
+        pursue_patches(unseen, np.ascontiguousarray(d), max_atoms=6, tolerance=tolerance).residual.mean()
+        for d in (whole, lift(short, basis))
+    ]
     assert basis.shape[1] < patches.shape[1] and error[1] <= 1.02 * error[0]
 
 

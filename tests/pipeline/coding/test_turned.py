@@ -38,7 +38,12 @@ def test_turned__an_eighth_of_the_gram_matrix_tells_the_rest():
 def test_turned__pursuit_is_that_of_the_dictionary_written_out(search):
     rng = np.random.default_rng(2)
     straight, patches = unit_rows(rng, 40, 192), rng.standard_normal((200, 192)).astype(np.float32)
-    options = {"max_atoms": 6, "tolerance": 120.0, "weight_levels": np.tile(np.linspace(-8, 8, 64), (6, 1)), "search": search}
+    options = {
+        "max_atoms": 6,
+        "tolerance": 120.0,
+        "weight_levels": np.tile(np.linspace(-8, 8, 64), (6, 1)),
+        "search": search,
+    }
     found = pursue_patches(patches, turn_all(straight, 8), **options)
     plain = pursue_patches(patches, in_all_turns(straight, 8), **options)
     assert 1 < found.codes.n_atoms.mean() < 6

@@ -16,7 +16,9 @@ def atoms_with_twins(kind: str, n: int = 1500) -> np.ndarray:
     if kind == "short":
         atoms = rng.standard_normal((n, 192))
     elif kind == "smooth":
-        atoms = patches_of(rng.standard_normal((n, 192)).astype(np.float32) / (1 + np.arange(192)), 8).astype(np.float64)
+        atoms = patches_of(rng.standard_normal((n, 192)).astype(np.float32) / (1 + np.arange(192)), 8).astype(
+            np.float64
+        )
     else:  # of which short products tell nothing
         atoms = rng.standard_normal((n, PATCH_DIM))
     atoms /= np.linalg.norm(atoms, axis=1, keepdims=True)

@@ -9,17 +9,18 @@ from pipeline.effects.cliplines.eyes import _camera_eye, _station_eye, cell_of, 
 from pipeline.effects.cliplines.lines import best_lines, candidates, disc_points
 from pipeline.effects.cliplines.nearest import _keep_nearest
 from pipeline.effects.cliplines.stage import FOREIGN_RADII, _foreign
-from pipeline.executors import SerialExecutor
+from pipeline.execution.executors import SerialExecutor
 from pipeline.geometry.cliplines import decode_cliplines, encode_cliplines
-from pipeline.settings import settings_for
-from renderer.baseline import clipline_codes
-from services.run import Run
-from services.workflow import compress, prepare
-from storage import arrays
-from storage.packed import PackedFile
-from storage.schema import Camera
+from pipeline.planning.settings import settings_for
+from renderer.splats.baseline import clipline_codes
+from services.flow.prepare import prepare
+from services.flow.run import Run
+from services.processes.compress import compress
+from storage.packed.packed import PackedFile
+from storage.packed.schema import Camera
+from storage.work import arrays
 from tests.effects_scans import step_scan, wall_scan
-from tests.services.test_workflow import Heard
+from tests.services.processes.test_compress import Heard
 
 
 def cut_by(line: tuple[float, float, float]) -> np.ndarray:
@@ -196,4 +197,4 @@ def test_cliplines__a_point_of_a_disc_is_foreign_where_what_was_seen_there_lies_
     row, column, _ = (a.reshape(on_disc.shape[:2]) for a in cells_by_arrays(eye, scale, on_disc.reshape(-1, 3)))
     off = ((nearest[row.astype(int), column.astype(int)] - centre) * normal).sum(axis=2)
     wanted = (row >= 0) & (np.abs(off) > FOREIGN_RADII * sources.radius)
-    assert 0.05 < wanted.mean() and np.array_equal(_foreign(block, rows, eye, scale, nearest, FOREIGN_RADII), wanted)
+    assert wanted.mean() > 0.05 and np.array_equal(_foreign(block, rows, eye, scale, nearest, FOREIGN_RADII), wanted)

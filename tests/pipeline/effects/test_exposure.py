@@ -8,15 +8,17 @@ import pytest
 from pipeline.effects.exposure import exposed
 from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS, linear_of, relit, srgb_of, terms
 from pipeline.effects.exposure.solve import Observations, _by_splat, _medians, solve_fields, spread
-from pipeline.executors import SerialExecutor
-from pipeline.settings import settings_for
-from renderer.held_out import matched
-from services.run import Run
-from services.workflow import compress, prepare, report
-from storage import arrays, work
+from pipeline.execution.executors import SerialExecutor
+from pipeline.planning.settings import settings_for
+from renderer.evaluate.held_out import matched
+from services.flow.prepare import prepare
+from services.flow.run import Run
+from services.processes.compress import compress
+from services.processes.report import report
 from storage.errors import InvalidScan
+from storage.work import arrays, work
 from tests.effects_scans import wall_scan
-from tests.services.test_workflow import Heard
+from tests.services.processes.test_compress import Heard
 
 GAIN = (0.7, 1.0, 1.35)
 
@@ -142,7 +144,9 @@ def test_exposure__takes_the_seams_out_of_the_packed_file_and_its_report_compare
         settings = settings_for("draft", max_atoms=0, effects=request)
         made = compress(scan, tmp_path / "out", settings, SerialExecutor(), Heard(), render=False, work=folder)
         assert ("exposure" in [stage["name"] for stage in made["stages"]]) == (request == "")
-        again = report(tmp_path / "out" / "wall.splatpress", scan, tmp_path / "again", SerialExecutor(), Heard(), render=False)
+        again = report(
+            tmp_path / "out" / "wall.splatpress", scan, tmp_path / "again", SerialExecutor(), Heard(), render=False
+        )
         assert again["quality"]["texture_psnr_db"] == pytest.approx(made["quality"]["texture_psnr_db"], abs=1e-3)
         seams[request] = _seam(tmp_path / "out" / "wall.splatpress")
     assert seams[""] < 0.3 * seams["exposure=off"]
@@ -153,8 +157,8 @@ def _seam(path) -> float:
     from scipy.spatial import cKDTree
 
     from pipeline.geometry.positions import Boxes, decode_positions
-    from pipeline.stages.measure import decoded_colors
-    from storage.packed import PackedFile
+    from pipeline.stages.packed.measure import decoded_colors
+    from storage.packed.packed import PackedFile
 
     with PackedFile(path) as packed:
         scene = packed.load()
@@ -168,10 +172,18 @@ def _seam(path) -> float:
     return apart[across].mean() - apart[~across].mean()
 
 
-@pytest.mark.parametrize("wrong", [
-    {}, {"log_gain": "x"}, {"log_gain": [[[0.0] * N_TERMS] * 3]}, {"log_gain": [[[0.0] * 5] * 3] * 3}, {"log_gain": [1, 2, 3]},
-    {"log_gain": [[[float("nan")] * N_TERMS] * 3] * 3}, {"log_gain": [[["a"] * N_TERMS] * 3] * 3},
-])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {},
+        {"log_gain": "x"},
+        {"log_gain": [[[0.0] * N_TERMS] * 3]},
+        {"log_gain": [[[0.0] * 5] * 3] * 3},
+        {"log_gain": [1, 2, 3]},
+        {"log_gain": [[[float("nan")] * N_TERMS] * 3] * 3},
+        {"log_gain": [[["a"] * N_TERMS] * 3] * 3},
+    ],
+)
 def test_exposure__of_a_file_that_says_nonsense_is_refused(unlike, wrong):
     scan, folder = unlike
     prepared = prepare(Run(folder, SerialExecutor(), Heard()), scan, None, "exposure=off")

@@ -3,9 +3,18 @@
 import numpy as np
 import pytest
 
-from pipeline.effects.mip_levels import ATOM_AREA, BINS_A_LEVEL, DEEPEST, RARE, TO_COARSER, levels_seen, needed, stored_sizes
-from renderer.glsl import shader_source
-from storage.schema import ATOM_SIZES, MIP_SIZES
+from pipeline.effects.mip_levels import (
+    ATOM_AREA,
+    BINS_A_LEVEL,
+    DEEPEST,
+    RARE,
+    TO_COARSER,
+    levels_seen,
+    needed,
+    stored_sizes,
+)
+from renderer.splats.glsl import shader_source
+from storage.packed.schema import ATOM_SIZES, MIP_SIZES
 from tests.scenes import camera_looking
 
 CAMERA = camera_looking((0, 0, 0), (0, 1, 0), (640, 480), (500, 520))

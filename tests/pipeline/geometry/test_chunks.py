@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from pipeline.geometry.chunks import longest_axis, median_split, split_rank
-from storage.schema import CHUNK, GROUP
+from storage.packed.schema import CHUNK, GROUP
 
 # Few different values make ties and duplicates the rule.
 COORDINATES = st.sampled_from([-1e9, -1.0, 0.0, 1e-300, 2.5])

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from pipeline.geometry.cliplines import decode_cliplines, encode_cliplines
-from storage.schema import CLIPLINE_BITS
+from storage.packed.schema import CLIPLINE_BITS
 
 
 def lines(n: int = 2000) -> np.ndarray:

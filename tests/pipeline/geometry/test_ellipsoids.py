@@ -5,7 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.geometry.ellipsoids import (
-    LONGEST_RADII, SHORTEST_RADII, decode_ellipsoids, encode_ellipsoids, lengths_of, squares_of,
+    LONGEST_RADII,
+    SHORTEST_RADII,
+    decode_ellipsoids,
+    encode_ellipsoids,
+    lengths_of,
+    squares_of,
 )
 from pipeline.geometry.normals import decode_normals, encode_normals
 

@@ -4,13 +4,20 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.geometry.frame import directions_of, tangent_frames, whole_direction
 from pipeline.geometry.normals import decode_normals, encode_normals
-from storage.schema import LONGEST_DIRECTION
+from storage.packed.schema import LONGEST_DIRECTION
 from tests.reference_packed import every_normal
 
 AXES = np.eye(3, dtype=int).tolist()
-DIRECTIONS = pytest.mark.parametrize(("up", "ahead"), [
-    (AXES[0], AXES[1]), (AXES[1], AXES[2]), (AXES[2], AXES[0]), ((3, -35, 7), (30, 5, 12)), ((-20, 20, -22), (20, 20, 1)),
-])
+DIRECTIONS = pytest.mark.parametrize(
+    ("up", "ahead"),
+    [
+        (AXES[0], AXES[1]),
+        (AXES[1], AXES[2]),
+        (AXES[2], AXES[0]),
+        ((3, -35, 7), (30, 5, 12)),
+        ((-20, 20, -22), (20, 20, 1)),
+    ],
+)
 
 
 def unit(vector):
@@ -60,14 +67,17 @@ def test_frame__of_a_wall_and_a_floor():
 
 def test_frame__the_decision_fits_into_32_bits():
     """What the shader computes, with the longest direction and every normal."""
-    point = np.array([(a, b, 127 - abs(a) - abs(b)) for a in range(-127, 128) for b in range(-127 + abs(a), 128 - abs(a))])
+    point = np.array(
+        [(a, b, 127 - abs(a) - abs(b)) for a in range(-127, 128) for b in range(-127 + abs(a), 128 - abs(a))]
+    )
     longest = np.array([(36, 0, 0), (20, 20, 22), (-35, 8, 2)])
     assert (np.linalg.norm(longest, axis=1) <= LONGEST_DIRECTION).all()
     assert (100 * (point @ longest.T) ** 2).max() < 2**31
     assert 81 * (point**2).sum(axis=1).max() * LONGEST_DIRECTION**2 < 2**31
 
 
-# --- directions of a scan ------------------------------------------------------------------------------------------------
+# --- directions of a scan
+# ------------------------------------------------------------------------------------------------
 
 
 def looking(rng, n, roll_degrees=0.0):
@@ -99,11 +109,16 @@ def test_directions__turn_with_the_scan():
             assert np.degrees(np.arccos(min(1.0, turn @ a @ unit(b)))) < 3.6  # 1.2 each, and ahead also leans with up
 
 
-@pytest.mark.parametrize("rotations", [
-    [np.diag([1.0, -1, -1])], [np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1])],  # straight down, to and fro
-    [np.eye(3)] * 3,
-    Rotation.from_euler("y", [[0], [90], [180], [270]], degrees=True).as_matrix(),  # all around
-], ids=["down", "to and fro", "one direction", "all around"])
+@pytest.mark.parametrize(
+    "rotations",
+    [
+        [np.diag([1.0, -1, -1])],
+        [np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1])],  # straight down, to and fro
+        [np.eye(3)] * 3,
+        Rotation.from_euler("y", [[0], [90], [180], [270]], degrees=True).as_matrix(),  # all around
+    ],
+    ids=["down", "to and fro", "one direction", "all around"],
+)
 def test_directions__exist_for_every_arrangement_and_are_apart(rotations):
     up, ahead = directions_of([{"rotation": r} for r in rotations])
     assert abs(unit(up) @ unit(ahead)) < 0.5

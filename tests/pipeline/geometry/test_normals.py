@@ -34,8 +34,11 @@ def near_folds(n: int) -> np.ndarray:
     return unit(np.concatenate([edge, face]) + rng.standard_normal((2 * n, 3)) * 1e-3)
 
 
-@pytest.mark.parametrize("normal", [random_normals(200_000), near_poles(20_000), near_folds(20_000)],
-                         ids=["random", "near poles", "near folds"])
+@pytest.mark.parametrize(
+    "normal",
+    [random_normals(200_000), near_poles(20_000), near_folds(20_000)],
+    ids=["random", "near poles", "near folds"],
+)
 def test_normals__come_back_within_064_degrees(normal):
     assert angle_degrees(decode_normals(encode_normals(normal)), normal).max() <= 0.64
 

@@ -5,10 +5,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from pipeline.geometry.positions import POSITION_BITS, decode_positions, encode_positions, fit_boxes, share_bits
-from storage.schema import CHUNK
+from storage.packed.schema import CHUNK
 
 COORDINATES = st.one_of(
-    st.floats(-1e6, 1e6), st.floats(-1e-30, 1e-30), st.sampled_from([0.0, -0.0, 1e30, -1e30, 5.4e6, 1 / 3, 1e-45]))
+    st.floats(-1e6, 1e6), st.floats(-1e-30, 1e-30), st.sampled_from([0.0, -0.0, 1e30, -1e30, 5.4e6, 1 / 3, 1e-45])
+)
 POINTS = st.integers(1, 300).flatmap(lambda n: arrays(np.float64, (n, 3), elements=COORDINATES))
 
 
@@ -18,10 +19,19 @@ def half_cells(boxes, n: int) -> np.ndarray:
     return boxes.size[chunk].astype(np.float64) / 2.0 ** (boxes.bits[chunk].astype(int) + 1)
 
 
-@pytest.mark.parametrize("size, bits", [
-    ([1, 2, 4], [7, 8, 9]), ([4, 1, 2], [9, 7, 8]), ([1, 1, 1], [8, 8, 8]), ([1, 0, 0], [24, 0, 0]),
-    ([0, 5, 0], [0, 24, 0]), ([0, 3, 3], [0, 12, 12]), ([1e-30, 1, 1e-30], [0, 24, 0]), ([1e9, 1e9, 1], [12, 12, 0]),
-])
+@pytest.mark.parametrize(
+    "size, bits",
+    [
+        ([1, 2, 4], [7, 8, 9]),
+        ([4, 1, 2], [9, 7, 8]),
+        ([1, 1, 1], [8, 8, 8]),
+        ([1, 0, 0], [24, 0, 0]),
+        ([0, 5, 0], [0, 24, 0]),
+        ([0, 3, 3], [0, 12, 12]),
+        ([1e-30, 1, 1e-30], [0, 24, 0]),
+        ([1e9, 1e9, 1], [12, 12, 0]),
+    ],
+)
 def test_positions__bits_follow_the_logarithm_of_the_extents(size, bits):
     assert share_bits(np.array([size], np.float32)).tolist() == [bits]
 

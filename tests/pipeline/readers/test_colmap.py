@@ -95,7 +95,7 @@ def test_colmap__piece_size_changes_nothing(tmp_path, max_points):
 def test_colmap__visibility_blocks_change_nothing(tmp_path, monkeypatch):
     source = open_scan(write_workspace(tmp_path / "w").path)
     whole = gather(source, 10)
-    monkeypatch.setattr("pipeline.readers.colmap_visibility._BLOCK_BYTES", 8)
+    monkeypatch.setattr("pipeline.readers.colmap.visibility._BLOCK_BYTES", 8)
     for name, values in gather(source, 10).items():
         np.testing.assert_array_equal(values, whole[name], err_msg=name)
 
@@ -402,7 +402,7 @@ def test_colmap__refuses_a_truncated_photo_when_it_is_read(tmp_path, suffix):
 
 
 def test_colmap__a_long_photo_header_in_a_zip_is_read_whole(tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.readers.colmap._PHOTO_HEAD_BYTES", 10)
+    monkeypatch.setattr("pipeline.readers.colmap.workspace._PHOTO_HEAD_BYTES", 10)
     made = write_workspace(tmp_path / "w")
     assert len(open_scan(zip_folder(made.path, tmp_path / "w.zip")).cameras) == 3
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipeline.readers.crs import DEGREE, FOOT, METRE, UNKNOWN, US_FOOT, unit_from_geokeys, unit_from_wkt
+from pipeline.readers.las.crs import DEGREE, FOOT, METRE, UNKNOWN, US_FOOT, unit_from_geokeys, unit_from_wkt
 
 GEOGCS = 'GEOGCS["NAD83",DATUM["D",SPHEROID["GRS 1980",6378137,298.25]],UNIT["degree",0.0174532925199433]]'
 

@@ -9,7 +9,7 @@ import pytest
 from pye57 import libe57
 
 from pipeline.readers import inspect_scan, open_scan
-from pipeline.readers.e57_nodes import rotation_matrix
+from pipeline.readers.e57.nodes import rotation_matrix
 from storage.errors import InvalidScan, UnsupportedScan
 from tests.pipeline.readers.shared_data import shared_scan
 from tests.pipeline.readers.workspace import texture, write_photo

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from laspy.vlrs.known import WktCoordinateSystemVlr
 
-from pipeline.readers import las, open_scan
+from pipeline.readers import open_scan
+from pipeline.readers.las import las
 from storage.errors import InvalidScan
 from tests.pipeline.readers.shared_data import shared_scan
 

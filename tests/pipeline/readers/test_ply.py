@@ -1,4 +1,4 @@
-"""Each sentence of pipeline/readers/ply.py, on files written here and on the real scans."""
+"""Each sentence of pipeline/readers/ply/ply.py, on files written here and on the real scans."""
 
 import io
 import pickle
@@ -11,8 +11,8 @@ import pytest
 
 from pipeline.readers import open_scan
 from pipeline.readers.check import check_scan
-from pipeline.readers.ply import open_vertices
-from pipeline.readers.ply_header import MAX_HEADER_BYTES
+from pipeline.readers.ply.header import MAX_HEADER_BYTES
+from pipeline.readers.ply.ply import open_vertices
 from storage.errors import InvalidScan, UnsupportedScan
 from tests.pipeline.readers.shared_data import shared_scan
 
@@ -105,13 +105,26 @@ def test_ply__colours_beyond_1_by_rounding_are_white_and_nan_is_black_and_said(t
     scan = write(tmp_path / "a.ply", rows)
     piece = next(open_scan(scan).pieces(10))
     assert piece.color.tolist() == [[255] * 3, [0] * 3, [0] * 3] and piece.colorless.tolist() == [False, False, True]
-    assert [f.text for f in check_scan(str(scan)) if "colour" in f.text] == ["1 of 3 points have a colour that is not finite and are drawn black"]
+    assert [f.text for f in check_scan(str(scan)) if "colour" in f.text] == [
+        "1 of 3 points have a colour that is not finite and are drawn black"
+    ]
 
 
-@pytest.mark.parametrize(("word", "value"), [("-nan(ind)", np.nan), ("nan(snan)", np.nan), ("1.#QNAN", np.nan), ("-1.#IND", np.nan),
-                                             ("1.#INF00", np.inf), ("-1.#INF", -np.inf)])
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [
+        ("-nan(ind)", np.nan),
+        ("nan(snan)", np.nan),
+        ("1.#QNAN", np.nan),
+        ("-1.#IND", np.nan),
+        ("1.#INF00", np.inf),
+        ("-1.#INF", -np.inf),
+    ],
+)
 def test_ply__nan_and_infinity_may_be_written_as_on_windows(tmp_path, word, value):
-    (tmp_path / "a.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 3\n{XYZ}end_header\n0 0 0\n1 {word} 2\n1 1 1\n")
+    (tmp_path / "a.ply").write_text(
+        f"ply\nformat ascii 1.0\nelement vertex 3\n{XYZ}end_header\n0 0 0\n1 {word} 2\n1 1 1\n"
+    )
     np.testing.assert_array_equal(read(tmp_path / "a.ply")["position"][1], [1, value, 2])
 
 

@@ -11,7 +11,7 @@ from pipeline.splats.cameras import N_CANDIDATES, best_cameras, rank_candidates,
 from pipeline.splats.neighbours import find_neighbours
 from pipeline.splats.normals import estimate_normals, turned_to, usable_normals
 from pipeline.splats.visibility import draw_points, empty_map, map_scale, seen_points
-from storage.schema import NO_CAMERA, Camera
+from storage.packed.schema import NO_CAMERA, Camera
 
 
 def in_blocks(points: np.ndarray, size: int) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
@@ -129,7 +129,10 @@ def test_cameras__candidates_are_those_of_a_stable_sort_by_sharpness(with_normal
     lists = [rng.permutation(len(cameras))[:n] for n in count]
     ranked = rank_candidates(position, normal, count, np.concatenate(lists), cameras)
     for i, seen_by in enumerate(lists):
-        score = [sharpness(cameras[c], position[i : i + 1], None if normal is None else normal[i : i + 1])[0] for c in seen_by]
+        score = [
+            sharpness(cameras[c], position[i : i + 1], None if normal is None else normal[i : i + 1])[0]
+            for c in seen_by
+        ]
         expected = [seen_by[j] for j in sorted(range(len(seen_by)), key=lambda j: -score[j])][:N_CANDIDATES]
         assert ranked[i].tolist() == expected + [NO_CAMERA] * (N_CANDIDATES - len(expected))
 
@@ -142,6 +145,7 @@ def test_visibility__a_wall_hides_what_is_behind_it_and_not_what_is_on_it():
     depth_map = empty_map(camera, map_scale(camera, 5.0, radius))
     for part in (behind, front):
         draw_points(depth_map, camera, part, radius)
+
     def seen(points):
         return seen_points(depth_map, camera, points, np.tile([0.0, 0, -1], (len(points), 1)), radius)
 

@@ -5,10 +5,17 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from pipeline.texture.colors import AXES, decode_colors, encode_colors, fit_color_boxes, length_of, step_for
-from storage.schema import CHUNK, COARSEST_COLOR_STEP, FINEST_COLOR_STEP, MOST_COLOR_BITS
+from storage.packed.schema import CHUNK, COARSEST_COLOR_STEP, FINEST_COLOR_STEP, MOST_COLOR_BITS
 
-COLORS = st.integers(1, 300).flatmap(lambda n: arrays(np.float64, (n, 3), elements=st.one_of(
-    st.floats(0, 255), st.floats(100, 104), st.sampled_from([0.0, 255.0, 127.5, 1 / 1024, 1e-30]))))
+COLORS = st.integers(1, 300).flatmap(
+    lambda n: arrays(
+        np.float64,
+        (n, 3),
+        elements=st.one_of(
+            st.floats(0, 255), st.floats(100, 104), st.sampled_from([0.0, 255.0, 127.5, 1 / 1024, 1e-30])
+        ),
+    )
+)
 STEPS = st.integers(FINEST_COLOR_STEP, COARSEST_COLOR_STEP)
 CORNERS = np.array(np.meshgrid([0.0, 255.0], [0.0, 255.0], [0.0, 255.0])).reshape(3, 8).T
 
@@ -65,7 +72,8 @@ def test_colors__a_chunk_of_one_colour_takes_no_bits():
 
 @pytest.mark.parametrize("step", [80, 96, 112, 128])
 def test_colors__random_chunks_are_as_exact_as_flat_ones_are_allowed_to_be(step):
-    """A hostile chunk costs bits, not error: each channel's error is that of even noise in cells no larger than the step."""
+    """A hostile chunk costs bits, not error: each channel's error is that of even noise in cells no larger than the
+    step."""
     rng = np.random.default_rng(0)
     color = rng.uniform(0, 255, (50 * CHUNK, 3))
     boxes, _, found = coded(color, step)

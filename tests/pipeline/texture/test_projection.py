@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.texture.projection import corner_depths, homographies, is_whole, project_corners
-from storage.schema import Camera
+from storage.packed.schema import Camera
 
 ORIGIN = (100.0, -50.0, 7.0)
 SIGNS = [(-1, -1), (-1, 1), (1, -1), (1, 1)]
@@ -18,7 +18,9 @@ def camera_at(turn: np.ndarray) -> Camera:
 def some_squares(rng, n: int, camera: Camera, radius: float):
     """n squares of any slant about 5 before the camera."""
     turn = np.array(camera.rotation)
-    centre = (np.array(camera.centre) - ORIGIN) + (np.column_stack([rng.uniform(-1, 1, (n, 2)), rng.uniform(4, 6, n)])) @ turn
+    centre = (np.array(camera.centre) - ORIGIN) + (
+        np.column_stack([rng.uniform(-1, 1, (n, 2)), rng.uniform(4, 6, n)])
+    ) @ turn
     frame = Rotation.random(n, random_state=rng).as_matrix()
     return centre, frame[:, 0], frame[:, 1], homographies(camera, ORIGIN, centre, frame[:, 0], frame[:, 1], radius)
 
@@ -36,10 +38,19 @@ def test_projection__corners_and_their_depths_are_those_of_points_in_space():
         np.testing.assert_allclose(project_corners(h)[:, corner], pixel, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize(("x_px", "y_px", "whole"), [
-    (11, 240, True), (9, 240, False), (629, 240, True), (631, 240, False),
-    (320, 10, True), (320, 8, False), (320, 470, True), (320, 472, False),
-])
+@pytest.mark.parametrize(
+    ("x_px", "y_px", "whole"),
+    [
+        (11, 240, True),
+        (9, 240, False),
+        (629, 240, True),
+        (631, 240, False),
+        (320, 10, True),
+        (320, 8, False),
+        (320, 470, True),
+        (320, 472, False),
+    ],
+)
 def test_projection__a_square_is_whole_to_the_photo_s_edge_and_no_further(x_px, y_px, whole):
     """20 px wide and 18 px high."""
     camera = camera_at(np.eye(3))

@@ -7,8 +7,16 @@ import pytest
 
 from pipeline.texture.patches import centred, make_patches, patch_errors
 from pipeline.texture.projection import homographies, is_in_front, project_corners
-from pipeline.texture.resample import PATCH_DIM, PROBES, Window, disc_weights, resample_patches, resampling_error, window_bounds
-from storage.schema import NO_CAMERA, Camera
+from pipeline.texture.resample import (
+    PATCH_DIM,
+    PROBES,
+    Window,
+    disc_weights,
+    resample_patches,
+    resampling_error,
+    window_bounds,
+)
+from storage.packed.schema import NO_CAMERA, Camera
 from tests import reference
 
 CAMERA = Camera("c", 120, 90, 100.0, 110.0, 60.0, 45.0, ((1, 0, 0), (0, 1, 0), (0, 0, 1)), (0.0, 0.0, 0.0))
@@ -121,7 +129,9 @@ def test_patches__each_splat_is_sampled_from_its_own_camera():
 def test_patches__average_and_energy_are_those_of_the_texels():
     centre, u, v = tilted(30)
     camera = np.zeros(30, np.uint16)
-    made = make_patches((CAMERA,), windows([photo()]), ORIGIN, centre, (u, v), 0.2, camera, np.zeros((30, 3), np.uint8), 0)
+    made = make_patches(
+        (CAMERA,), windows([photo()]), ORIGIN, centre, (u, v), 0.2, camera, np.zeros((30, 3), np.uint8), 0
+    )
     mean = made.texel.reshape(30, -1, 3).mean(axis=1)
     assert np.abs(made.average - mean).max() <= 0.5
     rows = made.texel.reshape(30, -1, 3) / 255.0 - made.average[:, None] / 255.0
@@ -131,7 +141,10 @@ def test_patches__average_and_energy_are_those_of_the_texels():
 
 def test_patches__errors_are_clamped_and_weighted():
     rng = np.random.default_rng(3)
-    texel, average = rng.integers(0, 256, (20, PATCH_DIM), dtype=np.uint8), rng.integers(0, 256, (20, 3), dtype=np.uint8)
+    texel, average = (
+        rng.integers(0, 256, (20, PATCH_DIM), dtype=np.uint8),
+        rng.integers(0, 256, (20, 3), dtype=np.uint8),
+    )
     added = rng.normal(0, 0.5, (20, PATCH_DIM)).astype(np.float32)
     shown = np.clip(added.reshape(20, -1, 3) + average[:, None] / 255.0, 0, 1).reshape(20, -1)
     squared = (shown - texel / 255.0) ** 2

@@ -1,0 +1,124 @@
+"""What a stage is, and how one is run: init, then run each task, then finalise. Names no executor.
+
+A stage is a frozen dataclass of plain values and folders of earlier stages. Its output goes to a folder of its own,
+named by the hash of those fields; a task writes only what it owns there and returns a small JSON-able result.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from pipeline.execution.calls import run_call
+from storage.work import work
+
+
+class Stage(Protocol):
+    """The three steps. `n_splats` of a result is what the progress counts.
+
+    `init` runs in the process that calls `run_stage`, the other two wherever the executor says, perhaps more than once
+    and side by side (a worker that was given up may still be at it): equal calls make equal bytes.
+    """
+
+    name: str
+
+    def init(self, folder: Path) -> int:
+        """Create the arrays; returns the number of tasks."""
+
+    def run(self, folder: Path, index: int) -> dict:
+        """Do task `index`: write the chunks it owns, return what finalise needs."""
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        """Make one summary of the results, in the order of the tasks."""
+
+
+class Executor(Protocol):
+    """Runs the tasks of a stage anywhere, in any order; `on_done(index, result)` is called once for each.
+
+    `call` runs `finalise` where tasks run: it too may take long, must be stoppable, and takes memory.
+    """
+
+    n_workers: int
+
+    def run(self, stage: Stage, folder: Path, indices: list[int], on_done: Callable[[int, dict], None]) -> None: ...
+
+    def call(self, name: str, function: Callable, *arguments): ...
+
+
+@dataclass(frozen=True)
+class StageRecord:
+    """What a stage did and cost."""
+
+    name: str
+    folder: Path
+    summary: dict
+    seconds: float
+    peak_rss_bytes: int  # of the worker that needed most
+    n_tasks: int
+    n_splats: int
+    reused: bool
+    made_seconds: float = 0.0  # what it took when it was made, now or by an earlier run
+
+
+class Progress(Protocol):
+    """Hears how a stage comes on."""
+
+    def begin(self, name: str, n_tasks: int) -> None: ...
+
+    def advance(self, name: str, n_tasks: int, n_splats: int) -> None: ...
+
+    def end(self, record: StageRecord) -> None: ...
+
+
+def run_stage(stage: Stage, work_folder: Path, executor: Executor, progress: Progress) -> StageRecord:
+    """Bring a stage's output into being, doing only what is missing.
+
+    Guarantees: a complete stage is not run again; after a crash only tasks without a recorded result run.
+    """
+    begun = time.perf_counter()
+    folder = work.stage_folder(work_folder, stage)
+    reused = work.is_complete(folder)
+    if not reused:
+        _bring_into_being(stage, folder, executor, progress)
+    results = [r for _, r in sorted(work.finished_tasks(folder).items())]
+    record = StageRecord(
+        stage.name,
+        folder,
+        work.summary(folder),
+        time.perf_counter() - begun,
+        max((r["peak_rss_bytes"] for r in results), default=0),
+        len(results),
+        sum(r.get("n_splats", 0) for r in results),
+        reused,
+        work.made_seconds(folder),
+    )
+    progress.end(record)
+    return record
+
+
+def _bring_into_being(stage: Stage, folder: Path, executor: Executor, progress: Progress) -> None:
+    begun, plan = time.perf_counter(), folder / "plan.json"
+    if plan.is_file():
+        work.sweep(folder)
+    else:
+        work.begin(folder)
+        run_call(stage.name, lambda: work.write_json(plan, {"n_tasks": stage.init(folder)}))
+    n_tasks = work.read_json(plan)["n_tasks"]
+    results = work.finished_tasks(folder)
+    progress.begin(stage.name, n_tasks)
+    progress.advance(stage.name, len(results), sum(r.get("n_splats", 0) for r in results.values()))
+
+    def on_done(index: int, result: dict) -> None:
+        results[index] = result
+        progress.advance(stage.name, 1, result.get("n_splats", 0))
+
+    try:
+        executor.run(stage, folder, [i for i in range(n_tasks) if i not in results], on_done)
+        summary = executor.call(stage.name, stage.finalise, folder, [results[i] for i in range(n_tasks)])
+        run_call(stage.name, work.complete, folder, summary, time.perf_counter() - begun)
+    except BaseException:
+        work.sweep(folder)
+        raise

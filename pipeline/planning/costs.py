@@ -1,0 +1,255 @@
+"""What a job of any size costs, stage by stage, from what small ones cost: arithmetic, and a simulated scheduler.
+
+`costs.json` is measured and fitted by `benchmarks/fit_costs.py`. A stage's time is what its tasks take on the workers,
+dealt out by a scheduler that spends DISPATCH_S on each, and what it does before and after them in one process; where
+atoms are searched, both grow with the number of their indices. Seconds are those of the machine that they were measured
+on, times what `pipeline/planning/probe.py` says of another. What is not measured on more than one machine is not
+modelled: a store shared by many machines counts as fast as a local disk.
+"""
+
+from __future__ import annotations
+
+import heapq
+import json
+import math
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+from pipeline.coding.ksvd import BLOCK as TRAINING_BLOCK
+from pipeline.execution.executors import MOST_A_CALL, calls_of
+from pipeline.execution.task import CALL_S
+from pipeline.stages.packed.pack import TASK_SPLATS as PACK_BLOCK
+from pipeline.stages.points.partition import IN_MEMORY as MOST_HELD  # units that any stage has in memory at once
+from storage.packed.schema import ATOM_SIZES
+from storage.work.arrays import BLOCK
+
+DISPATCH_S = 1e-3  # of Dask's scheduler, a call: its documentation says "about 1 ms", and one process does it all
+# Times as long that a task takes beside others: two processes that coded blocks side by side, without Dask, took 2.88 s
+# where one after the other they took 5.26 s; two cores share caches and memory.
+CROWDED = 1.10
+MOST_SIMULATED = 20_000  # tasks of a stage; more go on as the last of these did
+SAMPLED = 16  # blocks that effects are measured on
+KILO, SMALLEST = 1024, min(ATOM_SIZES)  # indices of atoms, and texels to a side of the smallest
+COSTS = Path(__file__).with_name("costs.json")
+
+# What a task of a stage is; the cost of a task is that of its units.
+BLOCKS, SCAN, TRAINING, SEED, GROUPS = "a block", "the scan", "a training block", "once", "groups"
+PHOTOS, BY_PHOTO, SAMPLE = "a photograph", "the splats of a photograph", "a block of a sample"
+TASKS = {
+    "ingest": SCAN,
+    "photographs": PHOTOS,
+    "partition": SCAN,
+    "neighbours": BLOCKS,
+    "splats": BLOCKS,
+    "nearest-points": BY_PHOTO,
+    "measure-effects": SAMPLE,
+    "cliplines": BLOCKS,
+    "exposure": PHOTOS,
+    "resample": BLOCKS,
+    "colors": BLOCKS,
+    "training-set": TRAINING,
+    "components": TRAINING,
+    "coefficients": TRAINING,
+    "dictionary-seed": SEED,
+    "ksvd-update": TRAINING,
+    "quantise": TRAINING,
+    "prices": TRAINING,
+    "encode": BLOCKS,
+    "pack": GROUPS,
+}
+BY_ATOMS = {
+    "dictionary-seed",
+    "ksvd-update",
+    "quantise",
+    "prices",
+    "encode",
+}  # whose costs go with the number of indices
+READS = {  # whose output a stage reads whole; the training set reads its own share of patches
+    "partition": ("ingest",),
+    "neighbours": ("partition",),
+    "splats": ("partition", "neighbours"),
+    "nearest-points": ("partition",),
+    "cliplines": ("splats", "nearest-points"),
+    "exposure": ("photographs",),
+    "resample": ("splats", "photographs"),
+    "components": ("training-set",),
+    "coefficients": ("training-set",),
+    "dictionary-seed": ("components", "coefficients"),
+    "ksvd-update": ("components", "coefficients"),
+    "quantise": ("components", "coefficients"),
+    "prices": ("components", "coefficients"),
+    "encode": ("resample",),
+    "pack": ("splats", "encode"),
+}
+
+
+@dataclass(frozen=True)
+class StageCost:
+    """Of one stage. A unit is a splat, a training patch or a million pixels of photographs; a kilo 1,024 indices of
+    atoms of 8x8 texels, of larger ones as many fewer as they have more texels: what products with all of them take goes
+    by both."""
+
+    task_us_a_unit: float  # of a worker's time
+    once_s: float  # of one process, whatever the size: what `init` and `finalise` take
+    once_us_a_unit: float
+    written_bytes_a_unit: float
+    memory_bytes: float  # of the worker that needs most, at any size
+    memory_bytes_a_unit: float  # what comes to that with the size of the scan, up to MOST_HELD
+    task_us_a_unit_a_kilo: float = 0.0
+    once_s_a_kilo: float = 0.0
+    written_bytes_a_kilo: float = 0.0
+    task_us_a_unit_a_halving: float = 0.0  # of points beyond MOST_HELD, each time that they are halved on the disk
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is to be done, with what."""
+
+    n_splats: int
+    n_workers: int
+    n_photographs: int = 0
+    megapixels: float = 10.0  # of a photograph
+    training_splats: int = 20_000
+    iterations: int = 4
+    n_indices: int = KILO  # of atoms in all their turns
+    atom_size: int = SMALLEST  # texels to a side
+
+
+@dataclass(frozen=True)
+class StagePlan:
+    """A stage of a job."""
+
+    name: str
+    n_tasks: int
+    tasks_a_call: int  # that go to a worker at once
+    task_s: float
+    seconds: float
+    once_s: float  # of the seconds: one process works, the others wait
+    dispatch_s: float  # of the scheduler, for all tasks; part of the seconds only where it holds them up
+    read_bytes: float
+    written_bytes: float
+    worker_bytes: float
+
+
+def known_costs(path: Path = COSTS, speed: float = 1.0) -> dict[str, StageCost]:
+    """The fitted costs by stage, on a machine that takes `speed` times as long."""
+    costs = {name: StageCost(**row) for name, row in json.loads(path.read_text())["stages"].items()}
+    return {
+        name: replace(
+            cost, **{f.name: speed * getattr(cost, f.name) for f in fields(cost) if "_s" in f.name or "_us" in f.name}
+        )
+        for name, cost in costs.items()
+    }
+
+
+def kilos_of(n_indices: int, atom_size: int) -> float:
+    """The unit of `StageCost`."""
+    return n_indices / KILO * (atom_size / SMALLEST) ** 2
+
+
+def known_probe_s(path: Path = COSTS) -> float:
+    """What the probe took on the machine that the costs were measured on."""
+    return json.loads(path.read_text())["probe_s"]
+
+
+def plan_job(job: Job, costs: dict[str, StageCost]) -> list[StagePlan]:
+    """Every stage of a job, in order."""
+    kilos = kilos_of(job.n_indices, job.atom_size)
+    written = {
+        name: cost.written_bytes_a_unit * _units(name, job) + cost.written_bytes_a_kilo * kilos
+        for name, cost in costs.items()
+    }
+    return [_plan_stage(name, costs[name], job, kilos, written) for name in TASKS if name in costs]
+
+
+def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dict[str, float]) -> StagePlan:
+    passes = job.iterations if name == "ksvd-update" else 1
+    units, n_tasks = _units(name, job), _n_tasks(name, job)
+    task_s = 1e-6 * (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos) * units / max(1, n_tasks)
+    task_s += 1e-6 * cost.task_us_a_unit_a_halving * halvings(units) * units / max(1, n_tasks)
+    task_s *= CROWDED if min(n_tasks, job.n_workers) > 1 else 1.0
+    once_s = cost.once_s + 1e-6 * cost.once_us_a_unit * units + cost.once_s_a_kilo * kilos
+    calls = calls_of(n_tasks, job.n_workers)
+    most = max(1, int(CALL_S / task_s)) if task_s else MOST_A_CALL  # then a call hands the others back
+    n_calls = sum(-(-size // most) for size in calls)
+    dispatch_s = DISPATCH_S * n_calls / max(1, n_tasks)
+    busy_s = makespan(n_tasks, task_s, job.n_workers, dispatch_s)
+    read = sum(written.get(source, 0.0) for source in READS.get(name, ()))
+    if name == "training-set":
+        read = written[name] + 4.0 * job.n_splats
+    return StagePlan(
+        name,
+        passes * n_tasks,
+        min(most, max(calls, default=1)),
+        task_s,
+        passes * (once_s + busy_s),
+        passes * once_s,
+        passes * n_calls * DISPATCH_S,
+        passes * read,
+        passes * written[name],
+        cost.memory_bytes + cost.memory_bytes_a_unit * min(units, MOST_HELD),
+    )
+
+
+def halvings(units: float) -> int:
+    """How often points are halved until a part of them fits into memory."""
+    return max(0, math.ceil(math.log2(max(1.0, units) / MOST_HELD)))
+
+
+def _units(name: str, job: Job) -> float:
+    kind = TASKS[name]
+    if kind == PHOTOS:
+        return job.n_photographs * job.megapixels
+    if kind == SAMPLE:
+        return min(job.n_splats, SAMPLED * BLOCK)
+    return min(job.training_splats, job.n_splats) if kind in (TRAINING, SEED) else job.n_splats
+
+
+def _n_tasks(name: str, job: Job) -> int:
+    kind = TASKS[name]
+    if kind in (PHOTOS, BY_PHOTO):
+        return job.n_photographs
+    rows = {BLOCKS: BLOCK, SAMPLE: BLOCK, GROUPS: PACK_BLOCK, TRAINING: TRAINING_BLOCK}.get(kind)
+    return 1 if rows is None else max(1, -(-int(_units(name, job)) // rows))
+
+
+def makespan(n_tasks: int, task_s: float, n_workers: int, dispatch_s: float = DISPATCH_S) -> float:
+    """Seconds until equal tasks are done: one scheduler hands each to the worker that is free first."""
+    simulated = min(n_tasks, MOST_SIMULATED)
+    free = [0.0] * min(n_workers, simulated)
+    scheduler, ends = 0.0, [0.0, 0.0]
+    for i in range(simulated):
+        scheduler = max(scheduler, free[0]) + dispatch_s
+        heapq.heapreplace(free, scheduler + task_s)
+        if i == simulated // 2:
+            ends[0] = scheduler
+    if simulated == 0:
+        return 0.0
+    ends[1] = scheduler
+    rate = (ends[1] - ends[0]) / max(1, simulated - 1 - simulated // 2)
+    return max(free) + (n_tasks - simulated) * rate
+
+
+def first_limit(job: Job, plans: list[StagePlan], memory_bytes: float) -> tuple[str, str]:
+    """What holds a job back first, and what to do about it: two texts."""
+    over = [p for p in plans if p.worker_bytes > memory_bytes]
+    if over:
+        worst = max(over, key=lambda p: p.worker_bytes)
+        return (
+            f"memory: {worst.name} needs {worst.worker_bytes / 2**30:.1f} GiB of a worker",
+            "split the scan into jobs of a region each: the stage holds something of every splat",
+        )
+    total = sum(p.seconds for p in plans)
+    once = sum(p.once_s for p in plans) + sum(p.task_s for p in plans if TASKS[p.name] == SCAN)
+    held_up = sum(
+        p.dispatch_s for p in plans if p.dispatch_s > 0.9 * (p.seconds - p.once_s) and p.n_tasks > job.n_workers
+    )
+    worst = max(plans, key=lambda p: p.once_s + (p.task_s if TASKS[p.name] == SCAN else 0))
+    if held_up > total / 3:
+        return "the scheduler: calls end faster than it hands them out", f"larger calls: more than {MOST_A_CALL} tasks"
+    if once > total / 2:
+        return (
+            f"what one process does alone: {100 * once / total:.0f} % of the time, most of it {worst.name}",
+            "split the scan into jobs of a region each; more workers help little",
+        )
+    return "nothing: workers are busy most of the time", "more workers"

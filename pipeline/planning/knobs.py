@@ -1,0 +1,315 @@
+"""The table of knobs: all that trades accuracy for time or bytes, what each allows, what it buys and what it costs.
+
+Command line, `/v1/options`, validation and docs/KNOBS.md are made from it. A knob more is a field of
+`pipeline.planning.settings.Settings`, which has its default, and a row here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from storage.packed.schema import ATOM_SIZES, MAX_ATOMS
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A row. Allowed are `choices`, or numbers from `low` to `high`, and None where it is `optional`."""
+
+    name: str
+    kind: type  # int, float or str
+    help: str
+    buys: str
+    costs: str
+    stage: str  # the first stage that a change does again; all before it are reused
+    choices: tuple = ()  # of `kind`, and words
+    low: float = -math.inf
+    high: float = math.inf
+    optional: bool = False  # None, the default, lets the scan decide
+    above_low: bool = False  # `low` itself is not allowed
+    ladder: tuple = ()  # what `splatpress tradeoff` tries of it, unless told otherwise, the most telling first
+    canonical: Callable[[str], str] | None = None  # of a list in one text: the one text for what it asks, or ValueError
+    words: str = ""  # what such a list allows
+
+    @property
+    def allowed(self) -> str:
+        """In words."""
+        if self.canonical:
+            return self.words
+        if self.choices:
+            return ", ".join(str(c) for c in self.choices)
+        if self.high == math.inf:
+            return f"{'above' if self.above_low else 'at least'} {_number(self.low)}"
+        if self.above_low:
+            return f"above {_number(self.low)}, up to {_number(self.high)}"
+        return f"{_number(self.low)} to {_number(self.high)}"
+
+    @property
+    def kinds(self) -> tuple[type, ...]:
+        """The types of its values, None apart."""
+        return tuple(dict.fromkeys([self.kind, *map(type, self.choices)]))
+
+    @property
+    def domain(self) -> dict:
+        """As JSON Schema has it."""
+        if self.canonical:
+            return {"description": self.words}
+        if self.choices:
+            return {"enum": list(self.choices)}
+        low = {"exclusiveMinimum" if self.above_low else "minimum": self.low}
+        return low if self.high == math.inf else low | {"maximum": self.high}
+
+    def parsed(self, text: str):
+        """The value that a text stands for. Raises ValueError saying what is allowed."""
+        if text in self.choices:
+            return text
+        if self.canonical:
+            return self.canonical(text)
+        try:
+            return self.checked(self.kind(text))
+        except (ValueError, OverflowError):
+            raise ValueError(self._refusal(text)) from None
+
+    def checked(self, value):
+        """The value as its kind. Raises ValueError saying what was found and what is allowed."""
+        if value is None and self.optional:
+            return None
+        if self.canonical and type(value) is str:
+            return self.canonical(value)
+        if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if self.canonical:
+            ok = False
+        elif self.choices:
+            ok = any(type(value) is type(c) and value == c for c in self.choices)
+        else:
+            ok = type(value) is self.kind and math.isfinite(value) and self.low <= value <= self.high
+            ok = ok and not (self.above_low and value == self.low)
+        if not ok:
+            raise ValueError(self._refusal(value))
+        return value
+
+    def _refusal(self, found) -> str:
+        whole = "whole numbers, " if self.kind is int and not self.choices else ""
+        return f"{self.name} is {found}; allowed: {whole}{self.allowed}"
+
+
+def _number(value: float) -> str:
+    return f"{value:,}" if isinstance(value, int) else f"{value:,g}"
+
+
+def _canonical_request(text: str) -> str:
+    from pipeline.effects.plan.request import canonical_request  # finds all effects, which `inspect` can do without
+
+    return canonical_request(text)
+
+
+KNOBS = (
+    Knob(
+        "coder",
+        str,
+        "how patches become codes: `paper` as published, with one cut-off, 32x32 atoms as they are and even weight levels",
+        "default: 2 to 3 dB at the bytes of `paper`, see docs/ACCURACY.md",
+        "nothing but a format newer than version 2",
+        "training-set",
+        choices=("default", "paper"),
+    ),
+    Knob(
+        "atom_size",
+        int,
+        "texels to a side of an atom, with the default coder; auto: the fewest that show the target with 6 dB to spare",
+        "detail, where a splat covers as many photo pixels",
+        "four times the dictionary's bytes, and the time of learning",
+        "coefficients",
+        choices=("auto", *ATOM_SIZES[::-1]),
+    ),
+    Knob(
+        "dictionary_bits",
+        int,
+        "bits of an atom's number: 256, 4,096 or 65,536 atoms, with the default coder an eighth of that in "
+        "8 turns; auto: as many atoms as half a byte a splat pays for",
+        "atoms that fit a splat better: fewer of them for the same error",
+        "time of learning and coding; 4,092 bytes an atom, whatever the scan's size; bits in every code; "
+        "texture fetches that miss the GPU's caches",
+        "dictionary-seed",
+        choices=("auto", 8, 9, 10, 11, 12, 13, 14, 16),
+        ladder=(8, 10, 12),
+    ),
+    Knob(
+        "weight_bits",
+        int,
+        "bits of a weight",
+        "weights nearer to the best ones",
+        "4 bits more an atom of a splat",
+        "quantise",
+        choices=(4, 5, 6, 8),
+        ladder=(4, 6, 8),
+    ),
+    Knob(
+        "max_atoms",
+        int,
+        "atoms that a splat may take",
+        "error of the splats with the most detail",
+        "bytes and frame time of those splats; time of coding",
+        "ksvd-update",
+        low=0,
+        high=MAX_ATOMS,
+        ladder=(4, 2, 6, 1),
+    ),
+    Knob(
+        "target_psnr_db",
+        float,
+        "where a splat is good enough and takes no further atom",
+        "error of every splat that has not yet all its atoms",
+        "atoms: bytes, frame time, time of coding",
+        "training-set",
+        low=10.0,
+        high=80.0,
+        ladder=(42.0, 38.0, 44.0, 36.0, 34.0),
+    ),
+    Knob(
+        "budget_bytes",
+        float,
+        "bytes a splat, of all that a GPU holds, in place of the target's error: an atom costs what makes the "
+        "packed file keep it, and use 98 % or more of it",
+        "a file of known size, its atoms where they mend most; the target is what the dictionary is learned for",
+        "all patches are coded once more for each price that is tried, two or three times in all",
+        "encode",
+        low=0.0,
+        optional=True,
+        above_low=True,
+    ),
+    Knob(
+        "atom_search",
+        str,
+        "how a splat's next atom is found, of 128 or more of whole patches: by products with all of them; by short products, "
+        "certified by whole ones with the few atoms that may be the best; or by short ones alone. Atoms in turns are found by products with all of them",
+        "certified: the atoms of exact search, in a third of its time (256 atoms of 32x32 texels), a sixth (4,096); approximate: a tenth less",
+        "exact: that time; approximate: now and then an atom that is nearly the best, 0.01 dB there",
+        "encode",
+        choices=("exact", "certified", "approximate"),
+    ),
+    Knob(
+        "iterations",
+        int,
+        "passes of k-SVD",
+        "a dictionary nearer to its best; each pass gives less than the one before",
+        "time of learning, in proportion",
+        "ksvd-update",
+        low=1,
+        high=1000,
+        ladder=(3, 1, 12),
+    ),
+    Knob(
+        "least_gain_db",
+        float,
+        "of a pass of k-SVD that another is to follow",
+        "passes that gain more than nothing",
+        "time of learning",
+        "ksvd-update",
+        low=0.0,
+        high=10.0,
+    ),
+    Knob(
+        "training_splats",
+        int,
+        "splats that the dictionary is learned from",
+        "a dictionary that fits what is rare in the scan too",
+        "time of learning, in proportion",
+        "training-set",
+        low=256,
+        high=100_000_000,
+        ladder=(10_000, 80_000, 20_000),
+    ),
+    Knob(
+        "subspace_floor_db",
+        float,
+        "above the target that the components keep which the dictionary is learned in",
+        "atoms nearer to those learned from whole patches",
+        "time and memory of learning",
+        "components",
+        low=3.0,
+        high=60.0,
+    ),
+    Knob(
+        "density",
+        float,
+        "the share of the points that become splats, chosen by hash of their place in the scan's files",
+        "bytes, frame time and time of all stages, in proportion",
+        "detail: splats are larger, their radius follows from the wider "
+        "spacing, and each shows more photo pixels in as many texels and atoms",
+        "partition",
+        low=0.0,
+        high=1.0,
+        above_low=True,
+    ),
+    Knob(
+        "radius",
+        float,
+        "of every splat, in the scan's unit; by default the median distance to the 4th neighbour",
+        "larger: no holes where points are sparse; smaller: sharper textures",
+        "larger: overdraw, and more photo pixels a texel",
+        "splats",
+        low=0.0,
+        optional=True,
+        above_low=True,
+    ),
+    Knob(
+        "view_distance",
+        float,
+        "of the farthest viewer, in the scan's unit; by default as far as the photographs were taken from",
+        "textures that do not glitter from farther away",
+        "coarser mip levels: less than a hundredth of a dictionary's bytes",
+        "pack",
+        low=0.0,
+        optional=True,
+        above_low=True,
+    ),
+    Knob(
+        "seed",
+        int,
+        "of all random choices",
+        "nothing: another result of the same quality",
+        "nothing",
+        "training-set",
+        low=0,
+        high=2**63 - 1,
+    ),
+    Knob(
+        "effects",
+        str,
+        "what effects are asked to be: name=auto, on or off, as cliplines=off; all=off for none",
+        "on: an effect that the scan alone would not call for; off: its time, its bytes and its shader code",
+        "on: those; off: what the effect is for; `splatpress effects` says how much",
+        "measure-effects",
+        canonical=_canonical_request,
+        words="NAME=auto|on|off, joined by commas",
+    ),
+)
+BY_NAME = {knob.name: knob for knob in KNOBS}
+
+# Of a picture, not of a file: arguments of `splatpress render`.
+VIEW_KNOBS = (
+    Knob(
+        "atoms",
+        int,
+        "atoms of each splat that are drawn, the first of those it has",
+        "frame time, which grows with atoms",
+        "what later atoms would mend: they were chosen after these, so the first are the best of as many",
+        "render",
+        low=0,
+        high=MAX_ATOMS,
+    ),
+    Knob(
+        "precision",
+        str,
+        "bits a channel of the sums that splats are blended in; auto: 16, and 32 for a scene that once had more than a "
+        "weight of 16 on a pixel",
+        "32: sums within 1/255 however many splats lie on each other",
+        "32: twice the memory and bandwidth of blending; "
+        "16: up to 24/255 off where a thousand splats lie on each other",
+        "render",
+        choices=("auto", "16", "32"),
+    ),
+)

@@ -1,0 +1,69 @@
+"""What a compress job may be told, and the presets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from pipeline.planning.knobs import BY_NAME, KNOBS
+from storage.packed.schema import MAX_ATOMS
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All that decides the bytes of a packed file, beside the scan itself: a value for each row of `knobs.KNOBS`."""
+
+    preset: str = "balanced"
+    coder: str = "default"
+    atom_size: int | str = "auto"
+    dictionary_bits: int | str = "auto"
+    weight_bits: int = 4
+    max_atoms: int = 8
+    target_psnr_db: float = 40.0
+    budget_bytes: float | None = None
+    atom_search: str = "certified"
+    iterations: int = 4
+    least_gain_db: float = 0.01
+    training_splats: int = 20_000
+    subspace_floor_db: float = 10.0
+    density: float = 1.0
+    radius: float | None = None
+    view_distance: float | None = None
+    seed: int = 0
+    effects: str = ""  # what is asked of effects, as pipeline.effects.plan.request writes it; "" leaves all to the scan
+
+
+PRESETS = {
+    "draft": Settings("draft", target_psnr_db=36.0, iterations=3, training_splats=10_000),
+    "balanced": Settings("balanced"),
+    "high": Settings(
+        "high", dictionary_bits=12, max_atoms=MAX_ATOMS, target_psnr_db=44.0, iterations=12, training_splats=80_000
+    ),
+    "archive": Settings(
+        "archive",
+        dictionary_bits=12,
+        weight_bits=6,
+        max_atoms=MAX_ATOMS,
+        target_psnr_db=48.0,
+        iterations=16,
+        least_gain_db=0.005,
+        training_splats=80_000,
+    ),
+}
+DEFAULT_PRESET = Settings().preset
+
+
+def settings_for(preset: str = DEFAULT_PRESET, **changes) -> Settings:
+    """A preset with changes; None leaves the preset's value. Raises ValueError naming the setting and what it
+    allows."""
+    if preset not in PRESETS:
+        raise ValueError(f"preset is {preset!r}; allowed: {', '.join(PRESETS)}")
+    for name in changes:
+        if name not in BY_NAME:
+            raise ValueError(f"{name!r} is no setting; allowed: {', '.join(BY_NAME)}")
+    settings = replace(PRESETS[preset], **{k: v for k, v in changes.items() if v is not None})
+    settings = replace(settings, **{knob.name: knob.checked(getattr(settings, knob.name)) for knob in KNOBS})
+    if settings.budget_bytes is not None and settings.coder == "paper":
+        raise ValueError(
+            f"budget_bytes is {settings.budget_bytes:g} with coder paper, which has a cut-off and no price; allowed: coder default"
+        )
+    return settings

@@ -1,0 +1,57 @@
+"""What the scan says of each effect, measured on some of its blocks before anything is computed for any of them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from pipeline.effects.block import Sources
+from pipeline.effects.effect import Measured
+from pipeline.effects.plan.plan import plan_effects
+from pipeline.effects.plan.registry import effects
+from storage.work import arrays, work
+
+MOST_BLOCKS = 16  # 262,144 splats, evenly among all: a share of 1 % is then known to a hundredth of itself
+
+
+@dataclass(frozen=True)
+class MeasureEffects:
+    """A task a block, of at most MOST_BLOCKS blocks. The summary has, by effect, what `Measured` holds."""
+
+    sources: Sources
+    names: tuple[str, ...]  # of the effects that are left to measure
+    surveys: tuple[tuple[str, Path], ...] = ()
+    name = "measure-effects"
+    most_splats = MOST_BLOCKS * arrays.BLOCK
+
+    def init(self, folder: Path) -> int:
+        return min(MOST_BLOCKS, arrays.n_blocks(self.sources.n_splats))
+
+    def run(self, folder: Path, index: int) -> dict:
+        n_blocks = arrays.n_blocks(self.sources.n_splats)
+        chosen = index * n_blocks // min(MOST_BLOCKS, n_blocks)
+        block = self.sources.block(chosen, dict(self.surveys))
+        start, stop = block.rows
+        return {"n_splats": stop - start, "sums": {name: effects()[name].measure_block(block) for name in self.names}}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        return {
+            name: asdict(effects()[name].conclude([r["sums"][name] for r in results], self.sources))
+            for name in self.names
+        }
+
+
+def measures_of(summary: dict) -> dict[str, Measured]:
+    """The measures of a summary of the stage."""
+    return {name: Measured(**found) for name, found in summary.items()}
+
+
+def known_rows(work_folder: Path) -> list[dict] | None:
+    """The rows of the plan that the scan of a work folder makes by itself, as it was measured last; None if it never
+    was."""
+    measured = [p for p in work_folder.glob(f"{MeasureEffects.name}-*") if work.is_complete(p)]
+    if not measured:
+        return None
+    last = max(measured, key=lambda p: (p / "summary.json").stat().st_mtime_ns)
+    results = work.finished_tasks(last).values()
+    return plan_effects(measures_of(work.summary(last)), {}, sum(r["n_splats"] for r in results)).to_json()

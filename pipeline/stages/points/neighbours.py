@@ -1,0 +1,83 @@
+"""How far splats lie apart, and normals where the scan has none, or one that is zero or not finite."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.numerics.limits import check_radius
+from pipeline.splats.neighbours import find_neighbours
+from pipeline.splats.normals import NEIGHBOURS, estimate_normals, usable_normals
+from storage.errors import InvalidScan
+from storage.work import arrays, work
+
+SPACING_RANK = 4  # "3-5 splats contribute to the final pixel" (HPG 2021, section 3.6.1)
+MOST_SPACINGS = 1 << 22  # for the median; of a larger scan every n-th counts
+
+
+@dataclass(frozen=True)
+class Neighbourhoods:
+    """A task a block. Arrays: spacing (n,) float32, the distance to the 4th nearest neighbour; normal (n, 3) float32,
+    unit length and not yet turned; degenerate (n,) bool where no normal could be told."""
+
+    partition: Path
+    name = "neighbours"
+
+    def init(self, folder: Path) -> int:
+        n = work.summary(self.partition)["n_splats"]
+        arrays.create(folder, "spacing", (n,), "float32")
+        arrays.create(folder, "normal", (n, 3), "float32")
+        arrays.create(folder, "degenerate", (n,), "bool")
+        return arrays.n_blocks(n)
+
+    def run(self, folder: Path, index: int) -> dict:
+        points = work.summary(self.partition)
+        n = points["n_splats"]
+        start, stop = arrays.block_range(index, n)
+        normal, bad = np.zeros((stop - start, 3)), np.ones(stop - start, bool)
+        if arrays.exists(self.partition, "normal"):
+            normal, bad = usable_normals(arrays.read(self.partition, "normal", start, stop))
+        found = find_neighbours(
+            index,
+            NEIGHBOURS if bad.any() else SPACING_RANK,
+            lambda b: arrays.read(self.partition, "position", *arrays.block_range(b, n)),
+            np.array(points["block_low"]),
+            np.array(points["block_high"]),
+        )
+        missing = np.flatnonzero(bad)
+        degenerate = np.zeros(stop - start, bool)
+        if len(missing):
+            point = arrays.read(self.partition, "position", start, stop)[missing]
+            normal[missing], degenerate[missing] = estimate_normals(point, found.position[missing])
+        arrays.write(folder, "spacing", start, found.distance[:, SPACING_RANK - 1].astype(np.float32))
+        arrays.write(folder, "normal", start, normal.astype(np.float32))
+        arrays.write(folder, "degenerate", start, degenerate)
+        return {"n_splats": stop - start, "n_degenerate": int(degenerate.sum())}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        n = arrays.layout_of(folder, "spacing").shape[0]
+        stride = -(-n // MOST_SPACINGS)
+        values = np.concatenate(
+            [arrays.read(folder, "spacing", *arrays.block_range(i, n))[::stride] for i in range(arrays.n_blocks(n))]
+        )
+        finite = values[np.isfinite(values)]
+        return {
+            "median_spacing": float(np.median(finite)) if len(finite) else None,
+            "n_degenerate": sum(r["n_degenerate"] for r in results),
+        }
+
+
+def radius_of(neighbours: dict, asked: float | None, scan: str) -> float:
+    """The splat radius: what was asked for, else the median spacing (about 4 splats then cover a surface point)."""
+    radius = neighbours["median_spacing"] if asked is None else asked
+    if not radius:
+        raise InvalidScan(
+            scan,
+            "too few different positions to tell a splat radius from",
+            f"more than {SPACING_RANK} different positions",
+            "give one with --radius",
+        )
+    check_radius(scan, radius)
+    return radius

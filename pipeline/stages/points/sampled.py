@@ -1,0 +1,51 @@
+"""A stratified sample of a scan's splats, as a folder that can stand for that of a stage with all of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from storage.packed.schema import CHUNK
+from storage.work import arrays, work
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """One task. Arrays: of each array by splat or by chunk that `source` has, the rows of whole chunks, one from each
+    of equal parts of the scan's order. The summary is the source's, that of the `partition` added, of as many splats.
+
+    On fountain_p11 the atoms of 16,384 splats in chunks of 128 come within 3.7 % (one deviation) of those of all
+    splats; in cells of 512 it takes 36,864 splats for 4.5 %.
+    """
+
+    source: Path
+    partition: Path
+    n_wanted: int
+    name = "sampled"
+
+    def init(self, folder: Path) -> int:
+        return 1
+
+    def run(self, folder: Path, index: int) -> dict:
+        n = work.summary(self.partition)["n_splats"]
+        chunks = chosen_chunks(n, self.n_wanted)
+        rows = (chunks[:, None] * CHUNK + np.arange(CHUNK)).ravel()
+        rows = rows[rows < n]
+        for path in sorted(self.source.glob("*.zarr")):
+            layout = arrays.layout_of(self.source, path.stem)
+            taken = {n: rows, -(-n // CHUNK): chunks}.get(layout.shape[0])
+            if taken is not None:
+                arrays.store(folder, path.stem, arrays.read_rows(self.source, path.stem, taken), layout.chunks)
+        return {"n_splats": len(rows)}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        return work.summary(self.partition) | work.summary(self.source) | {"n_splats": results[0]["n_splats"]}
+
+
+def chosen_chunks(n: int, n_wanted: int) -> np.ndarray:
+    """Which chunks of `n` splats, ascending; all where no more are wanted than there are."""
+    n_chunks = -(-n // CHUNK)
+    n_taken = min(n_chunks, max(1, -(-n_wanted // CHUNK)))
+    return ((np.arange(n_taken) + 0.5) * n_chunks / n_taken).astype(np.int64)

@@ -1,0 +1,148 @@
+"""Points -> splats: camera, colour, and quantised geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.geometry.ellipsoids import encode_ellipsoids
+from pipeline.geometry.frame import directions_of
+from pipeline.geometry.normals import decode_normals, encode_normals
+from pipeline.geometry.positions import Boxes, decode_positions, encode_positions, fit_boxes
+from pipeline.splats.cameras import best_cameras
+from pipeline.splats.decoded import seen_by_cameras
+from pipeline.splats.normals import turned_to
+from storage.packed.schema import CHUNK, ELLIPSOID_FIELDS, NO_CAMERA, Camera
+from storage.work import arrays, work
+
+# A scan with neither colour nor intensity is shown as grey plaster under a lamp above and to the side: a flat grey
+# would show its outline only.
+LAMP = np.array([0.42, 0.28, 0.86])
+DARKEST, BRIGHTEST = 0.15, 0.85
+
+
+@dataclass(frozen=True)
+class Splats:
+    """A task a block. Arrays by splat: position_code (n,) uint32, normal_code (n, 2) int8, camera (n,) uint16, color
+    (n, 3) uint8; by chunk: box_low, box_size (c, 3) float32, box_bits (c, 3) uint8."""
+
+    ingest: Path
+    partition: Path
+    neighbours: Path
+    depth_maps: Path | None
+    radius: float
+    held_out: tuple[int, ...] = ()  # cameras that texture nothing
+    ellipsoids: Path | None = None  # has_ellipsoid, centre and axes: these lie and look as their ellipsoids do
+    name = "splats"
+
+    def init(self, folder: Path) -> int:
+        n = work.summary(self.partition)["n_splats"]
+        for name, shape, dtype in (
+            ("position_code", (n,), "uint32"),
+            ("normal_code", (n, 2), "int8"),
+            ("camera", (n,), "uint16"),
+            ("color", (n, 3), "uint8"),
+        ):
+            arrays.create(folder, name, shape, dtype)
+        for name, dtype in (("box_low", "float32"), ("box_size", "float32"), ("box_bits", "uint8")):
+            arrays.create(folder, name, (-(-n // CHUNK), 3), dtype, (arrays.BLOCK // CHUNK, 3))
+        if self.ellipsoids:
+            arrays.create(folder, "has_ellipsoid", (n,), "bool")
+            arrays.create(folder, "ellipsoid", (n, ELLIPSOID_FIELDS), "uint8")
+        return arrays.n_blocks(n)
+
+    def run(self, folder: Path, index: int) -> dict:
+        scan, points = work.summary(self.ingest), work.summary(self.partition)
+        start, stop = arrays.block_range(index, points["n_splats"])
+        position = arrays.read(self.partition, "position", start, stop)
+        absolute = position + points["origin"]
+        normal = arrays.read(self.neighbours, "normal", start, stop).astype(np.float64)
+        camera = self._cameras(scan, absolute, normal, start, stop)
+        towards = self._towards_viewer(scan, absolute, normal, camera, start, stop)
+        color = self._colors(scan, turned_to(normal, towards), start, stop)
+        if self.ellipsoids:
+            self._take_ellipsoids(position, normal, start, stop)
+        normal = turned_to(normal, towards)
+        boxes, normal_code = fit_boxes(position), encode_normals(normal)
+        code = encode_positions(position, boxes)
+        self._write(folder, start, code, normal_code, camera, color, boxes)
+        if self.ellipsoids:
+            self._write_ellipsoids(folder, scan, normal_code, start, stop)
+        off = np.linalg.norm(decode_positions(code, boxes) - position, axis=1)
+        cosine = np.clip((decode_normals(normal_code) * normal).sum(axis=1), -1, 1)
+        return {
+            "n_splats": stop - start,
+            "n_without_camera": int((camera == NO_CAMERA).sum()),
+            "position_error": float(off.sum()),
+            "normal_error": float(np.degrees(np.arccos(cosine)).sum()),
+        }
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        n = sum(r["n_splats"] for r in results)
+        return {
+            "n_splats": n,
+            "n_without_camera": sum(r["n_without_camera"] for r in results),
+            "mean_position_error": sum(r["position_error"] for r in results) / n,
+            "mean_normal_error_degrees": sum(r["normal_error"] for r in results) / n,
+        }
+
+    def _write(self, folder: Path, start: int, code, normal_code, camera, color, boxes: Boxes) -> None:
+        for name, rows in (("position_code", code), ("normal_code", normal_code), ("camera", camera), ("color", color)):
+            arrays.write(folder, name, start, rows)
+        for name, rows in (("box_low", boxes.low), ("box_size", boxes.size), ("box_bits", boxes.bits)):
+            arrays.write(folder, name, start // CHUNK, rows)
+
+    def _take_ellipsoids(self, position: np.ndarray, normal: np.ndarray, start: int, stop: int) -> None:
+        """Move what is an ellipsoid to its centre, and let it look along its shortest axis."""
+        has = arrays.read(self.ellipsoids, "has_ellipsoid", start, stop)
+        shortest = arrays.read(self.ellipsoids, "axes", start, stop)[has, 2].astype(np.float64)
+        position[has] = arrays.read(self.ellipsoids, "centre", start, stop)[has]
+        normal[has] = shortest / np.linalg.norm(shortest, axis=1, keepdims=True)
+
+    def _write_ellipsoids(self, folder: Path, scan: dict, normal_code: np.ndarray, start: int, stop: int) -> None:
+        has = arrays.read(self.ellipsoids, "has_ellipsoid", start, stop)
+        fields = np.zeros((stop - start, ELLIPSOID_FIELDS), np.uint8)
+        axes = arrays.read(self.ellipsoids, "axes", start, stop)[has].astype(np.float64)
+        fields[has] = encode_ellipsoids(normal_code[has], *directions_of(scan["cameras"]), axes, self.radius)
+        arrays.write(folder, "has_ellipsoid", start, has)
+        arrays.write(folder, "ellipsoid", start, fields)
+
+    def _cameras(self, scan: dict, absolute: np.ndarray, normal: np.ndarray, start: int, stop: int) -> np.ndarray:
+        cameras = tuple(Camera.from_json(c) for c in scan["cameras"])
+        if not cameras:
+            return np.full(len(absolute), NO_CAMERA, np.uint16)
+        seen = seen_by_cameras(self.partition, self.depth_maps, cameras, absolute, normal, self.radius, start, stop)
+        seen[:, list(self.held_out)] = False
+        return best_cameras(cameras, absolute, normal, self.radius, seen)
+
+    def _towards_viewer(
+        self, scan: dict, absolute: np.ndarray, normal: np.ndarray, camera: np.ndarray, start: int, stop: int
+    ) -> np.ndarray:
+        """The directions (n, 3) that normals are turned to: the splat's camera, else its station; else normals that
+        the scan brought stay as they are, and others look up (airborne scans) or away from the middle."""
+        if arrays.exists(self.partition, "normal"):
+            towards = normal.copy()
+        elif scan["format"] == "las":
+            towards = np.tile([0.0, 0.0, 1.0], (len(absolute), 1))
+        else:
+            towards = absolute - (np.array(scan["low"]) + scan["high"]) / 2
+        if arrays.exists(self.partition, "station"):
+            towards = np.array(scan["stations"])[arrays.read(self.partition, "station", start, stop)] - absolute
+        if scan["cameras"]:
+            has = camera != NO_CAMERA
+            towards[has] = np.array([c["centre"] for c in scan["cameras"]])[camera[has]] - absolute[has]
+        return towards
+
+    def _colors(self, scan: dict, normal: np.ndarray, start: int, stop: int) -> np.ndarray:
+        """The scan's own colour, else grey from its intensity, else grey from its normals."""
+        if arrays.exists(self.partition, "color"):
+            return arrays.read(self.partition, "color", start, stop)
+        if scan["intensity_range"] is not None:
+            low, high = scan["intensity_range"]
+            intensity = arrays.read(self.partition, "intensity", start, stop).astype(np.float64)
+            grey = np.clip(np.nan_to_num((intensity - low) / max(high - low, np.finfo(float).tiny)), 0, 1)
+        else:
+            grey = DARKEST + (BRIGHTEST - DARKEST) * (1 + normal @ LAMP / np.linalg.norm(LAMP)) / 2
+        return np.repeat(np.round(grey * 255).astype(np.uint8)[:, None], 3, axis=1)

@@ -1,0 +1,62 @@
+"""Patches' averages -> the colours that the packed file has of them, against which texture is coded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.numerics.accuracy import psnr_db
+from pipeline.stages.texture.strata import census
+from pipeline.texture.colors import decode_colors, encode_colors, fit_color_boxes
+from pipeline.texture.resample import PATCH_DIM
+from storage.packed.schema import CHUNK
+from storage.work import arrays
+
+
+@dataclass(frozen=True)
+class Colors:
+    """A task a block. Arrays by splat: average (n, 3) float32 in 255ths, as it is decoded, and energy (n,) float32,
+    squared norm of the patch less that; with boxes color_code (n,) uint32, and by chunk color_low (c, 3) int16,
+    color_size (c, 3) uint8."""
+
+    patches: Path
+    step: int  # code of the largest cell of boxes; 0: averages are whole bytes
+    name = "colors"
+
+    def init(self, folder: Path) -> int:
+        n = arrays.layout_of(self.patches, "energy").shape[0]
+        arrays.create(folder, "average", (n, 3), "float32")
+        arrays.create(folder, "energy", (n,), "float32")
+        if self.step:
+            arrays.create(folder, "color_code", (n,), "uint32")
+            for name, dtype in (("color_low", "int16"), ("color_size", "uint8")):
+                arrays.create(folder, name, (-(-n // CHUNK), 3), dtype, (arrays.BLOCK // CHUNK, 3))
+        return arrays.n_blocks(n)
+
+    def run(self, folder: Path, index: int) -> dict:
+        start, stop = arrays.block_range(index, arrays.layout_of(self.patches, "energy").shape[0])
+        exact = arrays.read(self.patches, "average", start, stop).astype(np.float64)
+        average = self._in_boxes(folder, start, exact) if self.step else np.floor(exact + 0.5).astype(np.float32)
+        lost = ((average - exact) ** 2).sum(axis=1) * (PATCH_DIM // 3 / 255**2)
+        energy = (arrays.read(self.patches, "energy", start, stop) + lost).astype(np.float32)
+        arrays.write(folder, "average", start, average)
+        arrays.write(folder, "energy", start, energy)
+        return {"n_splats": stop - start, "lost": float(lost.sum()), "census": census(energy).tolist()}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        n = sum(r["n_splats"] for r in results)
+        return {
+            "n_splats": n,
+            "color_psnr_db": psnr_db(sum(r["lost"] for r in results), n * PATCH_DIM),
+            "census": np.sum([r["census"] for r in results], axis=0).tolist(),
+        }
+
+    def _in_boxes(self, folder: Path, start: int, exact: np.ndarray) -> np.ndarray:
+        boxes = fit_color_boxes(exact, self.step)
+        code = encode_colors(exact, boxes)
+        arrays.write(folder, "color_code", start, code)
+        arrays.write(folder, "color_low", start // CHUNK, boxes.low)
+        arrays.write(folder, "color_size", start // CHUNK, boxes.size)
+        return decode_colors(code, boxes)

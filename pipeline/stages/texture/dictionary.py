@@ -1,0 +1,150 @@
+"""Patches in components, or as coefficients -> dictionary in the same: a random start, then k-SVD, one stage an
+iteration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.coding.grid import AtomForm
+from pipeline.coding.ksvd import (
+    Best,
+    Sums,
+    block_sums,
+    initial_dictionary,
+    judge,
+    merge_in_order,
+    merge_moments,
+    next_trial,
+)
+from pipeline.stages.texture.atoms import load_atoms, store_atoms
+from pipeline.stages.texture.training import training_part
+from storage.work import arrays, work
+
+
+@dataclass(frozen=True)
+class DictionarySeed:
+    """One task. Arrays: those of `atoms`."""
+
+    training: Path
+    n_atoms: int
+    seed: int
+    form: AtomForm = AtomForm()
+    name = "dictionary-seed"
+
+    def init(self, folder: Path) -> int:
+        return 1
+
+    def run(self, folder: Path, index: int) -> dict:
+        n_tasks = work.summary(self.training)["n_tasks"]
+        share = -(-2 * self.n_atoms // n_tasks)  # twice as many as needed: twins are passed over
+        pool = []
+        for task in range(n_tasks):
+            pool.append(training_part(self.training, task).coefficients[:share])  # which lie in an order by chance
+        dictionary = initial_dictionary(np.concatenate(pool), self.n_atoms, self.seed)
+        store_atoms(folder, dictionary, self.form)
+        return {"n_atoms": len(dictionary)}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        return results[0]
+
+
+@dataclass(frozen=True)
+class KsvdUpdate:
+    """One iteration: a task codes one part of the training set and sums it; finalise merges, judges and updates.
+
+    Arrays: those of `atoms`, the next trial; before (k, d), the one just measured; best (k, d), the best of all
+    measured so far.
+    """
+
+    training: Path
+    previous: Path
+    max_atoms: int
+    tolerance: float
+    iteration: int
+    price: float = 0.0
+    form: AtomForm = AtomForm()
+    name = "ksvd-update"
+
+    def init(self, folder: Path) -> int:
+        return work.summary(self.training)["n_tasks"]
+
+    def run(self, folder: Path, index: int) -> dict:
+        atoms = load_atoms(self.previous)
+        patches, rest = training_part(self.training, index)
+        found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0), price=self.price)
+        pursuit = found.beside(rest)  # errors are those of whole patches
+        sums = _of_atoms(block_sums(patches, atoms.dictionary, pursuit), self.form)
+        _store_sums(work.parts(folder), f"sums-{index}", sums)
+        return {"n_splats": len(patches), "n_atoms_used": int(pursuit.codes.n_atoms.sum())}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        measured = arrays.read(self.previous, "dictionary")
+        sums = _merged(work.parts(folder), len(results), measured.shape)
+        best, accepted = judge(_best_of(self.previous), measured, sums)
+        before = arrays.read(self.previous, "before") if arrays.exists(self.previous, "before") else None
+        trial, n_replaced = next_trial(best, measured, before, sums)
+        store_atoms(folder, trial, self.form)
+        arrays.store(folder, "before", measured, (4096, measured.shape[1]))
+        arrays.store(folder, "best", best.dictionary.astype(np.float32, copy=False), (4096, best.dictionary.shape[1]))
+        _store_sums(folder, "best-sums", best.sums)
+        return {
+            "squared_error": best.sums.error,
+            "measured_error": sums.error,
+            "accepted": accepted,
+            "step": best.step,
+            "n_patches": sums.n_patches,
+            "n_replaced": n_replaced,
+            "n_atoms_used": sum(r["n_atoms_used"] for r in results),
+        }
+
+
+def _of_atoms(sums: Sums, form: AtomForm) -> Sums:
+    """The sums of atoms from those of their turns: each turn's share is turned back and added."""
+    if form.n_turns == 1:
+        return sums
+    gain, n_users = (values.reshape(-1, form.n_turns).sum(axis=1) for values in (sums.gain, sums.n_users))
+    return replace(sums, moment=form.turned_back(sums.moment), gain=gain, n_users=n_users)
+
+
+def _best_of(previous: Path) -> Best | None:
+    """What the iteration before judged best; None where it was the seed."""
+    if not arrays.exists(previous, "best"):
+        return None
+    sums = _load_sums(previous, "best-sums")
+    return Best(
+        arrays.read(previous, "best"),
+        replace(sums, moment=_moment(previous, "best-sums")),
+        work.summary(previous)["step"],
+    )
+
+
+def _merged(folder: Path, n_tasks: int, shape: tuple[int, int]) -> Sums:
+    """The sums of all tasks. Their moments, k x p each, stay on disk but for a range of atoms at a time."""
+    moments = [_moment(folder, f"sums-{i}") for i in range(n_tasks)]
+    sums = merge_in_order(lambda i: _load_sums(folder, f"sums-{i}"), 0, n_tasks)
+    return replace(sums, moment=merge_moments(lambda i, atoms: moments[i][atoms], n_tasks, shape))
+
+
+def _store_sums(folder: Path, name: str, sums: Sums) -> None:
+    work.write_parts(folder / f"{name}.npz", **{k: v for k, v in vars(sums).items() if k != "moment"})
+    work.write_part(_moment_path(folder, name), np.asarray(sums.moment))
+
+
+def _load_sums(folder: Path, name: str) -> Sums:
+    """All but the moment."""
+    with np.load(folder / f"{name}.npz") as stored:
+        fields = {key: stored[key] for key in stored.files}
+    nothing = np.empty((0, fields["worst_patch"].shape[1]))
+    return Sums(**{**fields, "error": float(fields["error"]), "n_patches": int(fields["n_patches"]), "moment": nothing})
+
+
+def _moment(folder: Path, name: str) -> np.ndarray:
+    """The moment of stored sums, read where it is looked at."""
+    return np.load(_moment_path(folder, name), mmap_mode="r")
+
+
+def _moment_path(folder: Path, name: str) -> Path:
+    return folder / f"{name}-moment.npy"

@@ -1,0 +1,111 @@
+"""Patches -> codes, with quantised weights in the loop; and what the coding lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.coding.grid import AtomForm, coefficients, patches_of
+from pipeline.coding.omp import Codes, Pursuit, reconstruct
+from pipeline.coding.omp_kernels import squared_norms
+from pipeline.numerics.accuracy import psnr_db
+from pipeline.stages.texture.atoms import load_atoms
+from pipeline.texture.patches import centred, patch_errors
+from pipeline.texture.resample import PATCH_DIM, disc_weights
+from storage.work import arrays
+
+ROWS = 1024  # patches in float32 at a time: 12 MiB
+
+
+@dataclass(frozen=True)
+class Encode:
+    """A task a block. Arrays: n_atoms (n,) uint8, atom (n, r) uint16, weight_code (n, r) uint8, error (n,) float32: the
+    squared norm that is left of each patch, before its texels are clamped."""
+
+    patches: Path
+    colors: Path
+    quantized: Path | None  # None where nothing calls for a dictionary: every splat has 0 atoms
+    max_atoms: int
+    tolerance: float
+    price: float = 0.0
+    form: AtomForm | None = None  # None: atoms are coded with as patches, else as coefficients
+    search: str = "certified"  # of pipeline.coding.omp.SEARCHES
+    name = "encode"
+
+    def init(self, folder: Path) -> int:
+        n = arrays.layout_of(self.patches, "energy").shape[0]
+        arrays.create(folder, "n_atoms", (n,), "uint8")
+        arrays.create(folder, "atom", (n, self._n_ranks), "uint16")
+        arrays.create(folder, "weight_code", (n, self._n_ranks), "uint8")
+        arrays.create(folder, "error", (n,), "float32")
+        return arrays.n_blocks(n)
+
+    def run(self, folder: Path, index: int) -> dict:
+        start, stop = arrays.block_range(index, arrays.layout_of(self.patches, "energy").shape[0])
+        encode = self._encoder()
+        average = arrays.read(self.colors, "average", start, stop)
+        n_atoms = np.zeros(stop - start, np.uint8)
+        atom = np.zeros((stop - start, self._n_ranks), np.uint16)
+        weight_code, error = np.zeros((stop - start, self._n_ranks), np.uint8), np.zeros(stop - start, np.float32)
+        squared, weighted = 0.0, 0.0
+        for at, texel in arrays.pieces(self.patches, "texel", start, stop, ROWS):
+            rows = slice(at - start, at - start + len(texel))
+            found, decoded = encode(centred(texel, average[rows]))
+            used = found.weight_code.shape[1]
+            n_atoms[rows], atom[rows, :used] = found.codes.n_atoms, found.codes.atom_index
+            weight_code[rows, :used], error[rows] = found.weight_code, found.residual
+            lost = patch_errors(texel, average[rows], decoded)
+            squared, weighted = squared + lost[0], weighted + lost[1]
+        for name, values in (("n_atoms", n_atoms), ("atom", atom), ("weight_code", weight_code), ("error", error)):
+            arrays.write(folder, name, start, values)
+        return {
+            "n_splats": stop - start,
+            "squared_error": squared,
+            "weighted_error": weighted,
+            "histogram": np.bincount(n_atoms, minlength=self._n_ranks + 1).tolist(),
+        }
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        return coding_quality(results)
+
+    @property
+    def _n_ranks(self) -> int:
+        return max(1, self.max_atoms)
+
+    def _encoder(self):
+        if self.quantized is None:
+            return lambda patches: (_no_codes(patches), np.zeros_like(patches))
+        atoms, levels = load_atoms(self.quantized), arrays.read(self.quantized, "weight_levels")
+
+        def encode(patches: np.ndarray) -> tuple[Pursuit, np.ndarray]:
+            if self.form is None:
+                found = atoms.pursue(patches, self.max_atoms, self.tolerance, levels, search=self.search)
+                return found, reconstruct(found.codes, atoms.dictionary)
+            size = self.form.size
+            short = coefficients(patches, size)
+            found = atoms.pursue(short, self.max_atoms, self.tolerance, levels, self.price, self.search)
+            beyond = np.maximum(squared_norms(patches) - squared_norms(short), 0)  # what atoms of this size cannot show
+            return found.beside(beyond), patches_of(reconstruct(found.codes, atoms.dictionary), size)
+
+        return encode
+
+
+def coding_quality(results: list[dict]) -> dict:
+    """Texture PSNR and visible PSNR of all blocks, and how many splats have how many atoms."""
+    n = sum(r["n_splats"] for r in results)
+    squared, weighted = (sum(r[k] for r in results) for k in ("squared_error", "weighted_error"))
+    histogram = np.sum([r["histogram"] for r in results], axis=0)
+    return {
+        "texture_psnr_db": psnr_db(squared, n * PATCH_DIM),
+        "visible_psnr_db": psnr_db(weighted, n * disc_weights().sum()),
+        "histogram": histogram.tolist(),
+        "mean_atoms": float(histogram @ np.arange(len(histogram)) / n),
+    }
+
+
+def _no_codes(patches: np.ndarray) -> Pursuit:
+    n = len(patches)
+    nothing = Codes(np.zeros((n, 0), np.int32), np.zeros((n, 0), np.float32), np.zeros(n, np.int32))
+    return Pursuit(nothing, np.zeros((n, 0), np.int32), squared_norms(patches)[:, None])

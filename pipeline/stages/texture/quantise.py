@@ -1,0 +1,99 @@
+"""The dictionary in bytes, and the weight levels that suit it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.coding.grid import AtomForm, coefficients_of_texels, texels_of
+from pipeline.coding.quantize import (
+    dequantize_atoms,
+    mip_levels,
+    quantize_atoms,
+    train_weight_levels,
+    uniform_weight_levels,
+)
+from pipeline.coding.subspace import lift
+from pipeline.stages.texture.atoms import load_atoms, store_atoms
+from pipeline.stages.texture.training import training_part
+from storage.packed.schema import MIP_SIZES, PATCH_SIZE
+from storage.work import arrays, work
+
+IN_COMPONENTS = "in-components"
+
+
+@dataclass(frozen=True)
+class Quantization:
+    """A task a part of the training set: it is coded with exact weights by the atoms as they will be decoded, less what
+    of them lies outside the components.
+
+    Arrays: those of the packed file's dictionary (atoms_<s>, atom_scale, weight_levels), and those of `atoms` for the
+    decoded atoms, and in a folder `in-components` for what of them the components hold.
+    """
+
+    training: Path  # in components
+    learned: Path
+    max_atoms: int
+    tolerance: float
+    weight_bits: int
+    learned_array: str = "dictionary"
+    price: float = 0.0
+    form: AtomForm | None = (
+        None  # None: in components, atoms are learned from whole patches and have even weight levels
+    )
+    name = "quantise"
+
+    def init(self, folder: Path) -> int:
+        learned = arrays.read(self.learned, self.learned_array)
+        texels, scale = (
+            self._of_components(folder, learned) if self.form is None else self._of_coefficients(folder, learned)
+        )
+        contents = {"atom_scale": scale}
+        sizes = MIP_SIZES if self.form is None else MIP_SIZES[MIP_SIZES.index(self.form.size) :]
+        contents |= {f"atoms_{s}": level for s, level in zip(sizes, mip_levels(texels))}
+        for name, rows in contents.items():
+            arrays.store(folder, name, rows, (4096, *rows.shape[1:]))
+        return work.summary(self.training)["n_tasks"]
+
+    def _of_components(self, folder: Path, learned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        basis = arrays.read(self.training, "basis")
+        texels, scale = quantize_atoms(lift(learned, basis))
+        decoded = dequantize_atoms(texels, scale)
+        store_atoms(folder, decoded)
+        short = decoded @ basis
+        store_atoms(folder / IN_COMPONENTS, short / np.linalg.norm(short, axis=1, keepdims=True))
+        return texels, scale
+
+    def _of_coefficients(self, folder: Path, learned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        texels, _ = quantize_atoms(texels_of(learned, self.form.size))
+        decoded = coefficients_of_texels(texels, self.form.size).astype(np.float64)
+        scale = (1 / np.linalg.norm(decoded, axis=1)).astype(np.float32)  # such that what is shown is a unit vector
+        store_atoms(folder, (decoded * scale[:, None]).astype(np.float32), self.form)
+        return texels, scale
+
+    def run(self, folder: Path, index: int) -> dict:
+        patches, rest = training_part(self.training, index)
+        atoms = load_atoms(folder / IN_COMPONENTS if self.form is None else folder)
+        found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0), price=self.price)
+        codes = found.codes
+        work.write_parts(work.parts(folder) / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
+        return {"n_splats": len(codes.n_atoms), "squared_error": float((found.residual + rest).sum())}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        samples: list[list[np.ndarray]] = [[] for _ in range(self.max_atoms)]
+        for i in range(len(results)):
+            with np.load(work.parts(folder) / f"weights-{i}.npz") as stored:
+                for rank in range(stored["weight"].shape[1]):
+                    samples[rank].append(stored["weight"][stored["n_atoms"] > rank, rank])
+        ranks = [np.concatenate(s) if s else np.empty(0, np.float32) for s in samples]
+        train = uniform_weight_levels if self.form is None else train_weight_levels
+        levels = train(ranks, 2**self.weight_bits)
+        arrays.store(folder, "weight_levels", levels.astype(np.float32, copy=False))
+        return {
+            "n_atoms": arrays.layout_of(folder, "atom_scale").shape[0],
+            "atom_size": self.form.size if self.form else PATCH_SIZE,
+            "n_turns": self.form.n_turns if self.form else 1,
+            "squared_error": sum(r["squared_error"] for r in results),
+        }

@@ -1,0 +1,96 @@
+"""Photographs -> patches, in the frame of the decoded geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.geometry.frame import Direction
+from pipeline.numerics.accuracy import psnr_db
+from pipeline.splats.decoded import decoded_squares
+from pipeline.texture.patches import Patches, make_patches
+from pipeline.texture.resample import PATCH_DIM
+from storage.packed.schema import Camera
+from storage.work import arrays, work
+
+
+@dataclass(frozen=True)
+class Resample:
+    """A task a block. Arrays: texel (n, PATCH_DIM) uint8, average (n, 3) float32 in 255ths, energy (n,) float32, point
+    (n,) uint32 as the partition's."""
+
+    ingest: Path
+    partition: Path
+    splats: Path
+    radius: float
+    up: Direction
+    ahead: Direction
+    antialiased: bool = True
+    name = "resample"
+
+    def init(self, folder: Path) -> int:
+        n = work.summary(self.splats)["n_splats"]
+        arrays.create(folder, "texel", (n, PATCH_DIM), "uint8")
+        arrays.create(folder, "average", (n, 3), "float32")
+        arrays.create(folder, "energy", (n,), "float32")
+        arrays.create(folder, "point", (n,), "uint32")
+        return arrays.n_blocks(n)
+
+    def run(self, folder: Path, index: int) -> dict:
+        start, stop = arrays.block_range(index, work.summary(self.partition)["n_splats"])
+        patches = resampled_block(
+            self.ingest, self.partition, self.splats, self.radius, self.up, self.ahead, index, self.antialiased
+        )
+        arrays.write(folder, "texel", start, patches.texel)
+        arrays.write(folder, "average", start, patches.average)
+        arrays.write(folder, "energy", start, patches.energy)
+        arrays.write(folder, "point", start, arrays.read(self.partition, "point", start, stop))
+        return {
+            "n_splats": stop - start,
+            "resampling_error": patches.resampling_error,
+            "n_probes": patches.n_probes,
+            "n_flagged": patches.n_flagged,
+            "energy": float(patches.energy.sum(dtype=np.float64)),
+        }
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        error, n_probes = (sum(r[k] for r in results) for k in ("resampling_error", "n_probes"))
+        return {
+            "resampling_psnr_db": psnr_db(error, n_probes),
+            "energy": sum(r["energy"] for r in results),
+            "n_flagged": sum(r["n_flagged"] for r in results),
+        }
+
+
+def resampled_block(
+    photos: Path,
+    partition: Path,
+    splats: Path,
+    radius: float,
+    up: Direction,
+    ahead: Direction,
+    index: int,
+    antialiased: bool = True,
+) -> Patches:
+    """The patches of block `index`; `photos` is a stage's folder with photo_<i> and their cameras in its summary."""
+    points = work.summary(partition)
+    start, stop = arrays.block_range(index, points["n_splats"])
+    centre, tangents = decoded_squares(splats, up, ahead, radius, start, stop)
+
+    def read_window(camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
+        return arrays.read_window(photos, f"photo_{camera}", top, bottom, left, right)
+
+    return make_patches(
+        tuple(Camera.from_json(c) for c in work.summary(photos)["cameras"]),
+        read_window,
+        tuple(points["origin"]),
+        centre,
+        tangents,
+        radius,
+        arrays.read(splats, "camera", start, stop),
+        arrays.read(splats, "color", start, stop),
+        start,
+        antialiased,
+    )

@@ -1,0 +1,203 @@
+"""Which patches the dictionary is learned from: a part of those that their average colour does not settle, chosen by
+hash within octaves of contrast (`strata`), as coefficients of principal components (`pipeline/coding/subspace.py`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from pipeline.coding.grid import coefficients
+from pipeline.coding.ksvd import BLOCK as TASK_SPLATS
+from pipeline.coding.omp_kernels import squared_norms
+from pipeline.coding.subspace import HALF, find_components, halves_suffice, project
+from pipeline.numerics.accuracy import psnr_db
+from pipeline.numerics.hashing import uniform_hash
+from pipeline.stages.texture.strata import octave_of, shares
+from pipeline.texture.patches import centred
+from storage.packed.schema import ATOM_SIZES, PATCH_SIZE
+from storage.work import arrays, work
+
+ROWS = 1024  # patches in float32 at a time: 12 MiB
+SHOWN = 512  # of a task's patches, chosen by chance: what tells how much atoms of a size leave of them
+
+
+class TrainingPart(NamedTuple):
+    """The patches of one task, in components."""
+
+    coefficients: np.ndarray  # (m, p) float32
+    rest: np.ndarray  # (m,) float64: squared norm of what the components leave of each
+
+
+@dataclass(frozen=True)
+class TrainingSet:
+    """A task a range of blocks, about TASK_SPLATS patches each. Arrays of task t: texel_<t>, average_<t>, luck_<t> (m,)
+    float64, the hash as a share of what its octave is taken below: who is below a half is a half of the set, of each
+    octave.
+
+    A splat is taken if a hash of its point's place in the scan's files and the seed says so, and patches are in the
+    order of that hash: neither depends on tasks or workers, nor on chunks, which turn with the scan.
+    """
+
+    patches: Path
+    colors: Path
+    tolerance: float  # squared error at which a patch needs no atom
+    n_wanted: int
+    seed: int
+    cutoff: float  # squared error of a patch at the target: the summary has what would be left were no patch above it
+    name = "training-set"
+
+    def init(self, folder: Path) -> int:
+        counts = np.array(work.summary(self.colors)["census"])
+        share = shares(counts, self.tolerance, self.n_wanted)
+        work.write_json(folder / "share.json", {"n_splats": int(counts.sum()), "share": share.tolist()})
+        return max(1, min(arrays.n_blocks(int(counts.sum())), -(-int(counts @ share) // TASK_SPLATS)))
+
+    def run(self, folder: Path, index: int) -> dict:
+        plan, n_tasks = work.read_json(folder / "share.json"), work.read_json(folder / "plan.json")["n_tasks"]
+        n, share = plan["n_splats"], np.array(plan["share"])
+        start, stop = (min(n, arrays.n_blocks(n) * i // n_tasks * arrays.BLOCK) for i in (index, index + 1))
+        energy = arrays.read(self.colors, "energy", start, stop)
+        active = energy > self.tolerance
+        draw = uniform_hash(arrays.read(self.patches, "point", start, stop), self.seed)
+        chosen = np.flatnonzero(active & (draw < share[octave_of(energy)]))
+        order = np.argsort(draw[chosen])
+        for name, source in (("texel", self.patches), ("average", self.colors)):
+            rows = arrays.read_rows(source, name, start + chosen)[order]
+            arrays.store(folder, f"{name}_{index}", rows, rows.shape)
+        luck = (draw / np.maximum(share[octave_of(energy)], 1e-300))[chosen][order]
+        arrays.store(folder, f"luck_{index}", luck, luck.shape)
+        shown = _patches(folder, index, slice(SHOWN))
+        beyond = [
+            0.0 if s == PATCH_SIZE else float((squared_norms(shown) - squared_norms(coefficients(shown, s))).sum())
+            for s in ATOM_SIZES
+        ]
+        cut = float(np.minimum(energy, self.cutoff).sum(dtype=np.float64))
+        return {
+            "n_splats": len(chosen),
+            "n_active": int(active.sum()),
+            "cutoff_error": cut,
+            "n_shown": len(shown),
+            "beyond": beyond,
+            "settled_energy": float(energy[~active].sum(dtype=np.float64)),
+        }
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        return {
+            "n_tasks": len(results),
+            "n_patches": sum(r["n_splats"] for r in results),
+            "n_splats": work.read_json(folder / "share.json")["n_splats"],
+            "n_active": sum(r["n_active"] for r in results),
+            "cutoff_error": sum(r["cutoff_error"] for r in results),
+            "settled_energy": sum(r["settled_energy"] for r in results),
+            "beyond": self._beyond(results),
+        }
+
+    @staticmethod
+    def _beyond(results: list[dict]) -> dict[str, float]:
+        """By size of atoms, the squared norm that they leave of a patch of this set on average, whatever their
+        number."""
+        n = max(1, sum(r["n_shown"] for r in results))
+        return {str(size): max(0.0, sum(r["beyond"][i] for r in results) / n) for i, size in enumerate(ATOM_SIZES)}
+
+
+@dataclass(frozen=True)
+class Components:
+    """The training set in its principal components, a task a task of it.
+
+    Arrays: basis (d, p) float32; of task t: coefficient_<t> (m, p) float16, or float32 where that would be felt, and
+    rest_<t> (m,) float32. `floor` is what the components may leave of a patch on average, a squared norm.
+    """
+
+    training: Path
+    floor: float
+    name = "components"
+
+    def init(self, folder: Path) -> int:
+        n_tasks = work.summary(self.training)["n_tasks"]
+        share = -(-2 * HALF // n_tasks)
+        sample = np.concatenate([self._patches(task, slice(share)) for task in range(n_tasks)])
+        basis, left = find_components(sample, self.floor)
+        dtype = "float16" if halves_suffice(sample @ basis, self.floor) else "float32"
+        arrays.store(folder, "basis", basis, basis.shape)
+        work.write_json(folder / "components.json", {"n_components": basis.shape[1], "dtype": dtype, "left": left})
+        return n_tasks
+
+    def run(self, folder: Path, index: int) -> dict:
+        basis, dtype = arrays.read(folder, "basis"), work.read_json(folder / "components.json")["dtype"]
+        n = arrays.layout_of(self.training, f"average_{index}").shape[0]
+        coefficients, rest = np.empty((n, basis.shape[1]), np.float32), np.empty(n)
+        for at in range(0, n, ROWS):
+            rows = slice(at, at + ROWS)
+            coefficients[rows], rest[rows] = project(self._patches(index, rows), basis)
+        for name, values in (("coefficient", coefficients.astype(dtype)), ("rest", rest.astype(np.float32))):
+            arrays.store(folder, f"{name}_{index}", values, values.shape)
+        return {"n_splats": n, "rest": float(rest.sum())}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        found = work.read_json(folder / "components.json")
+        n = sum(r["n_splats"] for r in results)
+        floor = psnr_db(sum(r["rest"] for r in results), n * arrays.layout_of(folder, "basis").shape[0])
+        return {
+            "n_tasks": len(results),
+            "n_patches": n,
+            "n_components": found["n_components"],
+            "dtype": found["dtype"],
+            "floor_psnr_db": floor,
+        }
+
+    def _patches(self, index: int, rows: slice) -> np.ndarray:
+        return _patches(self.training, index, rows)
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """The training set as coefficients of what atoms of a size can show, a task a task of it; arrays as `Components`
+    but for the basis."""
+
+    training: Path
+    size: int
+    name = "coefficients"
+
+    def init(self, folder: Path) -> int:
+        return work.summary(self.training)["n_tasks"]
+
+    def run(self, folder: Path, index: int) -> dict:
+        n = arrays.layout_of(self.training, f"average_{index}").shape[0]
+        values, rest = np.empty((n, 3 * self.size**2), np.float32), np.empty(n, np.float32)
+        for at in range(0, n, ROWS):
+            rows = slice(at, at + ROWS)
+            patches = _patches(self.training, index, rows)
+            values[rows] = coefficients(patches, self.size)
+            rest[rows] = np.maximum(squared_norms(patches) - squared_norms(values[rows]), 0)
+        for name, stored in (("coefficient", values), ("rest", rest)):
+            arrays.store(folder, f"{name}_{index}", stored, stored.shape)
+        return {"n_splats": n, "rest": float(rest.sum(dtype=np.float64))}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        n, rest = (sum(r[k] for r in results) for k in ("n_splats", "rest"))
+        return {"n_tasks": len(results), "n_patches": n, "rest": rest}
+
+
+def membership(stage: TrainingSet, folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of every splat: whether its average colour leaves it unsettled, whether it is in the training set, its octave."""
+    energy = arrays.read(stage.colors, "energy")
+    octave, share = octave_of(energy), np.array(work.read_json(folder / "share.json")["share"])
+    active = energy > stage.tolerance
+    draw = uniform_hash(arrays.read(stage.patches, "point"), stage.seed)
+    return active, active & (draw < share[octave]), octave
+
+
+def training_part(folder: Path, index: int) -> TrainingPart:
+    """The patches of one task of `Components` or `Coefficients`."""
+    coefficients = arrays.read(folder, f"coefficient_{index}").astype(np.float32, copy=False)
+    return TrainingPart(coefficients, arrays.read(folder, f"rest_{index}").astype(np.float64))
+
+
+def _patches(training: Path, index: int, rows: slice) -> np.ndarray:
+    texel, average = (
+        arrays.read(training, f"{name}_{index}", rows.start or 0, rows.stop) for name in ("texel", "average")
+    )
+    return centred(texel, average)

@@ -1,0 +1,187 @@
+"""Close-ups of a scan in each of several ways to keep its textures, and what each costs to draw (HPG 2021, Tables 2,
+3)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.stages.packed.measure import SplatErrors, splat_errors
+from renderer.evaluate.compare import flip, psnr_db, ssim
+from renderer.evaluate.previews import WARM_UP_PX, even_choice, limited_view
+from renderer.pictures import save_picture
+from renderer.splats.baseline import PhotoSplats
+from renderer.splats.renderer import Picture, Renderer
+from renderer.splats.scene import GpuScene
+from renderer.splats.views import view_of
+from storage.packed.packed import PackedFile
+from storage.packed.schema import NO_CAMERA, Camera
+from storage.work import arrays, work
+
+FOLDER = "close-ups"
+SIDE_PX = 96  # of the photograph
+ZOOM = 2
+GROUPS_LOOKED_AT = 4  # 32,768 splats at most
+TIMED_SIDE_PX = 1024
+ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A packed file, or its splats textured from photographs: a folder with photo_<i> and cameras in its summary."""
+
+    name: str
+    packed: Path
+    photos: Path | None = None
+
+
+@dataclass(frozen=True)
+class _Spot:
+    """A splat worth a look."""
+
+    why: str
+    camera: int
+    centre: np.ndarray  # (3,) absolute
+    error: float
+
+
+def draw_close_ups(
+    variants: Sequence[Variant], packed: Path, ingest: Path, folder: Path, keep: slice = slice(None)
+) -> list[dict]:
+    """Around chosen splats of `packed`, or those of them that `keep` names, a picture for each variant, in `folder`.
+
+    A row a splat: `why`, `camera`, `psnr_db` of the splat, and by variant `pictures`, `psnr_db`, `ssim` and `flip`
+    against the first variant.
+    """
+    spots = choose_spots(packed, ingest)[keep]
+    cameras = [Camera.from_json(c) for c in work.summary(ingest)["cameras"]]
+    views = [close_up(cameras[spot.camera], spot.centre) for spot in spots]
+    rows = [
+        {
+            "why": spot.why,
+            "camera": cameras[spot.camera].name,
+            "texture_psnr_db": psnr_of(spot.error),
+            "pictures": {},
+            "figures": {},
+        }
+        for spot in spots
+    ]
+    renderer = Renderer()
+    first: list[Picture] = []
+    for number, variant in enumerate(variants):
+        with _drawn(renderer, variant) as draw:
+            for i, view in enumerate(views):
+                picture = draw(view)
+                if number == 0:
+                    first.append(picture)
+                path = f"{FOLDER}/{i + 1}-{number:02d}.png"
+                save_picture(Path(folder) / path, picture.rgb)
+                rows[i]["pictures"][variant.name] = path
+                covered = picture.coverage & first[i].coverage
+                rows[i]["figures"][variant.name] = (
+                    None
+                    if number == 0
+                    else {
+                        "psnr_db": psnr_db(picture.rgb, first[i].rgb, covered),
+                        "ssim": ssim(picture.rgb, first[i].rgb, covered),
+                        "flip": flip(picture.rgb, first[i].rgb, covered),
+                    }
+                )
+    return rows
+
+
+def time_passes(variants: Sequence[Variant]) -> list[dict]:
+    """Median seconds of each pass, by variant, for one view of the whole scan; in turns, so that a load on the machine
+    falls on all of them alike."""
+    renderer = Renderer()
+    with PackedFile(variants[0].packed) as packed:
+        cameras = packed.header.cameras
+    view = limited_view(cameras[len(cameras) // 2], TIMED_SIDE_PX)
+    seconds: dict[str, list[dict[str, float]]] = {variant.name: [] for variant in variants}
+    with ExitStack() as opened:
+        draws = {variant.name: opened.enter_context(_drawn(renderer, variant)) for variant in variants}
+        for draw in draws.values():
+            draw(view_of(view, WARM_UP_PX))  # uploads photographs, and compiles the shaders
+        for _ in range(ROUNDS):
+            for name, draw in draws.items():
+                seconds[name].append(draw(view).pass_seconds)
+    return [
+        {
+            "name": name,
+            "seconds": {p: float(np.median([turn[p] for turn in turns])) for p in turns[0]},
+            "device": renderer.context.info["GL_RENDERER"],
+            "width_px": view.width_px,
+            "height_px": view.height_px,
+        }
+        for name, turns in seconds.items()
+    ]
+
+
+def psnr_of(error: float) -> float | None:
+    return float(-10 * np.log10(error)) if error > 0 else None
+
+
+def choose_spots(packed: Path, ingest: Path) -> list[_Spot]:
+    """The best and the worst splat, and four between them by their share of the error of an average colour, among those
+    whose average colour loses more than the median does: where there is nothing to keep, anything keeps it."""
+    with PackedFile(packed) as opened:
+        groups = even_choice(opened.header.n_groups, GROUPS_LOOKED_AT)
+    parts = [splat_errors(ingest, packed, g) for g in groups]
+    all_ = SplatErrors(
+        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("centre", "camera", "error", "plain"))
+    )
+    seen = np.flatnonzero(all_.camera != NO_CAMERA)
+    seen = seen[all_.plain[seen] >= np.median(all_.plain[seen])]
+    by_share = seen[np.argsort(all_.error[seen] / np.maximum(all_.plain[seen], 1e-12), kind="stable")]
+    by_error = seen[np.argsort(all_.error[seen], kind="stable")]
+    chosen = [("best", by_share[0])]
+    chosen += [
+        (f"{100 * share:.0f} % are better", by_share[int(share * len(by_share))]) for share in (0.2, 0.4, 0.6, 0.8)
+    ]
+    chosen.append(("worst", by_error[-1]))
+    return [_Spot(why, int(all_.camera[i]), all_.centre[i], float(all_.error[i])) for why, i in chosen]
+
+
+def close_up(camera: Camera, centre: np.ndarray, side_px: int = SIDE_PX, zoom: int = ZOOM) -> Camera:
+    """The part of a photograph's view around a point, magnified; it stays within the photograph."""
+    side = min(side_px, camera.width_px, camera.height_px)
+    x, y, z = np.array(camera.rotation) @ np.subtract(centre, camera.centre)
+    left = int(np.clip(round(camera.fx_px * x / z + camera.cx_px - side / 2), 0, camera.width_px - side))
+    top = int(np.clip(round(camera.fy_px * y / z + camera.cy_px - side / 2), 0, camera.height_px - side))
+    return window_view(camera, left, top, side, zoom)
+
+
+def window_view(camera: Camera, left: int, top: int, side: int, zoom: int = ZOOM) -> Camera:
+    """A square of a photograph's view, its first pixel (left, top), magnified."""
+    return replace(
+        camera,
+        width_px=side * zoom,
+        height_px=side * zoom,
+        fx_px=camera.fx_px * zoom,
+        fy_px=camera.fy_px * zoom,
+        cx_px=(camera.cx_px - left) * zoom,
+        cy_px=(camera.cy_px - top) * zoom,
+    )
+
+
+@contextmanager
+def _drawn(renderer: Renderer, variant: Variant) -> Iterator:
+    """A function from view to picture."""
+    with PackedFile(variant.packed, verify=False) as packed:
+        gpu_scene = GpuScene(packed.load(), renderer.context)
+    photos = None
+    try:
+        if variant.photos is None:
+            yield lambda view: renderer.render(gpu_scene, view)
+            return
+        cameras = [Camera.from_json(c) for c in work.summary(variant.photos)["cameras"]]
+        photos = PhotoSplats(gpu_scene, lambda i: arrays.read(variant.photos, f"photo_{i}"), cameras=cameras)
+        yield lambda view: renderer.render_baseline(photos, view)
+    finally:
+        if photos is not None:
+            photos.release()
+        gpu_scene.release()

@@ -1,0 +1,191 @@
+"""Pictures of a packed scene, beside the baseline and the photographs, and how alike they are.
+
+Every figure of a view is taken over the pixels that splats cover in the packed picture and in the baseline: what the
+scan never saw says nothing of the compression. `coverage` is their share of the picture.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from renderer.evaluate.compare import psnr_db, ssim
+from renderer.pictures import resized, save_picture
+from renderer.splats.baseline import PhotoSplats
+from renderer.splats.renderer import Picture, Renderer
+from renderer.splats.scene import GpuScene
+from renderer.splats.views import orbit_views, view_of
+from storage.packed.packed import PackedScene
+from storage.packed.schema import Camera
+
+FOLDER = "previews"
+MAX_NAME = 80
+WARM_UP_PX = (64, 48)
+FIGURES = (
+    "psnr_vs_baseline_db",
+    "ssim_vs_baseline",
+    "psnr_vs_photo_db",
+    "ssim_vs_photo",
+    "baseline_psnr_vs_photo_db",
+)
+
+ReadPhoto = Callable[[int], np.ndarray]  # position in header.cameras -> (height, width, 3) uint8 sRGB
+
+
+@dataclass(frozen=True)
+class PreviewOptions:
+    """How many pictures, and how large."""
+
+    n_cameras: int = 12
+    n_orbits: int = 4  # where a scan has no cameras
+    max_side_px: int = 1600  # larger photographs are compared at this size
+    orbit_size_px: tuple[int, int] = (960, 720)
+
+
+def make_previews(
+    scene: PackedScene,
+    folder: Path,
+    read_photo: ReadPhoto | None = None,
+    renderer: Renderer | None = None,
+    options: PreviewOptions = PreviewOptions(),
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[dict]:
+    """Write pictures into `folder`/previews and return the rows of `quality.views` of the report.
+
+    From up to `n_cameras` of the scene's cameras, evenly among them: `NAME.packed.png` and, with `read_photo`,
+    `NAME.baseline.png` and `NAME.photo.jpg`. Without cameras: `n_orbits` views around the scene, packed alone.
+    `progress` is told after every view how many of them are done.
+
+    Each row has `camera`, `width_px`, `height_px`, `coverage`, the FIGURES (None where there is nothing to compare
+    with), `device` (what drew it), `accumulation` (see renderer/splats/targets.py), `seconds` and `baseline_seconds` by
+    render pass (None without a baseline), and `pictures` by kind, as paths relative to `folder`.
+
+    Guarantees: names of pictures are plain and differ from each other, whatever the cameras are called; a picture
+    appears under its name only when it is whole.
+    """
+    cameras = scene.header.cameras
+    chosen = even_choice(len(cameras), options.n_cameras)
+    views = [limited_view(cameras[i], options.max_side_px) for i in chosen]
+    if not cameras:
+        views, read_photo = orbit_views(scene, options.n_orbits, options.orbit_size_px), None
+    names = safe_names([view.name for view in views])
+    renderer = renderer or Renderer()
+    device = renderer.context.info["GL_RENDERER"]
+    gpu_scene = GpuScene(scene, renderer.context)
+    photos = PhotoSplats(gpu_scene, read_photo) if read_photo else None
+    waiting: list[Future] = []
+
+    def finish(i: int, view: Camera, packed: Picture, baseline: Picture | None) -> dict:
+        photo = resized(read_photo(chosen[i]), view.width_px, view.height_px) if read_photo else None
+        pictures = _save(Path(folder), names[i], packed, baseline, photo)
+        return _row(view, packed, baseline, photo) | {"device": device, "pictures": pictures}
+
+    try:
+        with ThreadPoolExecutor(1) as pool:  # compares and writes a view while the next one is drawn
+            for i, view in enumerate(views):
+                if i == 0:
+                    _compile(renderer, gpu_scene, photos, view)
+                waiting.append(pool.submit(finish, i, view, *_draw(renderer, gpu_scene, photos, view)))
+                if i:  # no more than two views' pictures at a time
+                    waiting[i - 1].result()
+                    progress(i, len(views))
+            rows = [done.result() for done in waiting]
+            progress(len(views), len(views))
+    finally:
+        if photos:
+            photos.release()
+        gpu_scene.release()
+    return rows
+
+
+def even_choice(n: int, n_chosen: int) -> list[int]:
+    """At most `n_chosen` of the numbers 0..n-1, evenly, the first and the last among them.
+
+    >>> even_choice(11, 3), even_choice(2, 12), even_choice(0, 12)
+    ([0, 5, 10], [0, 1], [])
+    """
+    return [int(i) for i in np.linspace(0, n - 1, min(n, n_chosen)).round()]
+
+
+def limited_view(camera: Camera, max_side_px: int) -> Camera:
+    """The view of a camera, made smaller where its longer side exceeds `max_side_px`."""
+    shrink = min(1.0, max_side_px / max(camera.width_px, camera.height_px))
+    return view_of(camera, (max(1, round(camera.width_px * shrink)), max(1, round(camera.height_px * shrink))))
+
+
+def safe_names(names: Sequence[str]) -> list[str]:
+    """File names without ending for cameras: ASCII letters, digits, dot, dash and underscore, all different.
+
+    They differ without regard to case too, for file systems that have none.
+
+    >>> safe_names(["left/0001.jpg", "right/0001.jpg", "right_0001.png", "../../x", "häuser 2"])
+    ['left_0001', 'right_0001', 'right_0001-2', 'x', 'h_user_2']
+    """
+    taken, result = set(), []
+    for name in names:
+        stem = re.sub(r"[^A-Za-z0-9._-]", "_", re.sub(r"\.\w{1,5}$", "", name))
+        stem = stem.lstrip("._-")[:MAX_NAME] or "view"
+        unique, repeat = stem, 1
+        while unique.lower() in taken:
+            repeat += 1
+            unique = f"{stem}-{repeat}"
+        taken.add(unique.lower())
+        result.append(unique)
+    return result
+
+
+def _compile(renderer: Renderer, gpu_scene: GpuScene, photos: PhotoSplats | None, view: Camera) -> None:
+    """Draw a small picture, so that the passes of the first view are timed as the others are. Splats so small may
+    overdraw a pixel, which says nothing of the views."""
+    accumulation = gpu_scene.accumulation
+    _draw(renderer, gpu_scene, photos, view_of(view, WARM_UP_PX))
+    gpu_scene.accumulation = accumulation
+
+
+def _draw(
+    renderer: Renderer, gpu_scene: GpuScene, photos: PhotoSplats | None, view: Camera
+) -> tuple[Picture, Picture | None]:
+    packed = renderer.render(gpu_scene, view)
+    return packed, renderer.render_baseline(photos, view) if photos else None
+
+
+def _save(
+    folder: Path, name: str, packed: Picture, baseline: Picture | None, photo: np.ndarray | None
+) -> dict[str, str]:
+    pictures = {"packed": (f"{FOLDER}/{name}.packed.png", packed.rgb)}
+    if baseline is not None:
+        pictures["baseline"] = (f"{FOLDER}/{name}.baseline.png", baseline.rgb)
+    if photo is not None:
+        pictures["photo"] = (f"{FOLDER}/{name}.photo.jpg", photo)
+    for path, rgb in pictures.values():
+        save_picture(folder / path, rgb)
+    return {kind: path for kind, (path, _) in pictures.items()}
+
+
+def _row(view: Camera, packed: Picture, baseline: Picture | None, photo: np.ndarray | None) -> dict:
+    figures = dict.fromkeys(FIGURES)
+    covered = packed.coverage
+    if baseline is not None:
+        covered = covered & baseline.coverage
+        figures["psnr_vs_baseline_db"] = psnr_db(packed.rgb, baseline.rgb, covered)
+        figures["ssim_vs_baseline"] = ssim(packed.rgb, baseline.rgb, covered)
+    if photo is not None:
+        figures["psnr_vs_photo_db"] = psnr_db(packed.rgb, photo, covered)
+        figures["ssim_vs_photo"] = ssim(packed.rgb, photo, covered)
+        figures["baseline_psnr_vs_photo_db"] = psnr_db(baseline.rgb, photo, covered)
+    return (
+        {"camera": view.name, "width_px": view.width_px, "height_px": view.height_px}
+        | figures
+        | {
+            "coverage": float(covered.mean()),
+            "accumulation": packed.accumulation,
+            "programs": list(packed.programs),
+            "seconds": packed.pass_seconds,
+            "baseline_seconds": baseline.pass_seconds if baseline is not None else None,
+        }
+    )

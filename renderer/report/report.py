@@ -1,0 +1,154 @@
+"""The quality report as data: what the packed file itself tells, what the run recorded, what the views showed.
+
+The run record is a dict that the stages leave behind. Every key may be missing or None, as all are where a packed file
+is all there is:
+
+    scan      {name, format, n_points, unit, n_cameras, warnings: [text]}
+    quality   {texture_psnr_db, visible_psnr_db, resampling_psnr_db,
+               geometry: {mean_position_error (in the scan's unit), mean_position_error_in_radii,
+                          mean_normal_error_degrees}}
+    learning  [{seconds, psnr_db, replaced_atoms}], one a k-SVD pass, seconds since learning began
+    stages    [{name, seconds, peak_rss_bytes, splats_per_second, tasks}] in order of running
+    numerics  {dropped_points, degenerate_normals, flagged_projections, replaced_atoms, safeguard_steps}: counts of the
+              hard cases that were met, see docs/NUMERICS.md
+    settings  {name: value}
+    estimate  {seconds, peak_memory_bytes, gpu_bytes, texture_psnr_db: {value, low, high, happened}}, up to the packed
+    file effects   [{effect, enabled, share, measure, threshold, reason, ...}]: the plan, see
+    pipeline/effects/plan/plan.py edges     [{camera, left_px, top_px, side_px, with_db, without_db, pictures: {with,
+    without, photo}}], see renderer/evaluate/edges.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.effects.plan.request import OFF, asked_by
+from renderer.files import strict, write_json
+from storage.packed.packed import PackedScene
+from storage.packed.schema import BY_NAME, Camera, Header
+
+REPORT_NAME = "report.json"
+GPU_PARTS = ("geometry", "codes", "colors", "dictionary")
+NUMERICS = ("dropped_points", "degenerate_normals", "flagged_projections", "replaced_atoms", "safeguard_steps")
+SOURCE_BYTES_PER_PIXEL = 4  # three channels, times 4/3 for the mip levels
+
+
+def build_report(scene: PackedScene, file_bytes: int, record: dict | None = None, views: Sequence[dict] = ()) -> dict:
+    """The report of one packed scene, ready for JSON; docs of each figure stand in `sizes_of` and `atoms_of`.
+
+    `file_bytes` is the length of the packed file on disk, `record` the run record (above), `views` what
+    `renderer.evaluate.previews` returned.
+
+    Guarantees: the keys scan, splats, sizes, quality, atoms, learning, numerics, stages, settings, effects, edges,
+    estimate and warnings are always there; what was not measured is None or an empty list, never a guess; nothing is
+    NaN or infinite.
+    """
+    header, record = scene.header, record or {}
+    scan = dict.fromkeys(("name", "format", "n_points")) | {"unit": header.unit, "n_cameras": len(header.cameras)}
+    scan |= header.scan | (record.get("scan") or {})
+    quality = dict.fromkeys(("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db", "geometry"))
+    return strict(
+        {
+            "scan": {key: value for key, value in scan.items() if key != "warnings"},
+            "splats": header.n_splats,
+            "radius": header.radius,
+            "sizes": sizes_of(scene, file_bytes),
+            "quality": quality | (record.get("quality") or {}) | {"views": list(views)},
+            "atoms": atoms_of(scene),
+            "learning": [{"seconds": None, "psnr_db": None} | entry for entry in record.get("learning") or ()],
+            "numerics": dict.fromkeys(NUMERICS)
+            | (record.get("numerics") or {})
+            | {"accumulation": _accumulation(header, views)},
+            "stages": [
+                {"name": None, "seconds": None, "peak_rss_bytes": None} | stage for stage in record.get("stages") or ()
+            ],
+            "settings": record.get("settings") or header.settings,
+            "estimate": record.get("estimate"),
+            "effects": list(record.get("effects") or ()),
+            "edges": list(record.get("edges") or ()),
+            "programs": sorted({name for view in views for name in view.get("programs") or ()}),
+            "warnings": list(scan.get("warnings") or ()),
+        }
+    )
+
+
+def _accumulation(header: Header, views: Sequence[dict]) -> str | None:
+    found = accumulation_of(views)
+    return f"{found}, as asked for" if found and asked_by(header.settings)["accumulation"] == OFF else found
+
+
+def accumulation_of(views: Sequence[dict]) -> str | None:
+    """What the colours of the pictures were added up in: the widest that any of them called for.
+
+    >>> accumulation_of([{"accumulation": "RGBA16F"}, {"accumulation": "RGBA32F"}]), accumulation_of([])
+    ('RGBA32F', None)
+    """
+    return max((view["accumulation"] for view in views if view.get("accumulation")), default=None)
+
+
+def sizes_of(scene: PackedScene, file_bytes: int) -> dict:
+    """Bytes by part and the compression factors, as Table 1 of the paper counts them.
+
+    - `geometry_bytes`, `codes_bytes`, `colors_bytes`, `dictionary_bytes`: the arrays of each part of
+      `storage.packed.schema`, uncompressed, which is what a GPU takes; `arrays` has them one by one.
+    - `gpu_bytes`: their sum. The camera of each splat (`provenance_bytes`) is not among them: no shader reads it.
+    - `file_bytes`: the packed file on disk, where zarr has compressed the arrays once more.
+    - `bytes_per_splat`: gpu_bytes / splats.
+    - `source_texture_bytes`: the photographs as a renderer would hold them, RGB8 with mip levels (LOD 0 of Table 1):
+      the sum of width * height * 3 * 4/3.
+    - `compression_factor_texture`: source_texture_bytes / (codes + colors + dictionary).
+    - `compression_factor_total`: (geometry_bytes + source_texture_bytes) / gpu_bytes. The geometry is quantised on
+      both sides, so this factor shows what the textures alone give to the whole.
+
+    The last three are None where a scan has no photographs. Table 1 adds 2 bytes a splat to its originals, the index
+    of the photograph; here they are left out, which makes both factors smaller, by 1 % there.
+
+    References: HPG 2021, section 4 and Table 1.
+    """
+    arrays = {name: int(array.nbytes) for name, array in scene.arrays.items()}
+    part = {
+        p: sum(size for name, size in arrays.items() if BY_NAME[name].part == p) for p in (*GPU_PARTS, "provenance")
+    }
+    gpu_bytes = sum(part[p] for p in GPU_PARTS)
+    source = source_texture_bytes(scene.header.cameras)
+    return {f"{name}_bytes": size for name, size in part.items()} | {
+        "gpu_bytes": gpu_bytes,
+        "file_bytes": int(file_bytes),
+        "bytes_per_splat": gpu_bytes / scene.header.n_splats,
+        "source_texture_bytes": source,
+        "compression_factor_total": None if source is None else (part["geometry"] + source) / gpu_bytes,
+        "compression_factor_texture": None if source is None else source / (gpu_bytes - part["geometry"]),
+        "arrays": arrays,
+    }
+
+
+def source_texture_bytes(cameras: Sequence[Camera]) -> int | None:
+    """All photographs as RGB8 with mip levels, the paper's LOD 0; None without photographs.
+
+    The paper's own 441 photographs of 3680 x 2456 pixels make the 15.94 GB of its Table 1:
+
+    >>> paper = Camera("", 3680, 2456, 1, 1, 0, 0, (), ())
+    >>> round(source_texture_bytes([paper] * 441) / 1e9, 2)
+    15.94
+    """
+    if not cameras:
+        return None
+    return sum(camera.width_px * camera.height_px for camera in cameras) * SOURCE_BYTES_PER_PIXEL
+
+
+def atoms_of(scene: PackedScene) -> dict:
+    """How many splats have 0, 1 ... `n_ranks` atoms (`histogram`), and the `mean`; counted from the batches."""
+    splats = scene.arrays["batch_count"].sum(axis=0, dtype=np.int64)
+    n_atoms = [batch.n_atoms for batch in scene.header.batches]
+    histogram = np.bincount(n_atoms, weights=splats, minlength=scene.header.n_ranks + 1).astype(np.int64)
+    return {"histogram": histogram.tolist(), "mean": float(histogram @ np.arange(len(histogram)) / histogram.sum())}
+
+
+def write_report(folder: Path, report: dict) -> Path:
+    """Write `report.json` into a folder; it appears whole, and it is strict JSON."""
+    path = Path(folder) / REPORT_NAME
+    write_json(path, report)
+    return path

@@ -1,0 +1,239 @@
+"""The ladder of `splatpress tradeoff` as data and as one page that needs nothing but itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bokeh.embed import components
+from bokeh.models import CustomJS, HoverTool, TapTool
+from bokeh.plotting import figure
+from bokeh.resources import Resources
+from markupsafe import Markup
+
+from pipeline.planning.knobs import BY_NAME
+from pipeline.readers.photos import decode_photo
+from renderer.files import strict, write_json, write_whole
+from renderer.pictures import png_uri
+from renderer.report.report_page import template
+from renderer.report.report_plots import AMBER, BLUE, MUTED, plain_figure, source_of
+
+TRADEOFF_NAME, TRADEOFF_PAGE = "tradeoff.json", "tradeoff.html"
+COSTS = (  # key, axis, what it is in a sentence, the scale of the axis
+    ("bytes_per_splat", "bytes a splat on the GPU", "bytes", 1.0),
+    ("seconds", "seconds of compressing", "seconds", 1.0),
+    ("frame_seconds", "milliseconds of a frame", "frame time", 1e3),
+)
+WANTED_DB = (30.0, 32.0, 34.0, 36.0, 38.0, 40.0, 42.0, 44.0, 46.0)
+LEAD_DB = 40.0
+NOISE_DB, NOISE_SHARE = 0.05, 0.05  # a preset that another beats by less than both is as good
+
+
+def summarised(document: dict) -> dict:
+    """The document with its Pareto fronts, what to take for which quality, and which presets another one beats."""
+    points = [{k: v for k, v in p.items() if not k.startswith("_")} for p in document["points"]]
+    fronts = {cost: pareto(points, cost) for cost, *_ in COSTS if all(p[cost] is not None for p in points)}
+    presets = [p for p in points if p["preset"]]
+    beaten = [
+        {"preset": a["preset"], "by": b["preset"]} for a in presets for b in presets if a is not b and _beats(b, a)
+    ]
+    advice = [row for wanted in WANTED_DB if (row := advised(points, wanted))]
+    return document | {"points": points, "fronts": fronts, "beaten_presets": beaten, "advice": advice}
+
+
+def pareto(points: list[dict], cost: str) -> list[str]:
+    """Keys of the points that no other beats in both cost and texture PSNR, the cheapest first.
+
+    >>> pareto([{"key": k, "c": c, "texture_psnr_db": q} for k, c, q in (("a", 1, 30), ("b", 2, 29), ("c", 3, 31))],
+    "c") ['a', 'c']
+    """
+    front, best = [], float("-inf")
+    for point in sorted(points, key=lambda p: (p[cost], -p["texture_psnr_db"])):
+        if point["texture_psnr_db"] > best:
+            front.append(point["key"])
+            best = point["texture_psnr_db"]
+    return front
+
+
+def advised(points: list[dict], wanted_db: float) -> dict | None:
+    """For a texture PSNR, the preset of fewest bytes that reaches it and the point of fewest bytes of all, by key."""
+    reach = sorted(
+        (p for p in points if p["texture_psnr_db"] >= wanted_db), key=lambda p: (p["gpu_bytes"], p["seconds"])
+    )
+    if not reach or min(p["texture_psnr_db"] for p in points) >= wanted_db + 2:
+        return None
+    preset = next((p["key"] for p in reach if p["preset"]), None)
+    return {"wanted_db": wanted_db, "preset": preset, "cheapest": reach[0]["key"]}
+
+
+def leading(advice: list[dict]) -> list[dict]:
+    """What is said first: 40 dB, which is 1 % of error, and the step after it; else the last two that can be had."""
+    first = max(0, next((i for i, row in enumerate(advice) if row["wanted_db"] >= LEAD_DB), len(advice) - 2))
+    return advice[first : first + 2]
+
+
+def _beats(b: dict, a: dict) -> bool:
+    """Whether b is better than a in bytes, seconds and PSNR by more than noise in one of them, and worse in none."""
+    worse = (
+        b["texture_psnr_db"] < a["texture_psnr_db"] - NOISE_DB
+        or b["gpu_bytes"] > a["gpu_bytes"] * (1 + NOISE_SHARE)
+        or b["seconds"] > a["seconds"] * (1 + NOISE_SHARE)
+    )
+    better = (
+        b["texture_psnr_db"] > a["texture_psnr_db"] + NOISE_DB
+        or b["gpu_bytes"] < a["gpu_bytes"] * (1 - NOISE_SHARE)
+        or b["seconds"] < a["seconds"] * (1 - NOISE_SHARE)
+    )
+    return better and not worse
+
+
+def write_tradeoff(folder: Path, document: dict) -> None:
+    """tradeoff.json and tradeoff.html, each whole; the pictures that the document names are read from the folder."""
+    write_json(folder / TRADEOFF_NAME, document)
+    write_whole(folder / TRADEOFF_PAGE, page_of(strict(document), folder).encode("utf-8", errors="replace"))
+
+
+def page_of(document: dict, folder: Path) -> str:
+    """The text of the page; see `write_tradeoff`."""
+    points = {p["key"]: p | {"number": i, "label": _label(p)} for i, p in enumerate(document["points"], 1)}
+    plots = {
+        cost: _plot(list(points.values()), document["fronts"][cost], cost, axis, scale)
+        for cost, axis, _, scale in COSTS
+        if cost in document["fronts"]
+    }
+    if "frame_seconds" in document["fronts"]:
+        plots["atoms"] = _frame_plot(list(points.values()))
+    script, divs = components(plots)
+    advice = _in_words(document, points)
+    return template("tradeoff.html.jinja").render(
+        t=document,
+        points=list(points.values()),
+        chosen=document["points"][0],
+        advice=advice,
+        lead=leading(advice),
+        knobs=_knob_rows(document["points"]),
+        pictures=_pictures_by_point(document, folder),
+        fronts={cost: set(keys) for cost, keys in document["fronts"].items()},
+        bokeh=Markup(Resources(mode="inline", components=["bokeh"]).render()),
+        plot_script=Markup(script),
+        plots={name: Markup(div) for name, div in divs.items()},
+    )
+
+
+def _label(point: dict) -> str:
+    return point["preset"] or point["key"]
+
+
+def _in_words(document: dict, points: dict[str, dict]) -> list[dict]:
+    """The advice with its points, and what each costs against the row before it."""
+    rows, before = [], None
+    for row in document["advice"]:
+        take = points[row["preset"] or row["cheapest"]]
+        rows.append(
+            row
+            | {
+                "take": take,
+                "cheapest": points[row["cheapest"]],
+                "more": before
+                and {cost: take[cost] / before[cost] - 1 for cost, *_ in COSTS if take[cost] and before[cost]},
+            }
+        )
+        before = take
+    return rows
+
+
+def _knob_rows(points: list[dict]) -> list[dict]:
+    """Each knob with its points and the chosen one among them, by value, and their differences from the chosen one."""
+    chosen, rows = points[0], []
+    for name in dict.fromkeys(p["knob"] for p in points if p["knob"]):
+        tried = [p for p in points if p["knob"] == name] + [chosen | {"value": chosen["settings"][name]}]
+        values = sorted(tried, key=lambda p: (isinstance(p["value"], str), p["value"]))
+        rows.append(
+            {
+                "knob": BY_NAME[name],
+                "points": [
+                    p
+                    | {
+                        "is_chosen": p["key"] == chosen["key"],
+                        "more_db": p["texture_psnr_db"] - chosen["texture_psnr_db"],
+                        "more": {cost: p[cost] / chosen[cost] - 1 for cost, *_ in COSTS if p[cost] and chosen[cost]},
+                    }
+                    for p in values
+                ],
+            }
+        )
+    return rows
+
+
+def _pictures_by_point(document: dict, folder: Path) -> dict[str, list[dict]]:
+    """By point, a picture a spot with its figures; the photographs' under the name they have there."""
+    found: dict[str, list[dict]] = {}
+    for row in document["close_ups"]:
+        for name, path in row["pictures"].items():
+            picture = Markup(png_uri(decode_photo(str(folder / path), path)))
+            found.setdefault(name, []).append({"why": row["why"], "picture": picture, "figures": row["figures"][name]})
+    return found
+
+
+def _plot(points: list[dict], front: list[str], cost: str, axis: str, scale: float) -> figure:
+    """PSNR over a cost, the front as a line, presets named; a click on a point shows its pictures."""
+    plot = plain_figure(340, x_axis_label=axis, y_axis_label="texture PSNR, dB")
+    on = sorted((p for p in points if p["key"] in front), key=lambda p: p[cost])
+    plot.x_range.range_padding = 0.15  # room for the names
+    plot.line([p[cost] * scale for p in on], [p["texture_psnr_db"] for p in on], color=AMBER, width=2)
+    _dots(plot, points, [p[cost] * scale for p in points], [p["texture_psnr_db"] for p in points], axis)
+    return plot
+
+
+def _frame_plot(points: list[dict]) -> figure:
+    plot = plain_figure(340, x_axis_label="atoms of a splat, on average", y_axis_label="milliseconds of a frame")
+    _dots(plot, points, [p["mean_atoms"] for p in points], [1e3 * p["frame_seconds"] for p in points], "atoms a splat")
+    plot.x_range.range_padding = 0.15
+    plot.y_range.start = 0
+    return plot
+
+
+def _dots(plot: figure, points: list[dict], x: list[float], y: list[float], axis: str) -> None:
+    source = source_of(
+        {
+            "x": x,
+            "y": y,
+            "label": [p["label"] for p in points],
+            "number": [p["number"] for p in points],
+            "color": [BLUE if p["preset"] else MUTED for p in points],
+            "size": [13 if p["preset"] else 8 for p in points],
+        }
+    )
+    dots = plot.scatter("x", "y", source=source, color="color", size="size", nonselection_alpha=1.0)
+    named = [(v, w, p["label"], v > (min(x) + max(x)) / 2) for v, w, p in zip(x, y, points) if p["preset"]]
+    plot.text(
+        "x",
+        "y",
+        text="label",
+        x_offset="off",
+        text_align="align",
+        source=source_of(
+            {
+                "x": [v for v, *_ in named],
+                "y": [w for _, w, *_ in named],
+                "label": [label for _, _, label, _ in named],
+                "off": [-10 if right else 10 for *_, right in named],  # into the plot, whose edge would cut it
+                "align": ["right" if right else "left" for *_, right in named],
+            }
+        ),
+        y_offset=5,
+        text_font_size="13px",
+        text_color=BLUE,
+    )
+    plot.add_tools(HoverTool(renderers=[dots], tooltips=[("", "@label"), (axis, "@x{0.00}"), ("", "@y{0.00}")]))
+    plot.add_tools(
+        TapTool(
+            renderers=[dots],
+            callback=CustomJS(
+                args={"source": source},
+                code="""
+        const at = source.selected.indices[0];
+        if (at !== undefined) showPoint(source.data.number[at]);
+    """,
+            ),
+        )
+    )

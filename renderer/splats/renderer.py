@@ -1,0 +1,235 @@
+"""Rendering of a packed scene in four passes.
+
+Paper: HPG 2021, section 3.6, after Botsch et al. 2005: cull groups into indirect draws, draw depth pushed back by a
+margin, add up weighted colours of all splats within the margin, divide.
+
+A draw is one batch of one group: its splats' triangles, by an index list that all groups share. One indirect call draws
+a batch in all groups; the base vertex of a draw names its group.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import moderngl
+import numpy as np
+
+from renderer.effects import defines_of
+from renderer.effects.relighting import AS_PHOTOGRAPHED, Light
+from renderer.splats.baseline import PhotoSplats
+from renderer.splats.context import gl_context
+from renderer.splats.programs import Programs, set_uniforms
+from renderer.splats.projection import checked_view, view_block
+from renderer.splats.scene import DRAWS, GpuScene
+from renderer.splats.targets import NARROW, WIDE, Targets, make_targets
+from storage.packed.schema import MAX_ATOMS, Camera
+
+_INVOCATIONS = 64  # local size of cull.comp.glsl
+_VIEW_BYTES = 7 * 16
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One rendered view, top row first."""
+
+    rgb: np.ndarray  # (height, width, 3) uint8 sRGB, black where nothing is seen
+    coverage: np.ndarray  # (height, width) bool: where splats were seen
+    pass_seconds: dict[str, float]  # by pass, in the order they ran; waits for the GPU after each
+    programs: tuple[str, ...]  # those that drew it
+    accumulation: str  # what the colours were added up in: RGBA16F, or RGBA32F where overdraw called for it
+
+
+@dataclass
+class _Frame:
+    targets: Targets
+    light: Light
+    pass_seconds: dict[str, float] = field(default_factory=dict)
+    programs: list[str] = field(default_factory=list)
+
+
+class Renderer:
+    """Draws packed scenes into pictures. Of one context, and so of one thread.
+
+    Guarantees: no NaN and no Inf reaches a picture; splats behind the camera, at its plane and around the eye are
+    drawn as far as they are in front of it; a splat smaller than a pixel still covers one; however many splats lie on
+    top of each other, a picture is within 1/255 of exact sums, but where the job asked for `accumulation=off` (and but
+    for inputs that docs/NUMERICS.md names).
+    """
+
+    def __init__(self, context: moderngl.Context | None = None) -> None:
+        self.context = context or gl_context()
+        with self.context:
+            self._programs = Programs(self.context)
+            self._view = self.context.buffer(reserve=_VIEW_BYTES)
+            self._none = self.context.simple_framebuffer(
+                (1, 1)
+            )  # bound when targets are released: moderngl would bind those again
+        self._targets: Targets | None = None
+
+    def render(
+        self, gpu_scene: GpuScene, view: Camera, max_atoms: int = MAX_ATOMS, light: Light = AS_PHOTOGRAPHED
+    ) -> Picture:
+        """The scene from `view`, each splat with at most `max_atoms` of its atoms; lit where its effects say that it
+        can be.
+
+        Raises: InvalidScan for a view that is not finite, ResourceExhausted for one too large.
+        """
+        return self._drawn(gpu_scene, view, lambda frame: self._draw_attributes(frame, gpu_scene, max_atoms), light)
+
+    def render_baseline(self, photos: PhotoSplats, view: Camera) -> Picture:
+        """The same splats from `view`, textured from the photographs themselves: what compression is compared with."""
+
+        def draw(frame: _Frame) -> None:
+            self._begin_attributes(frame)
+            frame.programs += photos.draw(self._programs, view)
+
+        return self._drawn(photos.gpu_scene, view, draw, AS_PHOTOGRAPHED)
+
+    # --- passes ------------------------------------------------------------------------------------------------------
+
+    def _drawn(
+        self, gpu_scene: GpuScene, view: Camera, draw_attributes: Callable[[_Frame], None], light: Light
+    ) -> Picture:
+        """A picture whose sums are as wide as the scene's overdraw calls for; a scene that once did keeps wide ones."""
+        with self.context:
+            picture, overdrawn = self._pass_by_pass(gpu_scene, view, draw_attributes, light)
+            if overdrawn and picture.accumulation == NARROW:
+                gpu_scene.accumulation = WIDE
+                picture, _ = self._pass_by_pass(gpu_scene, view, draw_attributes, light)
+        return picture
+
+    def _pass_by_pass(
+        self, gpu_scene: GpuScene, view: Camera, draw_attributes: Callable[[_Frame], None], light: Light
+    ) -> tuple[Picture, bool]:
+        frame = self._begin(gpu_scene, view, light)
+        with self._pass(frame, "visibility"):
+            self._draw_depth(frame, gpu_scene)
+        with self._pass(frame, "attribute"):
+            draw_attributes(frame)
+        return self._finish(frame, gpu_scene)
+
+    def _begin(self, gpu_scene: GpuScene, view: Camera, light: Light) -> _Frame:
+        checked_view(view)
+        smooth = "normal_smoothing" in gpu_scene.drawn
+        frame = _Frame(self._targets_of((view.width_px, view.height_px), gpu_scene.accumulation, smooth), light)
+        self._view.write(view_block(view, gpu_scene.scene.header))
+        self._view.bind_to_uniform_block(0)
+        gpu_scene.bind()
+        with self._pass(frame, "cull"):
+            name, program = self._programs.compute("cull")
+            frame.programs.append(name)
+            program.run(-(-gpu_scene.scene.header.n_groups // _INVOCATIONS))
+            self.context.memory_barrier(moderngl.Context.COMMAND_BARRIER_BIT)
+        return frame
+
+    def _draw_depth(self, frame: _Frame, gpu_scene: GpuScene) -> None:
+        frame.targets.visibility.use()
+        frame.targets.visibility.clear(depth=0.0)
+        self.context.enable_only(moderngl.DEPTH_TEST)
+        self.context.depth_func = ">"
+        batches, n_leading = gpu_scene.scene.header.batches, gpu_scene.n_leading
+        if n_leading:  # atoms do not matter here: all at once
+            name, drawing = self._programs.drawing(
+                "visibility", LEADING=int(n_leading < len(batches)), **gpu_scene.defines
+            )
+            set_uniforms(drawing, n_leading=n_leading)
+            self._draw_groups(gpu_scene, drawing, len(batches))
+            frame.programs.append(name)
+        for batch in range(n_leading, len(batches)):
+            self._draw_batch(
+                frame,
+                gpu_scene,
+                batch,
+                "visibility",
+                **defines_of("visibility", gpu_scene.drawn, batches[batch]),
+                **gpu_scene.defines,
+            )
+
+    def _draw_attributes(self, frame: _Frame, gpu_scene: GpuScene, max_atoms: int) -> None:
+        self._begin_attributes(frame)
+        for batch, kind in enumerate(gpu_scene.scene.header.batches):
+            n_atoms = min(kind.n_atoms, max_atoms)
+            turned = int(gpu_scene.scene.header.n_turns > 1 and n_atoms > 0)
+            of_atoms = gpu_scene.drawn if n_atoms else gpu_scene.drawn - {"mip_levels", "level_blending"}
+            self._draw_batch(
+                frame,
+                gpu_scene,
+                batch,
+                "attribute",
+                N_ATOMS=n_atoms,
+                **defines_of("attribute", of_atoms, kind),
+                TURNED=turned,
+                **gpu_scene.defines,
+            )
+
+    def _begin_attributes(self, frame: _Frame) -> None:
+        frame.targets.attribute.use()
+        frame.targets.attribute.clear()
+        self.context.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
+        self.context.depth_func = ">="
+        self.context.blend_func = moderngl.ONE, moderngl.ONE
+
+    def _finish(self, frame: _Frame, gpu_scene: GpuScene) -> tuple[Picture, bool]:
+        """The picture, and whether any of its pixels is overdrawn; sums that are wide, or are to stay narrow, are not
+        watched."""
+        with self._pass(frame, "resolve"):
+            frame.targets.resolve.use()
+            self.context.enable_only(moderngl.NOTHING)
+            frame.targets.sums.use(0)
+            if frame.targets.normals is not None:
+                frame.targets.normals.use(1)
+            watched = gpu_scene.watched and frame.targets.accumulation == NARROW
+            name, drawing = self._programs.drawing(
+                "resolve", **defines_of("resolve", gpu_scene.drawn), WATCHED=int(watched)
+            )
+            set_uniforms(drawing, **_lamp_of(frame))
+            drawing.render(moderngl.TRIANGLES, vertices=3)
+            frame.programs.append(name)
+        width, height = frame.targets.size
+        pixels = np.frombuffer(frame.targets.resolve.read(components=4), np.uint8).reshape(height, width, 4)
+        programs = tuple(dict.fromkeys(frame.programs))
+        covered = pixels[..., 3]
+        picture = Picture(pixels[..., :3].copy(), covered > 0, frame.pass_seconds, programs, frame.targets.accumulation)
+        return picture, bool(((covered > 0) & (covered < 255)).any())
+
+    # --- helpers -----------------------------------------------------------------------------------------------------
+
+    def _draw_batch(self, frame: _Frame, gpu_scene: GpuScene, batch: int, name: str, **defines: int) -> None:
+        batches = gpu_scene.scene.header.batches
+        leads = batch == 0 and gpu_scene.n_leading == 1  # so no splat needs to be looked for
+        name, drawing = self._programs.drawing(
+            name, **defines, BY_BATCH=int(not leads), LEADING=int(leads and len(batches) > 1)
+        )
+        set_uniforms(drawing, batch=batch, n_leading=1, atoms_stored=batches[batch].n_atoms, **_lamp_of(frame))
+        self._draw_groups(gpu_scene, drawing, len(batches) if leads else batch)
+        frame.programs.append(name)
+
+    @staticmethod
+    def _draw_groups(gpu_scene: GpuScene, drawing: moderngl.VertexArray, row: int) -> None:
+        n_groups = gpu_scene.scene.header.n_groups
+        drawing.render_indirect(gpu_scene.buffers[DRAWS], moderngl.TRIANGLES, n_groups, row * n_groups)
+
+    @contextmanager
+    def _pass(self, frame: _Frame, name: str) -> Iterator[None]:
+        started = perf_counter()
+        yield
+        self.context.finish()
+        frame.pass_seconds[name] = perf_counter() - started
+
+    def _targets_of(self, size: tuple[int, int], accumulation: str, smooth: bool) -> Targets:
+        kept = self._targets
+        if kept is None or (kept.size, kept.accumulation, kept.normals is not None) != (size, accumulation, smooth):
+            if self._targets is not None:
+                self._none.use()
+                self._targets.release()
+                self._targets = None
+            self._targets = make_targets(self.context, size, accumulation, smooth)
+        return self._targets
+
+
+def _lamp_of(frame: _Frame) -> dict:
+    """The uniforms of shaders/lamp.glsl."""
+    return {"towards_light": frame.light.towards, "ambient": frame.light.ambient, "diffuse": frame.light.diffuse}

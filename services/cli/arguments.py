@@ -1,0 +1,74 @@
+"""What commands share: the arguments that the table of knobs makes, and the error of a value that is not allowed."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Collection
+
+from pipeline.planning.knobs import BY_NAME, KNOBS, VIEW_KNOBS, Knob
+from pipeline.planning.settings import DEFAULT_PRESET, PRESETS, Settings, settings_for
+
+
+class WrongArgument(ValueError):
+    """A value that argparse itself cannot tell to be wrong; the command line ends with exit code 1."""
+
+
+def add_settings(command: argparse.ArgumentParser, names: Collection[str] = BY_NAME) -> None:
+    """--preset, and one argument a knob of those named; one that takes a list may be repeated, under its singular
+    too."""
+    add_preset(command)
+    for knob in (knob for knob in KNOBS if knob.name in names):
+        argument = f"--{knob.name.replace('_', '-')}"
+        spellings = (argument.removesuffix("s"), argument) if knob.canonical else (argument,)
+        command.add_argument(
+            *spellings,
+            dest=knob.name,
+            metavar=_metavar(knob),
+            action="append" if knob.canonical else "store",
+            help=f"{knob.help} ({knob.allowed})".replace("%", "%%"),
+        )
+
+
+def add_preset(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--preset", default=DEFAULT_PRESET, metavar="|".join(PRESETS))
+
+
+def add_view_knobs(command: argparse.ArgumentParser) -> None:
+    """One argument a knob of a picture, of its kind; by default the first choice, or the most there is."""
+    for knob in VIEW_KNOBS:
+        command.add_argument(
+            f"--{knob.name}",
+            type=_parser_of(knob),
+            metavar=_metavar(knob),
+            default=knob.choices[0] if knob.choices else knob.high,
+            help=f"{knob.help} ({knob.allowed})",
+        )
+    command.add_argument(
+        "--max-atoms", dest="atoms", type=_parser_of(VIEW_KNOBS[0]), default=argparse.SUPPRESS, help=argparse.SUPPRESS
+    )
+
+
+def _parser_of(knob: Knob) -> Callable[[str], object]:
+    def parsed(text: str):
+        try:
+            return knob.parsed(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return parsed
+
+
+def settings_of(options: argparse.Namespace) -> Settings:
+    """The settings that the arguments of `add_settings` or `add_preset` ask for. Raises WrongArgument."""
+    given = {name: text for name in BY_NAME if (text := getattr(options, name, None)) is not None}
+    given = {name: text if isinstance(text, str) else ",".join(text) for name, text in given.items()}
+    try:
+        return settings_for(options.preset, **{name: BY_NAME[name].parsed(text) for name, text in given.items()})
+    except ValueError as error:
+        raise WrongArgument(str(error)) from error
+
+
+def _metavar(knob: Knob) -> str:
+    if knob.canonical:
+        return "NAME=CHOICE"
+    return "|".join(str(c) for c in knob.choices) if knob.choices else "N" if knob.kind is int else "X"

@@ -1,0 +1,332 @@
+"""The command line's verbs that speak with a service, or are one."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+from pipeline.planning.knobs import BY_NAME
+from services.cli.arguments import WrongArgument, add_preset
+from services.processes.kinds import COMPRESS, PROCESSES
+
+OK, ARGUMENTS, INPUT_OUTPUT, INTERNAL, GATE_MISSED = 0, 1, 2, 4, 7
+DEFAULT_URL = "http://127.0.0.1:8000"
+
+
+def add_service_verbs(commands) -> None:
+    """serve, api, runner, token; login, upload, submit, watch, status, logs, cancel, retry, fetch, ls, regress."""
+    for name, text, function in (
+        ("serve", "the whole service on this machine", _serve),
+        ("api", "the web part of the service alone", _api),
+        ("runner", "the part that runs jobs alone", _runner),
+    ):
+        verb = commands.add_parser(name, help=text)
+        verb.add_argument("--data", type=Path, metavar="DIR", help="default: splatpress-data")
+        verb.add_argument("--host", help="default: 127.0.0.1; any other address asks for tokens")
+        verb.add_argument("--port", type=int)
+        verb.add_argument("--workers", type=int, metavar="N", help="default: one a core")
+        verb.add_argument(
+            "--scheduler", metavar="tcp://...", help="a running Dask scheduler, instead of workers of its own"
+        )
+        if name != "serve":
+            verb.add_argument("--end-with-stdin", action="store_true", help=argparse.SUPPRESS)
+        verb.set_defaults(command=function)
+    token = commands.add_parser("token", help="make a token for an owner of scans and jobs")
+    token.add_argument("owner")
+    token.add_argument("--data", type=Path, metavar="DIR")
+    token.set_defaults(command=_token)
+    login = _verb(commands, "login", "remember a service and a token", _login)
+    login.add_argument("--token", help="default: asked for")
+    upload = _verb(commands, "upload", "upload a scan; prints its id", _upload)
+    upload.add_argument("scan", type=Path)
+    submit = _verb(commands, "submit", "a job on a scan, by its id or its path; prints the job's id", _submit)
+    submit.add_argument("scan")
+    add_preset(submit)
+    submit.add_argument("--option", action="append", default=[], metavar="NAME=VALUE")
+    submit.add_argument("--process", choices=PROCESSES, default=COMPRESS)
+    submit.add_argument(
+        "--knob",
+        action="append",
+        default=[],
+        metavar="NAME=V1,V2,...",
+        help="that a tradeoff varies, instead of the usual",
+    )
+    submit.add_argument("--budget", metavar="TIME", help="of a tradeoff: 90s, 10min, 2h")
+    submit.add_argument("--seed", type=int, default=0)
+    submit.add_argument("--name", default="")
+    submit.add_argument("--webhook")
+    submit.add_argument("--key", help="submitting again with the same key gives the same job")
+    submit.add_argument("--watch", action="store_true")
+    for name, text, function in (
+        ("watch", "live progress until a job has ended", _watch),
+        ("status", "of a job", _status),
+        ("cancel", "dismiss a job", _cancel),
+        ("retry", "a job that failed or was dismissed", _retry),
+    ):
+        _verb(commands, name, text, function).add_argument("job")
+    logs = _verb(commands, "logs", "of a job", _logs)
+    logs.add_argument("job")
+    logs.add_argument("--level", default="info", choices=("debug", "info", "warning", "error"))
+    fetch = _verb(commands, "fetch", "what a job made", _fetch)
+    fetch.add_argument("job")
+    fetch.add_argument("names", nargs="*")
+    fetch.add_argument("--out", type=Path, required=True, metavar="DIR")
+    ls = _verb(commands, "ls", "your jobs, newest first", _ls)
+    ls.add_argument("--status", choices=("accepted", "running", "successful", "failed", "dismissed"))
+    ls.add_argument("--limit", type=int, default=100)
+    regress = _verb(
+        commands, "regress", "run a list of jobs and compare with what is expected; exits 7 on a miss", _regress
+    )
+    regress.add_argument("jobs", type=Path, metavar="jobs.toml")
+    regress.add_argument("--update", action="store_true", help="write what was measured as what is expected")
+
+
+def _verb(commands, name: str, text: str, function) -> argparse.ArgumentParser:
+    verb = commands.add_parser(name, help=text)
+    verb.add_argument("--url", help=f"of the service; default: the last login's, or {DEFAULT_URL}")
+    verb.add_argument("--json", action="store_true")
+    verb.set_defaults(command=function)
+    return verb
+
+
+def _settings(options: argparse.Namespace):
+    from services.settings import settings_from
+
+    names = ("data", "host", "port", "workers", "scheduler")
+    try:
+        return settings_from(None, **{name: getattr(options, name, None) for name in names})
+    except ValueError as error:
+        raise WrongArgument(str(error)) from error
+
+
+def _serve(options: argparse.Namespace) -> int:
+    from services.cli.serve import serve
+
+    return serve(_settings(options))
+
+
+def _api(options: argparse.Namespace) -> int:
+    from services.cli.serve import end_with_stdin, run_api
+
+    if options.end_with_stdin:
+        end_with_stdin()
+    run_api(_settings(options))
+    return OK
+
+
+def _runner(options: argparse.Namespace) -> int:
+    from services.cli.serve import end_with_stdin
+    from services.jobs.runner import run_forever
+
+    if options.end_with_stdin:
+        end_with_stdin()
+    run_forever(_settings(options))
+    return OK
+
+
+def _token(options: argparse.Namespace) -> int:
+    from services.store.store import Store
+
+    print(Store(_settings(options).database_url).add_token(options.owner))
+    return OK
+
+
+# --- verbs of a client -----------------------------------------------------------------------------------------------
+
+
+def _login_file() -> Path:
+    base = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
+    return Path(base) / "splatpress" / "login.json"
+
+
+def _login(options: argparse.Namespace) -> int:
+    import getpass
+
+    from services.cli.client import Client
+
+    url = options.url or DEFAULT_URL
+    token = options.token if options.token is not None else getpass.getpass("token (empty for none): ")
+    with Client(url, token or None) as client:
+        client.ls(limit=1)
+    path = _login_file()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.unlink(missing_ok=True)
+    with open(os.open(path, os.O_WRONLY | os.O_CREAT, 0o600), "w") as stream:
+        json.dump({"url": url, "token": token}, stream)
+    print(f"logged in at {url}")
+    return OK
+
+
+def _client(options: argparse.Namespace):
+    from services.cli.client import Client
+
+    saved = json.loads(_login_file().read_text()) if _login_file().is_file() else {}
+    url = options.url or os.environ.get("SPLATPRESS_URL") or saved.get("url", DEFAULT_URL)
+    token = os.environ.get("SPLATPRESS_TOKEN") or (saved.get("token") if url == saved.get("url") else None)
+    return Client(url, token or None)
+
+
+def _print(options: argparse.Namespace, document: dict | list, line: str) -> int:
+    print(json.dumps(document) if options.json else line)
+    return OK
+
+
+def _upload_path(client, path: Path) -> dict:
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file or folder")
+    from tqdm import tqdm
+
+    with tqdm(
+        total=None, unit="B", unit_scale=True, desc="upload", file=sys.stderr, disable=not sys.stderr.isatty()
+    ) as bar:
+
+        def on_progress(sent: int, total: int) -> None:
+            bar.total = total
+            bar.update(sent - bar.n)
+
+        return client.upload(path, on_progress)
+
+
+def _upload(options: argparse.Namespace) -> int:
+    with _client(options) as client:
+        scan = _upload_path(client, options.scan)
+    for warning in scan["warnings"]:
+        print(f"warning: {warning}", file=sys.stderr)
+    return _print(options, scan, scan["id"])
+
+
+def _submit(options: argparse.Namespace) -> int:
+    with _client(options) as client:
+        is_id = len(options.scan) == 64 and not Path(options.scan).exists()
+        scan = options.scan if is_id else _upload_path(client, Path(options.scan))["id"]
+        request = {
+            "preset": options.preset,
+            "options": _pairs(options.option),
+            "seed": options.seed,
+            "name": options.name,
+            **_process(options),
+        }
+        job = client.submit(
+            scan, key=options.key, **request, **({"webhook": options.webhook} if options.webhook else {})
+        )
+        if options.watch:
+            return _watched(client, job["jobID"], options)
+    return _print(options, job, job["jobID"])
+
+
+def _process(options: argparse.Namespace) -> dict:
+    """What a request says of a process other than compress."""
+    from services.processes.tradeoff import parsed_budget, parsed_knobs
+
+    if options.process == COMPRESS:
+        return {}
+    try:
+        return {
+            "process": options.process,
+            **({"knobs": parsed_knobs(options.knob)} if options.knob else {}),
+            **({"budget_s": parsed_budget(options.budget)} if options.budget else {}),
+        }
+    except ValueError as error:
+        raise WrongArgument(str(error)) from error
+
+
+def _pairs(texts: list[str]) -> dict:
+    pairs = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or name not in BY_NAME:
+            raise WrongArgument(f"--option {text!r} is not NAME=VALUE with one of the names {', '.join(BY_NAME)}")
+        try:
+            pairs[name] = BY_NAME[name].parsed(value)
+        except ValueError as error:
+            raise WrongArgument(str(error)) from error
+    return pairs
+
+
+def _watch(options: argparse.Namespace) -> int:
+    with _client(options) as client:
+        return _watched(client, options.job, options)
+
+
+def _watched(client, id: str, options: argparse.Namespace) -> int:
+    job = client.watch(id, _show_event)
+    if job["problem"]:
+        print(f"splatpress: {job['problem']['class']} error: {job['problem']['detail']}", file=sys.stderr)
+    _print(options, job, f"{job['jobID']} {job['status']}")
+    kind = (job["problem"] or {}).get("class")
+    return OK if job["status"] == "successful" else {"data": 3, "internal": INTERNAL}.get(kind, INPUT_OUTPUT)
+
+
+def _show_event(event: dict) -> None:
+    data = event["data"]
+    if event["kind"] == "progress":
+        parts = [f"{data['progress']:3d} %", data["stage"]]
+        parts += [f"{data['splats_per_second']:,} splats/s"] if data["splats_per_second"] else []
+        parts += [f"{data['seconds_left']:.0f} s left"] if data["seconds_left"] is not None else []
+        parts += [f"{data['psnr_db']:.2f} dB"] if data["psnr_db"] is not None else []
+        end = "\n" if not sys.stderr.isatty() else ""
+        print(("" if end else "\r\033[K") + ", ".join(parts), end=end, file=sys.stderr, flush=True)
+    elif event["kind"] == "log" and data["level"] != "debug":
+        print(("\r\033[K" if sys.stderr.isatty() else "") + data["message"], file=sys.stderr)
+
+
+def _status(options: argparse.Namespace) -> int:
+    with _client(options) as client:
+        job = client.status(options.job)
+    return _print(
+        options, job, "\n".join(f"{key}: {value}" for key, value in job.items() if key not in ("links", "settings"))
+    )
+
+
+def _cancel(options: argparse.Namespace) -> int:
+    with _client(options) as client:
+        job = client.cancel(options.job)
+    return _print(options, job, f"{job['jobID']} {job['status']}")
+
+
+def _retry(options: argparse.Namespace) -> int:
+    with _client(options) as client:
+        job = client.retry(options.job)
+    return _print(options, job, f"{job['jobID']} {job['status']}")
+
+
+def _logs(options: argparse.Namespace) -> int:
+    with _client(options) as client:
+        for line in client.logs(options.job, options.level):
+            _print(options, line, f"{line['time']} {line['level']:<7} {line['message']}")
+    return OK
+
+
+def _fetch(options: argparse.Namespace) -> int:
+    with _client(options) as client:
+        paths = client.fetch(options.job, options.out, options.names or None)
+    missing = set(options.names) - {p.relative_to(options.out).as_posix() for p in paths}
+    if missing:
+        print(f"splatpress: job {options.job} has no {', '.join(sorted(missing))}", file=sys.stderr)
+        return INPUT_OUTPUT
+    return _print(options, [str(p) for p in paths], "\n".join(str(p) for p in paths))
+
+
+def _ls(options: argparse.Namespace) -> int:
+    with _client(options) as client:
+        jobs = client.ls(limit=options.limit, **({"status": options.status} if options.status else {}))
+    return _print(
+        options,
+        jobs,
+        "\n".join(
+            f"{j['jobID']}  {j['status']:<10}  {j['progress']:3d} %  {j['created'][:19]}  {j['name']}" for j in jobs
+        ),
+    )
+
+
+def _regress(options: argparse.Namespace) -> int:
+    from services.cli.regress import regress
+
+    with _client(options) as client:
+        rows = regress(client, options.jobs, options.update)
+    if options.json:
+        print(json.dumps(rows))
+    return OK if options.update or all(row["ok"] for row in rows) else GATE_MISSED

@@ -1,0 +1,92 @@
+"""What lies beside a packed file: previews, edges, report.json and report.html, put in place whole."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from pipeline.execution.stage import StageRecord
+from renderer.evaluate.edges import draw_edges
+from renderer.report.report import build_report, write_report
+from services.flow.run import Run
+from storage.packed.packed import PackedFile
+
+
+def write_outputs(run: Run, path: Path, photos: Path, record: dict, out: Path, render: bool) -> dict:
+    """previews/, edges/, report.json and report.html beside each other in `out`. Returns the report."""
+    from renderer.report.report_page import write_page  # Bokeh takes 2 s to import, which an estimate does without
+
+    with PackedFile(path) as packed:
+        scene = packed.load()
+    views = _views(run, path, photos, out) if render else []
+    edges = (
+        run.paint(draw_edges, path, photos, out)
+        if render and "cliplines" in scene.arrays and scene.header.cameras
+        else []
+    )
+    record = record | {"edges": edges, "stages": [stage_row(r) for r in merged(run.records)]}
+    report = build_report(scene, path.stat().st_size, record, views)
+    write_report(out, report)
+    write_page(out, report, scene)
+    return report
+
+
+def _views(run: Run, path: Path, photos: Path, out: Path) -> list[dict]:
+    begun = time.perf_counter()
+    done = 0
+
+    def on_view(n_done: int, n_views: int) -> None:
+        nonlocal done
+        if done == 0:
+            run.progress.begin("render", n_views)
+        run.progress.advance("render", n_done - done, 0)
+        done = n_done
+
+    run.progress.begin("render", 1)
+    views = run.draw(path, photos, out, on_view)
+    record = StageRecord("render", out, {}, time.perf_counter() - begun, 0, len(views), 0, False)
+    run.records.append(record)
+    run.progress.end(record)
+    return views
+
+
+def merged(records: list[StageRecord]) -> list[StageRecord]:
+    """One row a stage: the iterations of k-SVD are added up."""
+    rows: dict[str, StageRecord] = {}
+    for r in records:
+        if (row := rows.get(r.name)) is not None:
+            r = replace(
+                r,
+                seconds=row.seconds + r.seconds,
+                peak_rss_bytes=max(row.peak_rss_bytes, r.peak_rss_bytes),
+                n_tasks=row.n_tasks + r.n_tasks,
+                n_splats=row.n_splats + r.n_splats,
+            )
+        rows[r.name] = r
+    return list(rows.values())
+
+
+def stage_row(record: StageRecord) -> dict:
+    """A stage as the report lists it."""
+    rate = record.n_splats / record.seconds if record.n_splats and record.seconds > 0 and not record.reused else None
+    return {
+        "name": record.name,
+        "seconds": record.seconds,
+        "peak_rss_bytes": record.peak_rss_bytes or None,
+        "splats_per_second": rate,
+        "tasks": record.n_tasks,
+        "reused": record.reused,
+    }
+
+
+def put_in_place(made: Path, out: Path) -> None:
+    """Let `out` be what was made; an older `out` goes only when the new one is whole."""
+    made.chmod(0o755)
+    old = made.with_name(made.name + ".old")
+    if out.exists():
+        os.replace(out, old)
+    os.replace(made, out)
+    shutil.rmtree(old, ignore_errors=True)

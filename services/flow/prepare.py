@@ -1,0 +1,137 @@
+"""From a scan to splats with the effects that they call for: what every setting but the radius shares."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pipeline.effects.block import Sources
+from pipeline.effects.plan.plan import EffectPlan, measured_effects, plan_effects
+from pipeline.effects.plan.registry import effects
+from pipeline.effects.plan.request import parse_request
+from pipeline.execution.stage import StageRecord
+from pipeline.geometry.frame import directions_of
+from pipeline.stages.points.depth_maps import DepthMaps
+from pipeline.stages.points.ingest import Ingest
+from pipeline.stages.points.measure_effects import MeasureEffects, measures_of
+from pipeline.stages.points.neighbours import Neighbourhoods, radius_of
+from pipeline.stages.points.partition import Partition
+from pipeline.stages.points.splats import Splats
+from services.flow.run import Run
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A scan as quantised splats with cameras: what every setting but the radius shares."""
+
+    scan: StageRecord
+    partition: StageRecord
+    neighbours: StageRecord
+    splats: StageRecord
+    radius: float
+    sources: Sources
+    held_out: tuple[int, ...] = ()  # photographs that texture nothing
+    effects: EffectPlan = EffectPlan((), {})
+    built: tuple[tuple[str, Path], ...] = ()  # by effect, what its encoder made
+
+    @property
+    def photos(self) -> Path:
+        """The folder of the photographs that splats are textured from, and compared with: like with like."""
+        return dict(self.built).get("exposure", self.scan.folder)
+
+
+def fingerprint(scan: Path) -> str:
+    """A hash of the names, sizes and times of a scan's files: changes when they do."""
+    files = sorted(p for p in scan.rglob("*") if p.is_file()) if scan.is_dir() else [scan]
+    state = hashlib.sha256()
+    for path in files:
+        stat = path.stat()
+        state.update(f"{path.relative_to(scan)}\0{stat.st_size}\0{stat.st_mtime_ns}\n".encode())
+    return state.hexdigest()
+
+
+def prepare(
+    run: Run, scan: Path, radius: float | None, request: str = "", held_out: tuple[int, ...] = (), density: float = 1.0
+) -> Prepared:
+    """The scan as splats, and with the effects that they call for; the photographs `held_out` texture none."""
+    return with_effects(run, splats_of(run, scan, radius, held_out, density), request)
+
+
+def with_effects(run: Run, prepared: Prepared, request: str) -> Prepared:
+    """Splats with the effects that they call for."""
+    plan, surveys = plan_scan(run, prepared.sources, parse_request(request))
+    stages = (
+        (name, effects()[name].build(prepared.sources, plan.outcomes[name], surveys.get(name))) for name in plan.enabled
+    )
+    built = {name: run.do(stage).folder for name, stage in stages if stage is not None}
+    prepared = replace(prepared, effects=plan)
+    if "ellipsoids" in built:
+        prepared = _with_ellipsoids(run, prepared, built["ellipsoids"])
+        built["ellipsoids"] = prepared.splats.folder
+    return replace(prepared, built=tuple(built.items()))
+
+
+def _with_ellipsoids(run: Run, prepared: Prepared, ellipsoids: Path) -> Prepared:
+    """The splats once more, where their ellipsoids lie, so that textures are sampled on what is drawn."""
+    s = prepared.sources
+    splats = run.do(Splats(s.ingest, s.partition, s.neighbours, s.depth_maps, s.radius, prepared.held_out, ellipsoids))
+    return replace(prepared, splats=splats, sources=replace(s, splats=splats.folder))
+
+
+def splats_of(
+    run: Run, scan: Path, radius: float | None, held_out: tuple[int, ...] = (), density: float = 1.0
+) -> Prepared:
+    """Read the scan, put its points in chunk order, and make splats of them."""
+    return splats_from(run, *points_of(run, scan, density), str(scan), radius, held_out)
+
+
+def points_of(run: Run, scan: Path, density: float = 1.0) -> tuple[StageRecord, StageRecord]:
+    """Read the scan, and put its points in chunk order, or that share of them."""
+    ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
+    return ingest, run.do(Partition(ingest.folder, density))
+
+
+def splats_from(
+    run: Run,
+    ingest: StageRecord,
+    partition: StageRecord,
+    scan: str,
+    radius: float | None,
+    held_out: tuple[int, ...] = (),
+) -> Prepared:
+    """Make splats of points in chunk order."""
+    neighbours = run.do(Neighbourhoods(partition.folder))
+    radius = radius_of(neighbours.summary, radius, scan)
+    depth = None
+    if ingest.summary["cameras"] and not ingest.summary["has_visibility"]:
+        depth = run.do(DepthMaps(ingest.folder, partition.folder, radius)).folder
+    splats = run.do(Splats(ingest.folder, partition.folder, neighbours.folder, depth, radius, held_out))
+    sources = Sources(
+        ingest.folder,
+        partition.folder,
+        neighbours.folder,
+        depth,
+        splats.folder,
+        radius,
+        *directions_of(ingest.summary["cameras"]),
+        held_out,
+    )
+    return Prepared(ingest, partition, neighbours, splats, radius, sources, held_out)
+
+
+def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[EffectPlan, dict[str, Path]]:
+    """Measure the scan for every effect that the request leaves open, and plan; and what the surveys of effects
+    made."""
+    names = measured_effects(request)
+    if not names:
+        return plan_effects({}, request, sources.n_splats), {}
+    stages = ((name, effects()[name].survey(sources)) for name in names)
+    surveys = tuple((name, run.do(stage).folder) for name, stage in stages if stage is not None)
+    found = run.do(MeasureEffects(sources, names, surveys)).summary
+    return plan_effects(measures_of(found), request, sources.n_splats), dict(surveys)
+
+
+def is_textured(prepared: Prepared) -> bool:
+    """Whether any splat has a photograph."""
+    return prepared.splats.summary["n_without_camera"] < prepared.splats.summary["n_splats"]

@@ -1,0 +1,242 @@
+"""The order of the stages that code patches: average colours, what a dictionary is learned from, learning, the price of
+an atom, codes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.coding.grid import TURNS, AtomForm
+from pipeline.execution.stage import StageRecord
+from pipeline.numerics.accuracy import psnr_db, squared_error_at
+from pipeline.planning.settings import Settings
+from pipeline.stages.texture.colors import Colors
+from pipeline.stages.texture.dictionary import DictionarySeed, KsvdUpdate
+from pipeline.stages.texture.encode import Encode
+from pipeline.stages.texture.prices import WHILE_LEARNING, Prices, price_for
+from pipeline.stages.texture.quantise import Quantization
+from pipeline.stages.texture.training import Coefficients, Components, TrainingSet
+from pipeline.texture.colors import step_for
+from pipeline.texture.resample import PATCH_DIM
+from services.flow.run import Run
+from storage.packed.schema import ATOM_SIZES, PATCH_SIZE
+
+PATCHES_AN_ATOM = 4  # a dictionary that a scan can fill: fewer training patches an atom would only be stored
+# Squared error of a scan at its target that atoms of a size may leave, whatever their number: 6 dB below it. 8 texels
+# are then taken for fountain_p11 (51 dB), 16 for monstree (41 and 51 dB), each the better one there at the bytes of its
+# target.
+BEYOND_ATOMS = 0.25
+# `auto`: on fountain_p11 and monstree four times the atoms gained 0.3 dB where they cost 0.3 bytes a splat more.
+DICTIONARY_BYTES_A_SPLAT = 0.5
+# 255ths that cells of average colours may span at 40 dB, and in proportion to the error elsewhere: at 1.4, 2, 3 and 4
+# `balanced` of fountain_p11 has 40.47, 40.48, 40.46 and 40.40 dB at 6.00, 5.91, 5.91 and 5.94 bytes of textures. Beyond
+# the last, flat walls show them.
+COLOR_STEP_AT_40_DB, MOST_COLOR_STEP = 2.0, 3.2
+FEWEST_INDEX_BITS, MOST_INDEX_BITS = 8, 12
+
+
+@dataclass(frozen=True)
+class Stop:
+    """When a patch has enough atoms: at a squared error, or where the next lowers it by no more than a price."""
+
+    tolerance: float
+    price: float = 0.0
+
+
+@dataclass(frozen=True)
+class Coded:
+    """Splats with texture: what the settings of the coder decide."""
+
+    patches: StageRecord
+    colors: StageRecord
+    codes: StageRecord
+    quantized: StageRecord | None
+    learning: list[dict]
+    n_dictionary: int
+    safeguard_steps: int  # dictionaries that did worse than the best before them
+
+
+def code_patches(
+    run: Run,
+    patches: StageRecord,
+    settings: Settings,
+    n_splats: int | None = None,
+    most_texels: int = PATCH_SIZE,
+    priced: Callable[[dict, dict], float] = price_for,
+) -> Coded:
+    """Learn a dictionary if any patch calls for one, and code all patches; with as many atoms as a scan of `n_splats`
+    pays for, where the patches are a sample of it, of `most_texels` to a side at most, where that is left to the scan.
+    `priced` makes the price of an atom of the ladder of prices and the training set, which are summaries."""
+    tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
+    stop = Stop(tolerance) if settings.coder == "paper" else Stop(0.0, WHILE_LEARNING * tolerance)
+    colors = run.do(Colors(patches.folder, color_step(settings)))
+    training = run.do(
+        TrainingSet(
+            patches.folder,
+            colors.folder,
+            max(stop.tolerance, stop.price),
+            settings.training_splats,
+            settings.seed,
+            tolerance,
+        )
+    )
+    if not (settings.max_atoms and training.summary["n_patches"]):
+        return Coded(patches, colors, encode(run, patches.folder, colors.folder, None, settings), None, [], 0, 0)
+    form = _form(training.summary, settings, tolerance, most_texels)
+    if form is None:
+        space = run.do(Components(training.folder, tolerance * 10 ** (-settings.subspace_floor_db / 10)))
+    else:
+        space = run.do(Coefficients(training.folder, form.size))
+    bits = index_bits(settings, form, n_splats or training.summary["n_splats"])
+    learned, learning = _learn(run, training, space, settings, stop, form, bits)
+    quantized, n_taken_back = _quantize_best(run, space, learned, settings, stop, form)
+    n_taken_back += sum(not row["accepted"] for row in learning)
+    price = 0.0
+    if form is not None:
+        ladder = run.do(Prices(space.folder, training.folder, quantized.folder, settings.max_atoms, tolerance)).summary
+        price = priced(ladder, training.summary)
+    codes = encode(run, patches.folder, colors.folder, quantized, settings, price)
+    return Coded(patches, colors, codes, quantized, learning, quantized.summary["n_atoms"], n_taken_back)
+
+
+def color_step(settings: Settings) -> int:
+    """The code of the largest cell of average colours; 0, whole bytes, for the paper's coder."""
+    return (
+        0
+        if settings.coder == "paper"
+        else step_for(min(MOST_COLOR_STEP, COLOR_STEP_AT_40_DB * 10 ** ((40 - settings.target_psnr_db) / 20)))
+    )
+
+
+def _form(training: dict, settings: Settings, tolerance: float, most_texels: int) -> AtomForm | None:
+    """The atoms of the default coder: of the fewest texels that show what the target asks for, and of no more than
+    views show; None for the paper's."""
+    if settings.coder == "paper":
+        return None
+    share = training["n_active"] / training["n_splats"]
+    fine = [s for s in ATOM_SIZES if training["beyond"][str(s)] * share <= BEYOND_ATOMS * tolerance]
+    return AtomForm(
+        min(*fine, most_texels, ATOM_SIZES[0]) if settings.atom_size == "auto" else settings.atom_size, TURNS
+    )
+
+
+def index_bits(settings: Settings, form: AtomForm | None, n_splats: int) -> int:
+    """Bits of an index: those asked for, or as many as the scan pays for."""
+    if settings.dictionary_bits != "auto":
+        return settings.dictionary_bits
+    if form is None:
+        return FEWEST_INDEX_BITS
+    affordable = n_splats * DICTIONARY_BYTES_A_SPLAT / (4 * form.size**2) * form.n_turns
+    return int(np.clip(np.log2(max(1.0, affordable)), FEWEST_INDEX_BITS, MOST_INDEX_BITS))
+
+
+def encode(
+    run: Run, patches: Path, colors: Path, quantized: StageRecord | None, settings: Settings, price: float = 0.0
+) -> StageRecord:
+    """Code patches by a dictionary that is there; None gives every splat its average colour alone."""
+    if settings.coder == "paper":
+        tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
+        return run.do(
+            Encode(
+                patches,
+                colors,
+                quantized.folder if quantized else None,
+                settings.max_atoms,
+                tolerance,
+                search=settings.atom_search,
+            )
+        )
+    form = AtomForm(quantized.summary["atom_size"], quantized.summary["n_turns"]) if quantized else None
+    return run.do(
+        Encode(
+            patches,
+            colors,
+            quantized.folder if quantized else None,
+            settings.max_atoms,
+            0.0,
+            price,
+            form,
+            settings.atom_search,
+        )
+    )
+
+
+def _learn(
+    run: Run,
+    training: StageRecord,
+    space: StageRecord,
+    settings: Settings,
+    stop: Stop,
+    form: AtomForm | None,
+    bits: int,
+) -> tuple[StageRecord, list[dict]]:
+    """The last iteration, and the learning curve as estimates for the whole scan: of the best dictionary so far.
+
+    Ends early where an iteration gains less than `least_gain_db`.
+    """
+    seconds = 0.0  # of the passes as they were made, now or by an earlier run
+    of_turns = form or AtomForm()
+    n_atoms = max(1, min(2**bits // of_turns.n_turns, training.summary["n_patches"] // PATCHES_AN_ATOM))
+    learned = run.do(DictionarySeed(space.folder, n_atoms, settings.seed, of_turns)).folder
+    curve = []
+    for iteration in range(settings.iterations):
+        record = run.do(
+            KsvdUpdate(space.folder, learned, settings.max_atoms, stop.tolerance, iteration, stop.price, of_turns)
+        )
+        seconds += record.made_seconds
+        learned, found = record.folder, record.summary
+        curve.append(
+            {
+                "seconds": seconds,
+                "replaced_atoms": found["n_replaced"],
+                "accepted": found["accepted"],
+                "psnr_db": estimated_psnr_db(training.summary, found),
+            }
+        )
+        if _is_settled(curve, settings.least_gain_db):
+            break
+    return record, curve
+
+
+def _is_settled(curve: list[dict], least_gain_db: float) -> bool:
+    """Whether the last iteration was one that did better, by less than that."""
+    if len(curve) < 2 or not curve[-1]["accepted"] or curve[-1]["psnr_db"] is None:
+        return False
+    return curve[-1]["psnr_db"] - curve[-2]["psnr_db"] < least_gain_db
+
+
+def _quantize_best(
+    run: Run, space: StageRecord, learned: StageRecord, settings: Settings, stop: Stop, form: AtomForm | None
+) -> tuple[StageRecord, int]:
+    """The better of the last dictionary and the best before it, in bytes, and whether (0 or 1) the last was taken back.
+
+    Quantising codes the training set once more, so the last dictionary, which no iteration has measured, is measured
+    there. The one before it is quantised too only where the last looks worse.
+    """
+    stages = (
+        Quantization(
+            space.folder,
+            learned.folder,
+            settings.max_atoms,
+            stop.tolerance,
+            settings.weight_bits,
+            name,
+            stop.price,
+            form,
+        )
+        for name in ("dictionary", "best")
+    )
+    last = run.do(next(stages))
+    if last.summary["squared_error"] <= learned.summary["squared_error"]:
+        return last, 0
+    best = run.do(next(stages))
+    return (best, 1) if best.summary["squared_error"] < last.summary["squared_error"] else (last, 0)
+
+
+def estimated_psnr_db(training: dict, update: dict) -> float:
+    """PSNR of the whole scan as far as an iteration's error over the training set tells; both are summaries."""
+    error = update["squared_error"] / update["n_patches"] * training["n_active"] + training["settled_energy"]
+    return psnr_db(error, training["n_splats"] * PATCH_DIM)

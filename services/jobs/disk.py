@@ -1,0 +1,42 @@
+"""Room on the disk of the data folder: asked for before a stage, and kept back for the word that there is none left.
+
+A full disk fails the stage that filled it. Where the databases lie on the same disk the job's end could then not be
+written either, so a file of some size stands by: the runner gives it up first.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+from services.settings import ServiceSettings
+from storage.errors import ResourceExhausted
+
+BALLAST_BYTES = 8 << 20  # the end of a job takes a few pages of two SQLite databases and their logs
+HINT = "free some, then retry: what is done stays done"
+
+
+def check_room(settings: ServiceSettings, stage: str) -> None:
+    """Raises ResourceExhausted where less than the reserve is free."""
+    free, wanted = shutil.disk_usage(settings.data).free, settings.reserve_bytes
+    if free < wanted:
+        raise ResourceExhausted(
+            f"stage {stage}", f"{free:,} bytes free on the disk of the data folder", f"at least {wanted:,}", HINT
+        )
+
+
+def take_ballast(data: Path) -> None:
+    """Have the ballast on disk; where there is no room for it, none."""
+    path = data / "ballast"
+    if path.exists() and path.stat().st_size == BALLAST_BYTES:
+        return
+    try:
+        with open(path, "wb") as stream:
+            os.posix_fallocate(stream.fileno(), 0, BALLAST_BYTES)
+    except OSError:
+        drop_ballast(data)
+
+
+def drop_ballast(data: Path) -> None:
+    (data / "ballast").unlink(missing_ok=True)

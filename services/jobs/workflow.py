@@ -1,0 +1,183 @@
+"""One job as a durable DBOS workflow: a step a stage, a step an iteration of k-SVD.
+
+A runner that dies is started again and goes on with the first step that has no recorded outcome; of that stage only
+the tasks without a recorded result run. What a job made is committed only while its attempt is the one that is wanted.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+from dbos import DBOS
+from sqlalchemy.exc import SQLAlchemyError
+
+from pipeline.execution.calls import error_of_disk
+from pipeline.execution.stage import Stage, StageRecord
+from pipeline.planning.settings import Settings
+from services.flow.previews import previews_of
+from services.flow.run import Run
+from services.flow.stage_lock import stage_lock
+from services.jobs.cluster import GL
+from services.jobs.disk import check_room, drop_ballast, take_ballast
+from services.jobs.progress import JobProgress
+from services.jobs.scheduler import SchedulerLink
+from services.problems import is_of_database, problem_of_job
+from services.processes.compress import make
+from services.processes.kinds import TRADEOFF, process_of_job, settings_of_job
+from services.processes.tradeoff import measure_ladder
+from services.settings import ServiceSettings
+from services.store.store import FAILED, SUCCESSFUL, Store
+from services.uploads.scans import file_hash, scan_path, work_folder
+from storage.work.work import stage_folder, write_json
+
+LEARNING, PERFORMANCE = "learning.json", "dask-performance.html"
+
+
+class Dismissed(Exception):
+    """The job is no longer wanted."""
+
+
+def job_folder(settings: ServiceSettings, id: str) -> Path:
+    return settings.data / "jobs" / id
+
+
+def made_folder(settings: ServiceSettings, id: str, attempt: int) -> Path:
+    """Where an attempt writes: none writes into another's."""
+    return job_folder(settings, id) / f"attempt-{attempt}"
+
+
+def dismissal_token(settings: ServiceSettings, id: str, attempt: int) -> Path:
+    """The file whose presence stops an attempt; cheap to look for, also on another machine."""
+    return job_folder(settings, id) / f"dismissed-{attempt}"
+
+
+class JobRunner:
+    """Runs jobs on one scheduler; `scheduler()` gives the address that is good now."""
+
+    def __init__(self, settings: ServiceSettings, store: Store, scheduler: Callable[[], str]) -> None:
+        self.settings, self.store, self.scheduler = settings, store, scheduler
+
+    def run(self, id: str, attempt: int) -> str:
+        """The body of the workflow. Every ending of a job is committed here."""
+        take_ballast(self.settings.data)
+        job = self.store.job(id)
+        if job is None or job["attempt"] != attempt or not self.store.begin(id, attempt):
+            return "not wanted"
+        out = made_folder(self.settings, id, attempt)
+        out.mkdir(parents=True, exist_ok=True)
+        try:
+            self._make_though_the_database_may_go(job, out)
+        except Dismissed:
+            self.store.log(id, "warning", f"attempt {attempt}: dismissed; what it made so far stays")
+            self.store.keep_artifacts(id, attempt, artifacts_in(out))
+            return "dismissed"
+        except Exception as error:
+            drop_ballast(self.settings.data)  # the disk may be full
+            self.store.log(id, "error", f"attempt {attempt}: {type(error).__name__}: {error}")
+            self.store.log(id, "debug", traceback.format_exc()[-4000:])
+            self.store.end(id, attempt, FAILED, artifacts_in(out), problem_of_job(error))
+            return "failed"
+        self.store.end(id, attempt, SUCCESSFUL, artifacts_in(out))
+        return "successful"
+
+    def _make_though_the_database_may_go(self, job: dict, out: Path) -> None:
+        """Again where a step's end could not be noted: what the step did is on disk, and found there."""
+        while True:
+            try:
+                return self._make(job, out)
+            except SQLAlchemyError as error:
+                if not is_of_database(error) or is_of_database(error, full=True):
+                    raise
+                self.store.log(
+                    job["id"], "warning", "the database was away at the end of a step; going on"
+                )  # once it is back
+
+    def _make(self, job: dict, out: Path) -> None:
+        check = self._check_of(job)
+        progress = JobProgress(self.store, job, check)
+        work = work_folder(self.settings, job["scan"])
+        work.mkdir(parents=True, exist_ok=True)
+        scan = scan_path(self.settings, self.store.scan(job["scan"]))
+        link = SchedulerLink(
+            self.scheduler, self.store, job["id"], check, out / PERFORMANCE, self.settings.performance_from_s
+        )
+        run = Run(work, link, progress)
+
+        def step(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
+            def bring_about() -> StageRecord:
+                check_room(self.settings, stage.name)
+                with stage_lock(stage_folder(work, stage), check):
+                    return do()
+
+            record = DBOS.run_step({"name": stage.name}, bring_about)
+            progress.passed(record)
+            if stage.name == "ingest":
+                self.store.note_of_scan(
+                    job["scan"], bounds={"min": record.summary["low"], "max": record.summary["high"]}
+                )
+            if stage.name == "ksvd-update":
+                write_json(out / LEARNING, progress.learning)
+            return record
+
+        def draw(packed: Path, ingest: Path, folder: Path, on_view: Callable[[int, int], None]) -> list[dict]:
+            previews = folder / "previews"
+
+            def count() -> None:
+                done = len(list(previews.glob("*.packed.png"))) if previews.is_dir() else 0
+                if done:
+                    on_view(done, max(done, min(12, job_views or done)))
+
+            def on_gl_worker() -> list[dict]:
+                check_room(self.settings, "render")
+                return link.call("render", previews_of, packed, ingest, folder, resources=GL, meanwhile=count)
+
+            job_views = self.store.scan(job["scan"])["header"]["cameras"]["count"] or 4
+            return DBOS.run_step({"name": "render"}, on_gl_worker)
+
+        def paint(function: Callable, *arguments):
+            check_room(self.settings, "pictures")
+            return DBOS.run_step({"name": "pictures"}, lambda: link.call("render", function, *arguments, resources=GL))
+
+        run.step, run.draw, run.paint = step, draw, paint
+        run.clock = lambda: DBOS.run_step(
+            {"name": "clock"}, time.time
+        )  # what depends on it must come out the same again
+        try:
+            with link:
+                self._run_process(run, scan, job, out)
+        except OSError as error:  # between the tasks: the packed file, the report
+            raise error_of_disk(progress.stage, error) from error
+        check()
+
+    def _run_process(self, run: Run, scan: Path, job: dict, out: Path) -> None:
+        process, settings = process_of_job(job), Settings(**settings_of_job(job))
+        if process["name"] == TRADEOFF:
+            measure_ladder(run, scan, out, settings, process["knobs"], process["budget_s"])
+        else:
+            self.store.note_of_scan(job["scan"], effects=make(run, scan, settings, out)["effects"])
+
+    def _check_of(self, job: dict) -> Callable[[], None]:
+        token = dismissal_token(self.settings, job["id"], job["attempt"])
+
+        def check() -> None:
+            if token.exists():
+                raise Dismissed
+
+        return check
+
+
+def artifacts_in(out: Path) -> list[dict]:
+    """What lies in an attempt's folder whole, with its hash."""
+    files = [p for p in sorted(out.rglob("*")) if p.is_file() and not p.name.endswith(".partial")]
+    return [
+        {
+            "name": p.relative_to(out).as_posix(),
+            "path": p.relative_to(out.parent).as_posix(),
+            "bytes": p.stat().st_size,
+            "sha256": file_hash(p),
+        }
+        for p in files
+    ]

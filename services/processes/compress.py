@@ -1,0 +1,139 @@
+"""`compress`: from a scan to a packed file, its previews and its report."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+
+from pipeline.execution.stage import Executor, Progress
+from pipeline.planning.settings import Settings
+from renderer.report.report import sizes_of
+from services.flow.budget import check_budget
+from services.flow.code import code
+from services.flow.estimate_cache import against, known_estimate
+from services.flow.outputs import put_in_place, write_outputs
+from services.flow.pack import pack, packed_gpu_bytes
+from services.flow.prepare import Prepared, is_textured, prepare
+from services.flow.run import Run
+from services.flow.textures import Coded
+from storage.packed.packed import SUFFIX, PackedFile
+
+
+def compress(
+    scan: Path,
+    out: Path,
+    settings: Settings,
+    executor: Executor,
+    progress: Progress,
+    *,
+    render: bool = True,
+    work: Path | None = None,
+) -> dict:
+    """Compress a scan into `out`: NAME.splatpress, report.json, report.html and previews/. Returns the report.
+
+    `out` appears with all of it, or not at all. With `work` the outputs of the stages stay there and are used again;
+    else they are thrown away.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    made = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    try:
+        run = Run(work or made / "work", executor, progress)
+        report = make(run, scan, settings, made, render)
+        if work is None:
+            shutil.rmtree(made / "work")
+        put_in_place(made, out)
+        return report
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = True) -> dict:
+    """All of a job, into the folder `out`, which is there. Returns the report."""
+    name = scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem
+    path = out / (name + SUFFIX)
+    prepared = prepare(run, scan, settings.radius, settings.effects, density=settings.density)
+    coded = code(run, prepared, settings) if is_textured(prepared) else None
+    packed = pack(run, prepared, coded, settings, name, path)
+    if settings.budget_bytes is not None:
+        check_budget(settings.budget_bytes, prepared.splats.summary["n_splats"], packed_gpu_bytes(packed))
+    return finish(run, path, prepared, coded, settings, out, render)
+
+
+def finish(
+    run: Run, path: Path, prepared: Prepared, coded: Coded | None, settings: Settings, out: Path, render: bool
+) -> dict:
+    """Previews and report of a packed file just made."""
+    record = {
+        "scan": _scan_record(prepared),
+        "quality": _quality(prepared, coded),
+        "learning": coded.learning if coded else [],
+        "numerics": _numerics(prepared, coded),
+        "settings": asdict(settings),
+        "effects": prepared.effects.to_json(),
+        "estimate": _estimate(run, path, coded, settings),
+    }
+    return write_outputs(run, path, prepared.photos, record, out, render)
+
+
+def _estimate(run: Run, path: Path, coded: Coded | None, settings: Settings) -> dict | None:
+    """What was estimated for this job, beside what happened up to its packed file, in stages run now or before."""
+    estimate = known_estimate(run.work, settings)
+    if estimate is None:
+        return None
+    with PackedFile(path, verify=False) as packed:
+        n_bytes = sizes_of(packed.load(), 0)["gpu_bytes"]
+    return against(
+        estimate,
+        {
+            "seconds": sum(r.made_seconds for r in run.records),
+            "peak_memory_bytes": max(r.peak_rss_bytes for r in run.records),
+            "gpu_bytes": n_bytes,
+            "texture_psnr_db": coded.codes.summary["texture_psnr_db"] if coded else None,
+        },
+    )
+
+
+def _scan_record(prepared: Prepared) -> dict:
+    scan = prepared.scan.summary
+    warnings = list(scan["warnings"])
+    n_bad = prepared.neighbours.summary["n_degenerate"]
+    if n_bad:
+        warnings.append(
+            f"{n_bad} of {scan['n_points']} splats have no normal of the scan's, and none that their neighbourhood defines"
+        )
+    if not (scan["has_colors"] or scan["cameras"]):
+        warnings.append(
+            "the scan has neither colours nor intensity nor photographs; its splats are grey, shaded by their normals"
+        )
+    n_blind = prepared.splats.summary["n_without_camera"]
+    if scan["cameras"] and n_blind:
+        warnings.append(f"{n_blind} of {scan['n_points']} splats are seen by no camera and have the scan's colour")
+    return {"unit": scan["unit"], "n_points": scan["n_read"], "n_cameras": len(scan["cameras"]), "warnings": warnings}
+
+
+def _numerics(prepared: Prepared, coded: Coded | None) -> dict:
+    """The hard cases that were met, counted."""
+    scan = prepared.scan.summary
+    blind = prepared.splats.summary["n_without_camera"] if scan["cameras"] else 0
+    return {
+        "dropped_points": scan["n_dropped"],
+        "degenerate_normals": prepared.neighbours.summary["n_degenerate"],
+        "flagged_projections": coded.patches.summary["n_flagged"] if coded else blind,
+        "replaced_atoms": sum(row["replaced_atoms"] for row in coded.learning) if coded else 0,
+        "safeguard_steps": coded.safeguard_steps if coded else 0,
+    }
+
+
+def _quality(prepared: Prepared, coded: Coded | None) -> dict:
+    splats = prepared.splats.summary
+    geometry = {
+        "mean_position_error": splats["mean_position_error"],
+        "mean_position_error_in_radii": splats["mean_position_error"] / prepared.radius,
+        "mean_normal_error_degrees": splats["mean_normal_error_degrees"],
+    }
+    texture = dict.fromkeys(("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db"))
+    if coded:
+        texture = {k: (coded.codes.summary | coded.patches.summary)[k] for k in texture}
+    return texture | {"geometry": geometry}

@@ -1,0 +1,351 @@
+"""What a job would take, before it runs: its splats in full, and a pilot of the coder on a stratified sample of them.
+
+All up to the splats and their effects is done in full: it is the smaller part, it decides which effects are on, and a
+job in the same work folder uses it again. The coder's stages run on SAMPLE splats. Nothing here knows how they work;
+known of each is whether it goes by splats or by training patches.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.coding.grid import TURNS, AtomForm
+from pipeline.execution.stage import Executor, Progress, Stage, StageRecord
+from pipeline.planning.settings import Settings
+from pipeline.stages.points.sampled import Sampled
+from pipeline.stages.texture.prices import Prices, least_price, price_for
+from pipeline.stages.texture.resample import Resample
+from pipeline.stages.texture.strata import shares
+from pipeline.stages.texture.training import TrainingSet, membership
+from renderer.report.report import sizes_of
+from services.flow.code import code_prepared, resample
+from services.flow.estimate_cache import keep_estimate
+from services.flow.pack import pack
+from services.flow.prepare import Prepared, is_textured, prepare
+from services.flow.run import Run
+from services.flow.stage_lock import stage_lock
+from services.flow.textures import PATCHES_AN_ATOM, Coded, index_bits
+from services.processes.estimate_gaps import Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
+from storage.packed.packed import SUFFIX, PackedFile
+from storage.packed.schema import ATOM_SIZES, EXTRAS
+from storage.work import arrays, work
+
+SAMPLE = 2 * arrays.BLOCK  # splats: two tasks of full size
+MOST_TRAINING = 16_384  # patches that the pilot learns from
+MOST_ATOMS = MOST_TRAINING // PATCHES_AN_ATOM
+MOST_PRODUCTS = 4 * 12_288 * 4096  # of a patch and an atom in one of its turns: four passes of learning for most scans
+BANDS = {"seconds": 0.25, "gpu_bytes": 0.05, "texture_psnr_db": 0.5, "peak_memory_bytes": 0.25}
+
+
+@dataclass(frozen=True)
+class _Pilot:
+    """What the sample showed."""
+
+    prepared: Prepared  # with all splats
+    coded: Coded | None
+    settings: Settings  # the pilot's own
+    sizes: dict
+    n_sample: int
+    stages: list[tuple[Stage, StageRecord]]
+    full: list[StageRecord]  # stages with all splats
+    n_workers: int
+
+    @property
+    def n_splats(self) -> int:
+        return self.prepared.splats.summary["n_splats"]
+
+    @property
+    def share(self) -> float:
+        return self.n_sample / self.n_splats
+
+
+def estimate(
+    scan: Path, settings: Settings, executor: Executor, progress: Progress, work_folder: Path | None = None
+) -> dict:
+    """Seconds up to the packed file (previews not among them), peak memory of a worker, bytes on the GPU and texture
+    PSNR, each with a band, and what each stage adds to the seconds.
+
+    With `work_folder` the full part stays there, and so does the estimate, for the report of the job that follows.
+
+    Raises: what compress raises for a scan that cannot be read.
+    """
+    scratch = (
+        Path(tempfile.mkdtemp(prefix=".estimate-", dir=work_folder))
+        if work_folder
+        else Path(tempfile.mkdtemp(prefix="splatpress-estimate-"))
+    )
+    try:
+        run = Run(work_folder or scratch, executor, progress)
+        run.step = lambda stage, do: _one_at_a_time(work.stage_folder(run.work, stage), do)
+        found = _scaled(_pilot(run, scan, settings, scratch), settings)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    if work_folder:
+        keep_estimate(work_folder, settings, found)
+    return found
+
+
+def _one_at_a_time(folder: Path, do: Callable[[], StageRecord]) -> StageRecord:
+    with stage_lock(folder):
+        return do()
+
+
+# --- the pilot --------------------------------------------------------------------------------------------------------
+
+
+def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
+    prepared = prepare(run, scan, settings.radius, settings.effects, density=settings.density)
+    ran: dict[Path, tuple[Stage, StageRecord]] = {}
+
+    def noted(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
+        record = do()
+        ran.setdefault(record.folder, (stage, record))
+        return record
+
+    pilot = Run(scratch / "pilot", run.executor, run.progress, step=noted)
+    pilot.work.mkdir(parents=True, exist_ok=True)
+    sampled = _sampled(pilot, prepared)
+    coded, own = None, settings
+    if is_textured(prepared):
+        patches = resample(pilot, sampled)
+        own = _affordable(settings, patches, prepared)
+        coded = code_prepared(pilot, sampled, patches, own, prepared.splats.summary["n_splats"])
+    path = scratch / f"pilot{SUFFIX}"
+    pack(pilot, sampled, coded, own, "pilot", path)
+    with PackedFile(path) as packed:
+        sizes = sizes_of(packed.load(), path.stat().st_size)
+    stages = [(stage, record) for stage, record in ran.values() if stage.name != Sampled.name]
+    return _Pilot(
+        prepared,
+        coded,
+        own,
+        sizes,
+        sampled.splats.summary["n_splats"],
+        stages,
+        list(run.records),
+        run.executor.n_workers,
+    )
+
+
+def _sampled(pilot: Run, prepared: Prepared) -> Prepared:
+    """A sample of the splats, and of what effects add to each of them."""
+
+    def of(source: Path) -> StageRecord:
+        return pilot.do(Sampled(source, prepared.partition.folder, SAMPLE))
+
+    partition, splats, streams = (
+        of(prepared.partition.folder),
+        of(prepared.splats.folder),
+        {extra.stream for extra in EXTRAS},
+    )
+    built = tuple((name, of(folder).folder if name in streams else folder) for name, folder in prepared.built)
+    return replace(prepared, partition=partition, splats=splats, built=built)
+
+
+def _affordable(settings: Settings, patches: StageRecord, prepared: Prepared) -> Settings:
+    """The settings, with as little learning as seconds allow: patches for the atoms that the job will have, and
+    passes."""
+    form = None if settings.coder == "paper" else AtomForm(ATOM_SIZES[-1], TURNS)  # the smallest atoms are the most
+    n_turns = (form or AtomForm()).n_turns
+    n_indices = 2 ** index_bits(settings, form, prepared.splats.summary["n_splats"])
+    n_atoms = min(n_indices // n_turns, settings.training_splats // PATCHES_AN_ATOM, MOST_ATOMS)
+    n_training = min(settings.training_splats, max(3 * MOST_TRAINING // 4, n_atoms * PATCHES_AN_ATOM))
+    passes = max(2, MOST_PRODUCTS // (n_training * n_atoms * n_turns))
+    return replace(settings, training_splats=n_training, iterations=min(settings.iterations, passes))
+
+
+# --- from the sample to the scan --------------------------------------------------------------------------------------
+
+
+def _scaled(pilot: _Pilot, settings: Settings) -> dict:
+    learning = _learning(pilot, settings)
+    rows = [_row(r, r.made_seconds, _processor_seconds(r)) for r in pilot.full]
+    rows += [_row(record, *_stage_seconds(pilot, stage, record, settings, learning)) for stage, record in pilot.stages]
+    rows = _merged(rows)
+    loss, taken = _job_for_pilot(pilot, settings, learning)
+    sizes = _sizes(pilot, learning, taken)
+    memory = max(r.peak_rss_bytes for r in [*pilot.full, *(record for _, record in pilot.stages)])
+    figures = {
+        "seconds": sum(row["seconds"] for row in rows),
+        "peak_memory_bytes": memory,
+        "gpu_bytes": sizes["gpu_bytes"],
+        "texture_psnr_db": _psnr_db(pilot, loss),
+    }
+    return {name: _banded(name, value) for name, value in figures.items()} | {
+        "bytes_per_splat": sizes["gpu_bytes"] / pilot.n_splats,
+        "splats": pilot.n_splats,
+        "n_workers": pilot.n_workers,
+        "sizes": sizes,
+        "stages": rows,
+        "learning": learning,
+        "preset": settings.preset,
+        "sample": {
+            "n_splats": pilot.n_sample,
+            "n_training": learning.get("n_patches_pilot"),
+            "iterations": pilot.settings.iterations,
+            "seconds": sum(row["pilot_seconds"] for row in rows),
+        },
+    }
+
+
+def _row(record: StageRecord, seconds: float, processor_seconds: float) -> dict:
+    return {
+        "name": record.name,
+        "seconds": seconds,
+        "processor_seconds": processor_seconds,
+        "pilot_seconds": record.made_seconds,
+        "pilot_processor_seconds": _processor_seconds(record),
+    }
+
+
+def _processor_seconds(record: StageRecord) -> float:
+    """Of a stage's tasks."""
+    return sum(task["processor_seconds"] for task in work.finished_tasks(record.folder).values())
+
+
+def _banded(name: str, value: float | None) -> dict | None:
+    """A figure from `low` to `high`."""
+    if value is None:
+        return None
+    off = BANDS[name] if name == "texture_psnr_db" else BANDS[name] * value
+    return {"value": value, "low": value - off, "high": value + off}
+
+
+def _learning(pilot: _Pilot, settings: Settings) -> dict:
+    """Patches and atoms of the job's learning, and of the pilot's."""
+    if pilot.coded is None or pilot.coded.quantized is None:
+        return {}
+    training = next(record for _, record in pilot.stages if record.name == "training-set").summary
+    n_active = training["n_active"] / pilot.share
+    n_patches = min(settings.training_splats, n_active)
+    found = pilot.coded.quantized.summary
+    form = None if settings.coder == "paper" else AtomForm(found["atom_size"], found["n_turns"])
+    most = 2 ** index_bits(settings, form, pilot.n_splats) // found["n_turns"]
+    n_atoms = max(1, min(most, int(n_patches) // PATCHES_AN_ATOM))
+    return {
+        "n_wanted": settings.training_splats,
+        "n_active": int(n_active),
+        "n_patches": int(n_patches),
+        "n_patches_pilot": training["n_patches"],
+        "n_atoms": n_atoms,
+        "n_atoms_pilot": pilot.coded.n_dictionary,
+    }
+
+
+def _stage_seconds(
+    pilot: _Pilot, stage: Stage, record: StageRecord, settings: Settings, learning: dict
+) -> tuple[float, float]:
+    """A stage's wall time: what its tasks take, by the splat or the patch, shared by the workers, and what it takes
+    once; and the processor time of its tasks.
+
+    Tasks count without the kernels that they compiled: those are there when the job runs. Of the first stage the
+    fastest task counts, as the others met a worker without pages of memory.
+    """
+    tasks = work.finished_tasks(record.folder).values()
+    busy = sum(task["seconds"] for task in tasks)
+    once = (
+        max(0.0, record.made_seconds - busy / len(tasks) * -(-len(tasks) // pilot.n_workers))
+        if tasks
+        else record.made_seconds
+    )
+    used = sum(task["processor_seconds"] for task in tasks)
+    if record.n_splats:
+        busy, used = (
+            record.n_splats * _rate(tasks, clock, cold=stage.name == Resample.name)
+            for clock in ("seconds", "processor_seconds")
+        )
+    atoms = learning["n_atoms"] / max(1, learning["n_atoms_pilot"]) if learning else 1.0
+    if hasattr(stage, "training") or stage.name == TrainingSet.name:
+        n_patches = min(learning.get("n_patches", 0), getattr(stage, "most_patches", np.inf))
+        factor = n_patches / record.n_splats if learning and record.n_splats else 1.0
+        passes = _passes(pilot, settings) if record.name == "ksvd-update" else 1
+        return passes * atoms * (
+            once + _shared(busy * factor, len(tasks) * factor, pilot.n_workers)
+        ), passes * atoms * used * factor
+    atoms = atoms if record.name == "encode" else 1.0
+    return once + _shared(
+        busy * atoms / pilot.share, len(tasks) / pilot.share, pilot.n_workers
+    ), used * atoms / pilot.share
+
+
+def _rate(tasks: Iterable[dict], clock: str, cold: bool) -> float:
+    """Seconds a splat."""
+    taken = [
+        (t[clock] * max(0.0, 1 - t["compile_seconds"] / t["seconds"]), t["n_splats"]) for t in tasks if t["n_splats"]
+    ]
+    return min(s / n for s, n in taken) if cold else sum(s for s, _ in taken) / sum(n for _, n in taken)
+
+
+def _gain_of_passes(pilot: _Pilot, settings: Settings) -> float:
+    curve = [row["psnr_db"] for row in pilot.coded.learning]
+    return (
+        0.0
+        if None in curve or len(curve) < pilot.settings.iterations
+        else gain_of_passes(curve, settings.iterations, settings.least_gain_db)
+    )
+
+
+def _passes(pilot: _Pilot, settings: Settings) -> float:
+    """Passes of the job for one of the pilot, which may have ended early as the job will."""
+    n_run = len(pilot.coded.learning)
+    return 1.0 if n_run < pilot.settings.iterations else settings.iterations / n_run
+
+
+def _shared(busy: float, n_tasks: float, n_workers: int) -> float:
+    """Wall time of `n_tasks` equal tasks: the last round may leave workers idle."""
+    n_tasks = max(1, int(np.ceil(n_tasks)))
+    return busy / n_tasks * -(-n_tasks // n_workers)
+
+
+def _merged(rows: list[dict]) -> list[dict]:
+    merged: dict[str, dict] = {}
+    for row in rows:
+        known = merged.setdefault(row["name"], dict.fromkeys(row, 0.0) | {"name": row["name"]})
+        for clock in row.keys() - {"name"}:
+            known[clock] += row[clock]
+    return list(merged.values())
+
+
+def _sizes(pilot: _Pilot, learning: dict, taken: float) -> dict:
+    """Bytes by part: the dictionary by its atoms, codes by the `taken` atoms of a splat, all else by the splat."""
+    sizes = {name: pilot.sizes[f"{name}_bytes"] / pilot.share for name in ("geometry", "codes", "colors")}
+    sizes["dictionary"] = pilot.sizes["dictionary_bytes"] * (
+        learning["n_atoms"] / learning["n_atoms_pilot"] if learning else 1
+    )
+    sizes["codes"] *= taken
+    return {f"{name}_bytes": int(n) for name, n in sizes.items()} | {"gpu_bytes": int(sum(sizes.values()))}
+
+
+def _psnr_db(pilot: _Pilot, loss: float) -> float | None:
+    found = pilot.coded.codes.summary["texture_psnr_db"] if pilot.coded else None
+    return None if found is None or not loss else found - 10 * math.log10(loss)
+
+
+def _job_for_pilot(pilot: _Pilot, settings: Settings, learning: dict) -> tuple[float, float]:
+    """Squared error and atoms of the job's splats, for one of each of the pilot's."""
+    if not learning:
+        return 1.0, 1.0
+    stage, record = next(pair for pair in pilot.stages if isinstance(pair[0], TrainingSet))
+    active, learned, octave = membership(stage, record.folder)
+    error, n_atoms = (arrays.read(pilot.coded.codes.folder, name).astype(float) for name in ("error", "n_atoms"))
+    prices = next((r.summary for _, r in pilot.stages if r.name == Prices.name), None)
+    price = prices and price_for(prices, record.summary)
+    slope = slope_at(price, prices, least_price(prices, record.summary)) if prices else Slope(None)
+    census = np.array(work.summary(stage.colors)["census"]) / pilot.share
+    a_patch = (learning["n_atoms"] / learning["n_patches"]) / (learning["n_atoms_pilot"] / learning["n_patches_pilot"])
+    job = outcome_in_job(
+        Sorts(octave[active], learned[active], error[active], n_atoms[active]),
+        shares(census, stage.tolerance, learning["n_wanted"]),
+        min(1.0, a_patch),
+        slope,
+        pilot.settings.budget_bytes is not None,
+        _gain_of_passes(pilot, settings),
+    )
+    return (job.error + error[~active].sum()) / max(1e-30, error.sum()), job.n_atoms / max(1e-9, n_atoms[active].sum())

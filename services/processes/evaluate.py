@@ -1,0 +1,219 @@
+"""The evaluation of HPG 2021, section 4, on any scan with photographs: what each way to keep its textures costs and
+loses."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from pipeline.execution.stage import Executor, Progress, StageRecord
+from pipeline.planning.settings import Settings
+from pipeline.stages.texture.patch_sample import PatchSample
+from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
+from renderer.evaluate.held_out import HeldOut, compare_held_out
+from renderer.report.evaluation_page import write_evaluation
+from services.flow.code import code, resample
+from services.flow.outputs import put_in_place
+from services.flow.pack import pack
+from services.flow.prepare import Prepared, is_textured, prepare
+from services.flow.run import Run
+from services.flow.textures import encode
+from services.processes.evaluated_rows import (
+    CODED_ROWS,
+    PHOTO_ROWS,
+    PICTURE_ROWS,
+    ROWS,
+    Evaluation,
+    average_row,
+    coded_name,
+    coded_row,
+    coders,
+    document_of,
+    per_splat_row,
+    photo_row,
+    picture_row,
+)
+from storage.errors import InvalidScan, SplatpressError
+from storage.packed.packed import SUFFIX
+
+FIGURE_9_TARGETS_DB = tuple(range(28, 49, 2))
+FIGURE_9_SPLATS = 16_384
+
+
+def evaluate(
+    scan: Path,
+    out: Path,
+    settings: Settings,
+    executor: Executor,
+    progress: Progress,
+    *,
+    rows: Iterable[str] = ROWS,
+    hold_out: int | None = None,
+    render: bool = True,
+    work: Path | None = None,
+) -> dict:
+    """Measure the chosen rows of Table 1 and what the figures need; writes evaluate.json and evaluate.html into `out`.
+
+    `settings` are those of the coded rows, but for the bits that name them. With `hold_out` every N-th photograph is
+    kept out of texturing and compared with.
+
+    `out` appears with the first row, and is written anew, each file whole, with every row and figure that follows: what
+    has been measured stays, whatever happens after. A row or a figure that fails is named under `failed`, with its
+    error, and takes no other with it; only without the average colour, whose geometry all rows share, are there none.
+
+    Raises: InvalidScan for a scan without photographs, and where `hold_out` leaves none.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    try:
+        return _measure(
+            Run(work or aside / "work", executor, progress), scan, out, aside, settings, list(rows), hold_out, render
+        )
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _measure(
+    run: Run,
+    scan: Path,
+    out: Path,
+    aside: Path,
+    settings: Settings,
+    wanted: list[str],
+    hold_out: int | None,
+    render: bool,
+) -> dict:
+    prepared = prepare(run, scan, settings.radius, settings.effects, density=settings.density)
+    if not is_textured(prepared):
+        raise InvalidScan(
+            str(scan),
+            "no photograph that sees any of its points",
+            "a scan with photographs: there is no texture to evaluate",
+        )
+    held_out = _held_out_photos(scan, prepared, hold_out) if hold_out and render else ()
+    packed = aside / "packed"
+    packed.mkdir()
+    e = Evaluation(run, scan, packed, settings, prepared, resample(run, prepared))
+    average_row(e)
+    _begin(aside / "out", out, document_of(e, wanted))
+
+    def attempt(name: str, step: Callable, *arguments) -> None:
+        _attempt(e, name, step, *arguments)
+        write_evaluation(out, document_of(e, wanted))
+
+    attempt("lod0", photo_row, e, "lod0", *PHOTO_ROWS["lod0"])
+    for key in (key for key in CODED_ROWS if key in wanted):
+        for coder in coders():
+            attempt(coded_name(key, coder), coded_row, e, key, coder)
+    for key in (key for key in PHOTO_ROWS if key in wanted and key != "lod0"):
+        attempt(key, photo_row, e, key, *PHOTO_ROWS[key])
+    for key in (key for key in PICTURE_ROWS if key in wanted):
+        attempt(key, picture_row, e, key)
+    attempt("per-splat", per_splat_row, e)
+    attempt("Figure 9", _figure_9, e)
+    if render:
+        attempt("close-ups and passes", _pictures, e, out)
+    if held_out:
+        attempt("photographs held out", _held_out, e, out, hold_out, held_out)
+    write_evaluation(out, document := document_of(e, wanted) | {"complete": True})
+    return document
+
+
+def _begin(made: Path, out: Path, document: dict) -> None:
+    """`out` with the first row; an older `out` goes only now."""
+    made.mkdir()
+    write_evaluation(made, document)
+    put_in_place(made, out)
+
+
+def _attempt(e: Evaluation, name: str, step: Callable, *arguments) -> None:
+    """One row, or figure; its failure is kept, and told at the end."""
+    try:
+        step(*arguments)
+    except Exception as error:
+        traceback.print_exc()
+        kind = (
+            error.kind
+            if isinstance(error, SplatpressError)
+            else "resource"
+            if isinstance(error, OSError)
+            else "internal"
+        )
+        e.failed.append({"name": name, "class": kind, "error": f"{type(error).__name__}: {error}"})
+
+
+def _figure_9(e: Evaluation) -> None:
+    """How many splats of a random sample have how many atoms, by target quality, with the largest dictionary here of
+    the published coder: the default one's atoms are no patches, and it has a price in place of a cut-off."""
+    of_paper = [
+        (name, coded) for name, coded in e.coded.items() if coded.quantized and e.rows[name]["coder"] == "paper"
+    ]
+    if not of_paper:
+        return
+    name, coded = max(of_paper, key=lambda pair: pair[1].n_dictionary)
+    sample = e.run.do(PatchSample(e.patches.folder, coded.colors.folder, FIGURE_9_SPLATS))
+    settings = replace(e.settings, coder="paper")
+    shares = [
+        encode(
+            e.run, sample.folder, sample.folder, coded.quantized, replace(settings, target_psnr_db=float(target))
+        ).summary["histogram"]
+        for target in FIGURE_9_TARGETS_DB
+    ]
+    e.figures["atoms"] = {
+        "row": name,
+        "n_splats": sample.summary["n_splats"],
+        "targets_db": list(FIGURE_9_TARGETS_DB),
+        "histograms": shares,
+    }
+
+
+def _variants(e: Evaluation) -> list[Variant]:
+    """What the close-ups show and the passes are timed with: photographs as textures, then ours."""
+    shown = []
+    for key, folder in e.photos.items():
+        shown.append(Variant(e.rows[key]["name"], e.packed["average"], folder))
+    return shown + [Variant(f"{e.rows[key]['name']} {e.rows[key]['coder']}", path) for key, path in e.packed.items()]
+
+
+def _pictures(e: Evaluation, out: Path) -> None:
+    chosen = next((name for name in e.packed if name != "average"), "average")
+    variants = _variants(e)
+    begun = time.perf_counter()
+    e.run.progress.begin("pictures", 2)
+    close_ups = e.run.paint(draw_close_ups, variants, e.packed[chosen], e.prepared.photos, out)
+    e.run.progress.advance("pictures", 1, 0)
+    passes = e.run.paint(
+        time_passes, [v for v in variants if v.photos is None or v.name in ("photos LOD 0", "photos LOD 1")]
+    )
+    e.run.progress.end(StageRecord("pictures", out, {}, time.perf_counter() - begun, 0, 2, 0, False))
+    e.figures |= {"close_ups": close_ups, "passes": passes, "close_ups_of": chosen}
+
+
+def _held_out_photos(scan: Path, prepared: Prepared, every: int) -> tuple[int, ...]:
+    n_photos = len(prepared.scan.summary["cameras"])
+    chosen = tuple(range(0, n_photos, every))
+    if len(chosen) == n_photos:
+        raise InvalidScan(
+            str(scan), f"{n_photos} photographs, each of them held out", "--hold-out so large that some are left"
+        )
+    return chosen
+
+
+def _held_out(e: Evaluation, out: Path, every: int, chosen: tuple[int, ...]) -> None:
+    """The file made without every N-th photograph, seen from their cameras."""
+    prepared = prepare(e.run, e.scan, e.settings.radius, e.settings.effects, chosen, e.settings.density)
+    coded = code(e.run, prepared, e.settings)
+    path = e.out / f"held-out{SUFFIX}"
+    pack(e.run, prepared, coded, e.settings, e.scan.stem, path)
+    views = compare_held_out(HeldOut(path, prepared.photos, chosen), out)
+    e.figures["held_out"] = {
+        "every": every,
+        "n_photos": len(e.prepared.scan.summary["cameras"]),
+        "n_uncoloured": prepared.splats.summary["n_without_camera"],
+        "views": views,
+    }

@@ -1,0 +1,139 @@
+"""`splatpress plan`: what a job of any size costs on any number of workers, and what would hold it back first."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+from pipeline.coding.grid import TURNS, AtomForm
+from pipeline.planning.costs import (
+    BLOCKS,
+    TASKS,
+    Job,
+    StageCost,
+    StagePlan,
+    first_limit,
+    known_costs,
+    known_probe_s,
+    plan_job,
+)
+from pipeline.planning.settings import Settings
+from services.flow.textures import index_bits
+from storage.packed.schema import ATOM_SIZES, PATCH_SIZE
+
+LADDER = (1, 2, 5, 10, 24, 50, 100, 200, 500, 1000)  # workers beside those asked for
+MEMORY_BYTES = 4 << 30  # what a worker gets
+
+
+def plan(
+    n_splats: int, n_workers: int, settings: Settings, n_photographs: int, megapixels: float, speed: float = 1.0
+) -> dict:
+    """The plan as the command prints it with --json, for a machine that takes `speed` times as long as the one measured
+    on."""
+    form = _likely_form(settings)
+    job = Job(
+        n_splats,
+        n_workers,
+        n_photographs,
+        megapixels,
+        settings.training_splats,
+        settings.iterations,
+        2 ** index_bits(settings, form, n_splats),
+        form.size if form else PATCH_SIZE,
+    )
+    costs = known_costs(speed=speed)
+    stages = plan_job(job, costs)
+    limit, remedy = first_limit(job, stages, MEMORY_BYTES)
+    ladder = [_rung(replace(job, n_workers=n), costs) for n in sorted({*LADDER, n_workers})]
+    return {
+        "job": asdict(job),
+        "speed": speed,
+        **_totals(stages),
+        "breaks_first": limit,
+        "remedy": remedy,
+        "stages": [asdict(s) for s in stages],
+        "workers": ladder,
+    }
+
+
+def speed_of_this_machine() -> float:
+    """How many times as long as the machine that the costs were measured on it takes."""
+    from pipeline.planning.probe import probe_seconds  # compiles kernels
+
+    return probe_seconds() / known_probe_s()
+
+
+def _likely_form(settings: Settings) -> AtomForm | None:
+    """The atoms of a scan that is like those the costs were measured on."""
+    if settings.coder == "paper":
+        return None
+    return AtomForm(min(ATOM_SIZES) if settings.atom_size == "auto" else settings.atom_size, TURNS)
+
+
+def _rung(job: Job, costs: dict[str, StageCost]) -> dict:
+    stages = plan_job(job, costs)
+    return {
+        "workers": job.n_workers,
+        "tasks_a_call": max(s.tasks_a_call for s in stages),
+        **_totals(stages),
+        "breaks_first": first_limit(job, stages, MEMORY_BYTES)[0],
+    }
+
+
+def _totals(stages: list[StagePlan]) -> dict:
+    seconds = sum(s.seconds for s in stages)
+    return {
+        "seconds": seconds,
+        "tasks": sum(s.n_tasks for s in stages),
+        "scheduler_share": max(
+            (s.dispatch_s / s.seconds for s in stages if s.seconds and TASKS[s.name] == BLOCKS), default=0.0
+        ),
+        "alone_share": sum(s.once_s for s in stages) / seconds,
+        "read_bytes": sum(s.read_bytes for s in stages),
+        "written_bytes": sum(s.written_bytes for s in stages),
+        "worker_bytes": max(s.worker_bytes for s in stages),
+    }
+
+
+def as_text(found: dict) -> str:
+    """The plan as the command prints it."""
+    job = found["job"]
+    lines = [
+        f"{job['n_splats']:,} splats, {job['n_workers']} workers: {_time(found['seconds'])}, "
+        f"{found['tasks']:,} tasks, {_bytes(found['read_bytes'])} read, {_bytes(found['written_bytes'])} written, "
+        f"{_bytes(found['worker_bytes'])} a worker",
+        f"breaks first: {found['breaks_first']}",
+        f"what helps: {found['remedy']}",
+        "",
+        f"{'stage':<16}{'tasks':>10}{'a task':>9}{'in all':>12}{'alone':>10}{'read':>10}{'written':>10}{'worker':>10}",
+    ]
+    if found["speed"] != 1:
+        lines.insert(
+            1,
+            f"on machines as fast as this one, which takes {found['speed']:.2f} of the time of the one the costs are of",
+        )
+    lines += [
+        f"{s['name']:<16}{s['n_tasks']:>10,}{s['task_s']:>8.2f}s{_time(s['seconds']):>12}{_time(s['once_s']):>10}"
+        f"{_bytes(s['read_bytes']):>10}{_bytes(s['written_bytes']):>10}{_bytes(s['worker_bytes']):>10}"
+        for s in found["stages"]
+    ]
+    lines += ["", f"{'workers':>8}{'tasks a call':>15}{'time':>12}{'times 1':>9}{'scheduler busy':>16}   breaks first"]
+    first = found["workers"][0]["seconds"]
+    lines += [
+        f"{r['workers']:>8,}{r['tasks_a_call']:>15}{_time(r['seconds']):>12}{first / r['seconds']:>9.1f}"
+        f"{min(1.0, r['scheduler_share']):>16.0%}   {r['breaks_first']}"
+        for r in found["workers"]
+    ]
+    return "\n".join(lines)
+
+
+def _time(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def _bytes(n: float) -> str:
+    for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
+        if n >= size:
+            return f"{n / size:.1f} {unit}"
+    return f"{n / 1e3:.0f} kB"

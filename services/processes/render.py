@@ -1,0 +1,60 @@
+"""Pictures of a packed file, as files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from renderer.effects.relighting import AS_PHOTOGRAPHED, Light
+from renderer.evaluate.previews import safe_names
+from renderer.pictures import save_picture
+from renderer.splats.renderer import Renderer
+from renderer.splats.scene import GpuScene
+from renderer.splats.targets import NARROW, WIDE
+from renderer.splats.views import orbit_views, view_of
+from storage.errors import InvalidScan
+from storage.packed.packed import PackedFile
+from storage.packed.schema import MAX_ATOMS, Camera, Header
+
+DEFAULT_SIZE = (1280, 720)
+
+
+def render_views(
+    packed: Path,
+    out: Path,
+    *,
+    camera: str | None = None,
+    n_orbit: int | None = None,
+    size: tuple[int, int] | None = None,
+    max_atoms: int = MAX_ATOMS,
+    precision: str = "auto",
+    light: Light | None = None,
+) -> list[Path]:
+    """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`; returns their paths. `precision`
+    is that of pipeline.planning.knobs.VIEW_KNOBS. With a `light`
+    it is lit, whether or not the file asks for it; with smoothed normals, unless it was planned without."""
+    with PackedFile(packed) as opened:
+        scene = opened.load()
+    if camera is not None:
+        views = [view_of(_camera_named(scene.header, camera, packed), size)]
+    else:
+        views = orbit_views(scene, n_orbit, size or DEFAULT_SIZE)
+    renderer = Renderer()
+    gpu_scene = GpuScene(scene, renderer.context)
+    if precision != "auto":
+        gpu_scene.accumulation, gpu_scene.watched = {"16": NARROW, "32": WIDE}[precision], False
+    if light is not None and "relighting" not in gpu_scene.drawn:
+        gpu_scene.drawn |= {"relighting", "normal_smoothing"}
+    paths = []
+    for view, name in zip(views, safe_names([v.name for v in views])):
+        paths.append(out / f"{name}.png")
+        paths[-1].parent.mkdir(parents=True, exist_ok=True)
+        save_picture(paths[-1], renderer.render(gpu_scene, view, max_atoms, light or AS_PHOTOGRAPHED).rgb)
+    return paths
+
+
+def _camera_named(header: Header, name: str, packed: Path) -> Camera:
+    for camera in header.cameras:
+        if camera.name == name:
+            return camera
+    names = ", ".join(c.name for c in header.cameras[:20]) or "none: use --orbit"
+    raise InvalidScan(str(packed), f"no camera {name!r}", names)

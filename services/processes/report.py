@@ -1,0 +1,45 @@
+"""`report`: a packed file measured against its scan's photographs once more."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from pipeline.effects.exposure import exposed
+from pipeline.execution.stage import Executor, Progress
+from pipeline.stages.packed.measure import Measure, ingest_fits
+from pipeline.stages.points.ingest import Ingest
+from services.flow.outputs import write_outputs
+from services.flow.prepare import fingerprint
+from services.flow.run import Run
+from storage.errors import InvalidScan
+from storage.packed.packed import PackedFile
+
+
+def report(packed: Path, scan: Path, out: Path, executor: Executor, progress: Progress, *, render: bool = True) -> dict:
+    """Measure a packed file against the scan's photographs, and write previews and report into `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    with PackedFile(packed) as opened, tempfile.TemporaryDirectory(prefix=".work.", dir=out) as work:
+        run = Run(Path(work), executor, progress)
+        header = opened.header
+        quality, numerics = {}, {}
+        ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
+        if not ingest_fits(ingest.folder, [c.name for c in header.cameras]):
+            raise InvalidScan(
+                str(scan),
+                f"photographs {[c['name'] for c in ingest.summary['cameras']][:3]}...",
+                f"those that {packed.name} was made from, {[c.name for c in header.cameras][:3]}...",
+            )
+        photos = ingest.folder
+        if "exposure" in header.effects and header.cameras:
+            photos = run.do(exposed(ingest.folder, header.effects["exposure"])).folder
+        if header.cameras:
+            measured = run.do(Measure(photos, packed.resolve(), fingerprint(packed))).summary
+            numerics = {"flagged_projections": measured["n_flagged"]}
+            quality = {k: measured[k] for k in ("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db")}
+        record = {
+            "scan": {"n_cameras": len(header.cameras), "warnings": ingest.summary["warnings"]},
+            "quality": quality,
+            "numerics": numerics | {"dropped_points": ingest.summary["n_dropped"]},
+        }
+        return write_outputs(run, packed, photos, record, out, render)

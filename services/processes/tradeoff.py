@@ -1,0 +1,237 @@
+"""What accuracy costs on one scan: its presets, and each knob alone around one of them, all measured."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from pipeline.execution.stage import Executor, Progress, StageRecord
+from pipeline.numerics.accuracy import BEST_DB
+from pipeline.planning.knobs import BY_NAME, KNOBS
+from pipeline.planning.settings import PRESETS, Settings
+from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
+from renderer.report.report import sizes_of
+from renderer.report.tradeoff_page import summarised, write_tradeoff
+from services.flow.code import code_prepared, resample
+from services.flow.outputs import put_in_place
+from services.flow.pack import pack
+from services.flow.prepare import is_textured, prepare
+from services.flow.run import Run
+from services.processes.kinds import BUDGET_S
+from storage.errors import InvalidScan
+from storage.packed.packed import SUFFIX, PackedFile
+
+SPOTS = slice(1, None, 2)  # of `choose_spots`: a good one, a middling one, the worst
+
+
+@dataclass(frozen=True)
+class Step:
+    """One point of the ladder: the settings, and how they differ from the chosen preset: a preset, or one knob."""
+
+    key: str
+    settings: Settings
+    preset: str | None = None
+    knob: str | None = None
+
+    @property
+    def command(self) -> str:
+        """The arguments of compress that ask for it."""
+        changed = [k for k in KNOBS if getattr(self.settings, k.name) != getattr(PRESETS[self.settings.preset], k.name)]
+        return " ".join(
+            [
+                f"--preset {self.settings.preset}",
+                *(f"--{k.name.replace('_', '-')} {getattr(self.settings, k.name)}" for k in changed),
+            ]
+        )
+
+
+def ladder(settings: Settings, knobs: dict[str, Sequence]) -> list[Step]:
+    """The presets, the chosen settings first, then the values of each knob, all knobs in turns: where a budget ends the
+    ladder early, every knob has been tried. Settings that come twice are measured once."""
+    chosen = Step("chosen", settings, settings.preset if settings == PRESETS[settings.preset] else None)
+    steps = [chosen] + [Step(name, preset, name) for name, preset in PRESETS.items()]
+    longest = max(map(len, knobs.values()), default=0)
+    for turn in range(longest):
+        for name, values in knobs.items():
+            if turn < len(values):
+                changed = replace(settings, **{name: values[turn]})
+                steps.append(Step(f"{name}={values[turn]}", changed, None, name))
+    seen: set = set()
+    return [s for s in steps if not (asdict_key(s.settings) in seen or seen.add(asdict_key(s.settings)))]
+
+
+def asdict_key(settings: Settings) -> tuple:
+    """Settings as they decide a file: the preset's name does not."""
+    return tuple((k, v) for k, v in asdict(settings).items() if k != "preset")
+
+
+def default_knobs() -> dict[str, tuple]:
+    """Those that have a ladder; the target first, as what the next decibels cost is what is asked first."""
+    known = {knob.name: knob.ladder for knob in KNOBS if knob.ladder}
+    return {"target_psnr_db": known.pop("target_psnr_db")} | known
+
+
+def parsed_knobs(texts: Sequence[str]) -> dict[str, tuple]:
+    """Of texts as `iterations=1,3,6`. Raises ValueError saying what is allowed."""
+    found = {}
+    for text in texts:
+        name, equals, values = text.partition("=")
+        if not equals or name not in BY_NAME:
+            raise ValueError(f"knob {text!r} is not NAME=VALUE,... with one of the names {', '.join(BY_NAME)}")
+        found[name] = tuple(BY_NAME[name].parsed(value) for value in values.split(","))
+    return found
+
+
+def tradeoff(
+    scan: Path,
+    out: Path,
+    settings: Settings,
+    executor: Executor,
+    progress: Progress,
+    *,
+    knobs: dict[str, Sequence] | None = None,
+    budget_s: float = BUDGET_S,
+    render: bool = True,
+    work: Path | None = None,
+) -> dict:
+    """Measure the ladder within a budget; writes tradeoff.json, tradeoff.html and close-ups into `out`. Returns the
+    document.
+
+    `out` appears with all of it, or not at all. Stages that a change does not touch run once.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    made = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    try:
+        run = Run(work or made / "work", executor, progress)
+        document = measure_ladder(run, scan, made, settings, knobs, budget_s, render)
+        shutil.rmtree(made / "work", ignore_errors=True)
+        put_in_place(made, out)
+        return document
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+def measure_ladder(
+    run: Run,
+    scan: Path,
+    out: Path,
+    settings: Settings,
+    knobs: dict[str, Sequence] | None = None,
+    budget_s: float = BUDGET_S,
+    render: bool = True,
+) -> dict:
+    """All of it, into the folder `out`, which is there.
+
+    Raises: InvalidScan for a scan without photographs.
+    """
+    begun = run.clock()
+    folder = out / "packed"
+    folder.mkdir(exist_ok=True)
+    points, skipped, last, photos = [], [], 0.0, None
+    for step in ladder(settings, default_knobs() if knobs is None else knobs):
+        if points and run.clock() - begun + last > budget_s:
+            skipped.append({"key": step.key, "command": step.command})
+            continue
+        point, photos = _point(run, scan, step, folder)
+        points.append(point)
+        last = point.pop("_own_seconds")
+    pictures = _pictures(run, points, photos, out) if render else []
+    document = summarised(
+        {
+            "scan": {"name": scan.resolve().name, "n_cameras": points[0]["n_cameras"]},
+            "splats": points[0]["splats"],
+            "preset": settings.preset,
+            "budget_s": budget_s,
+            "seconds": run.clock() - begun,
+            "n_workers": run.executor.n_workers,
+            "points": points,
+            "skipped": skipped,
+            "close_ups": pictures,
+        }
+    )
+    write_tradeoff(out, document)
+    shutil.rmtree(folder)
+    return document
+
+
+def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
+    """A point of the ladder, and the folder of the photographs that textured it."""
+    first = len(run.records)
+    prepared = prepare(run, scan, step.settings.radius, step.settings.effects, density=step.settings.density)
+    if not is_textured(prepared):
+        raise InvalidScan(
+            str(scan),
+            "no photograph that sees any of its points",
+            "a scan with photographs: without, no knob trades accuracy",
+        )
+    patches = resample(run, prepared)
+    n_shared = len(run.records) - first  # what most other points reuse: the next is not expected to take as long
+    coded = code_prepared(run, prepared, patches, step.settings)
+    path = folder / f"{step.key.replace('/', '-')}{SUFFIX}"
+    pack(run, prepared, coded, step.settings, scan.stem, path)
+    with PackedFile(path) as packed:
+        sizes = sizes_of(packed.load(), path.stat().st_size)
+    records, quality = run.records[first:], coded.codes.summary
+    return {
+        "key": step.key,
+        "preset": step.preset,
+        "knob": step.knob,
+        "value": getattr(step.settings, step.knob) if step.knob else None,
+        "command": step.command,
+        "splats": prepared.splats.summary["n_splats"],
+        "texture_psnr_db": _shown(quality["texture_psnr_db"]),
+        "visible_psnr_db": _shown(quality["visible_psnr_db"]),
+        "mean_atoms": quality["mean_atoms"],
+        "gpu_bytes": sizes["gpu_bytes"],
+        "file_bytes": sizes["file_bytes"],
+        "bytes_per_splat": sizes["bytes_per_splat"],
+        "n_dictionary": coded.n_dictionary,
+        "_own_seconds": sum(r.seconds for r in records[n_shared:]),
+        "seconds": sum(r.made_seconds for r in records),
+        "run_seconds": sum(r.seconds for r in records),
+        "peak_memory_bytes": max(r.peak_rss_bytes for r in records),
+        "reused": [r.name for r in records if r.reused],
+        "settings": asdict(step.settings),
+        "frame_seconds": None,
+        "_packed": path,
+        "n_cameras": len(prepared.scan.summary["cameras"]),
+    }, prepared.photos
+
+
+def _shown(psnr_db: float | None) -> float:
+    """None stands for no error at all."""
+    return BEST_DB if psnr_db is None else min(BEST_DB, psnr_db)
+
+
+def _pictures(run: Run, points: list[dict], photographs: Path, out: Path) -> list[dict]:
+    """Close-ups of every point, and the time that a frame of it takes, into the points."""
+    begun = time.perf_counter()
+    run.progress.begin("pictures", 2)
+    variants = [Variant(point["key"], point["_packed"]) for point in points]
+    photos = Variant("photographs", points[0]["_packed"], photographs)
+    close_ups = run.paint(draw_close_ups, [photos, *variants], points[0]["_packed"], photographs, out, SPOTS)
+    run.progress.advance("pictures", 1, 0)
+    for point, timed in zip(points, run.paint(time_passes, variants), strict=True):
+        point["frame_seconds"] = sum(timed["seconds"].values())
+        point["device"] = timed["device"]
+    run.progress.end(StageRecord("pictures", out, {}, time.perf_counter() - begun, 0, 2, 0, False))
+    return close_ups
+
+
+def parsed_budget(text: str) -> float:
+    """Seconds of texts as 90s, 10min, 2h, or a plain number of seconds. Raises ValueError saying what is allowed."""
+    for unit, seconds in (("min", 60.0), ("h", 3600.0), ("s", 1.0), ("", 1.0)):
+        if text.endswith(unit):
+            try:
+                found = float(text.removesuffix(unit)) * seconds
+            except ValueError:
+                break
+            if 0 < found < math.inf:
+                return found
+            break
+    raise ValueError(f"budget is {text!r}; allowed: a time above 0, as 90s, 10min or 2h")

@@ -1,0 +1,172 @@
+"""What a packed file must satisfy before any of its arrays is decoded.
+
+The bytes are hostile: the seal proves that a file is whole, not that a well-meaning program made it. So nothing is
+allocated by a size that a file only claims: every zarr chunk must be there, stored as it is, and decompress to just
+the bytes that its place in the layout calls for. Raises ValueError, KeyError or TypeError; PackedFile names the file.
+"""
+
+from __future__ import annotations
+
+import json
+from math import isfinite
+from zipfile import ZIP_STORED, ZipFile
+
+from storage.packed.layout import ROOT_MEMBER, chunk_count, members_of, metadata_member, metadata_of, shape_of
+from storage.packed.schema import (
+    ATOM_SIZES,
+    COARSEST_COLOR_STEP,
+    FINEST_COLOR_STEP,
+    FORMAT_NAME,
+    LONGEST_DIRECTION,
+    MAX_ATOMS,
+    MIP_SIZES,
+    NO_CAMERA,
+    READABLE_VERSIONS,
+    TURN_COUNTS,
+    Array,
+    Header,
+    arrays_of,
+)
+from storage.packed.seal import SEAL, SEAL_BYTES
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+ZSTD_HEADER_BYTES = 18  # of a frame, at most
+
+
+def check_members(archive: ZipFile, n_bytes: int) -> None:
+    """The seal is in its place, and every member is stored as it is, under its own name, in bytes of its own."""
+    if len(archive.comment) != SEAL_BYTES or not archive.comment.startswith(SEAL):
+        raise ValueError(f"a zip with the comment {archive.comment[:32]!r}, not {SEAL!r} and a digest")
+    seen, total = set(), 0
+    for info in archive.infolist():
+        plain = info.compress_type == ZIP_STORED and info.flag_bits == 0 and info.compress_size == info.file_size
+        if not plain or info.filename in seen:
+            raise ValueError(f"member {info.filename!r} is compressed, encrypted, or there twice")
+        seen.add(info.filename)
+        total += info.file_size
+    if total > n_bytes:
+        raise ValueError(f"members of {total} bytes in a file of {n_bytes}")
+
+
+def read_header(archive: ZipFile) -> Header:
+    """The header, with every field in its range."""
+    attributes = json.loads(archive.read(ROOT_MEMBER))["attributes"]
+    found = attributes["format"], attributes["version"]
+    if found[0] != FORMAT_NAME or type(found[1]) is not int or found[1] not in READABLE_VERSIONS:
+        raise ValueError(f"format {found[0]!r} version {found[1]!r}, not {FORMAT_NAME!r} version {READABLE_VERSIONS}")
+    header = Header.from_json(attributes)
+    for name, value, fine, allowed in _rules(header):
+        if not fine:
+            raise ValueError(f"{name} {value!r}, not {allowed}")
+    return header
+
+
+def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
+    """Field, value, whether it is in its range, and that range in words."""
+    h, batches, cameras = header, header.batches, header.cameras
+    needed_bits = max(0, h.n_indices - 1).bit_length()
+    atoms = [batch.n_atoms for batch in batches]
+    return [
+        ("n_splats", h.n_splats, h.n_splats >= 1, "1 or more"),
+        ("radius", h.radius, h.radius > 0 and isfinite(h.radius), "positive and finite"),
+        ("origin", h.origin, all(map(isfinite, h.origin)), "finite"),
+        ("up", h.up, 0 < _dot(h.up, h.up) <= LONGEST_DIRECTION**2, f"a direction of length up to {LONGEST_DIRECTION}"),
+        (
+            "ahead",
+            h.ahead,
+            0 < _dot(h.ahead, h.ahead) <= LONGEST_DIRECTION**2 and _are_apart(h.up, h.ahead),
+            f"a direction of length up to {LONGEST_DIRECTION}, 60 degrees or more from up",
+        ),
+        ("depth_margin", h.depth_margin, h.depth_margin >= 0 and isfinite(h.depth_margin), "finite, 0 or more"),
+        ("dictionary_bits", h.dictionary_bits, 0 <= h.dictionary_bits <= 16, "0..16"),
+        ("weight_bits", h.weight_bits, 1 <= h.weight_bits <= 8, "1..8"),
+        (
+            "n_dictionary",
+            h.n_dictionary,
+            h.n_dictionary >= 0 and needed_bits <= h.dictionary_bits,
+            f"0 or more, counted with their {h.n_turns} turns in {h.dictionary_bits} bits",
+        ),
+        ("atom_size", h.atom_size, h.atom_size in ATOM_SIZES, f"one of {ATOM_SIZES}"),
+        (
+            "coarsest_size",
+            h.coarsest_size,
+            h.coarsest_size in MIP_SIZES and h.coarsest_size <= h.atom_size,
+            f"one of {MIP_SIZES} and no more than atom_size",
+        ),
+        ("n_ranks", h.n_ranks, 1 <= h.n_ranks <= MAX_ATOMS, f"1..{MAX_ATOMS}"),
+        (
+            "color_step",
+            h.color_step,
+            h.color_step == 0 or FINEST_COLOR_STEP <= h.color_step <= COARSEST_COLOR_STEP,
+            f"0 or {FINEST_COLOR_STEP}..{COARSEST_COLOR_STEP}",
+        ),
+        ("n_turns", h.n_turns, h.n_turns in TURN_COUNTS, f"one of {TURN_COUNTS}"),
+        ("batches", atoms, 0 < len(set(batches)) == len(batches), "different from each other, and at least one"),
+        (
+            "batches",
+            batches,
+            not any(batch.clipline and batch.ellipsoid for batch in batches),
+            "without a clipline where they are ellipsoids",
+        ),
+        ("n_atoms", atoms, all(0 <= n <= h.n_ranks for n in atoms), f"0..{h.n_ranks}"),
+        ("n_atoms", atoms, h.n_dictionary > 0 or not any(atoms), "0 where there is no dictionary"),
+        ("cameras", len(cameras), len(cameras) <= NO_CAMERA, f"at most {NO_CAMERA}"),
+        ("cameras", "of odd numbers", all(map(_camera_is_sound, cameras)), "of finite numbers and at least one pixel"),
+    ]
+
+
+def _dot(a: tuple[int, ...], b: tuple[int, ...]) -> int:
+    return sum(x * y for x, y in zip(a, b, strict=True))
+
+
+def _are_apart(a: tuple[int, ...], b: tuple[int, ...]) -> bool:
+    return 4 * _dot(a, b) ** 2 <= _dot(a, a) * _dot(b, b)
+
+
+def _camera_is_sound(camera) -> bool:
+    numbers = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.centre, *sum(camera.rotation, ()))
+    return camera.width_px >= 1 and camera.height_px >= 1 and all(map(isfinite, numbers))
+
+
+def check_layout(archive: ZipFile, header: Header) -> dict[str, tuple[int, ...]]:
+    """The shape of every array by its name, once the members are just those that the header calls for."""
+    shapes = {array.name: _checked_shape(archive, header, array) for array in arrays_of(header)}
+    found = set(archive.namelist())
+    n_expected = 1 + sum(1 + chunk_count(array, shapes[array.name]) for array in arrays_of(header))
+    if len(found) != n_expected:  # before the names are listed: a crafted header may call for 2^60 of them
+        raise ValueError(f"{len(found)} members, not {n_expected}")
+    expected = {ROOT_MEMBER}.union(*(members_of(array, shapes[array.name]) for array in arrays_of(header)))
+    if found != expected:
+        raise ValueError(f"members missing: {sorted(expected - found)[:3]}, unknown: {sorted(found - expected)[:3]}")
+    return shapes
+
+
+def _checked_shape(archive: ZipFile, header: Header, array: Array) -> tuple[int, ...]:
+    """An array's shape from its zarr.json, which must be the one that the writer makes."""
+    found = json.loads(archive.read(metadata_member(array)))
+    n_words = found["shape"][0] if "e" in array.dims else 0
+    if type(n_words) is not int or n_words < 0:
+        raise ValueError(f"{array.name} of {n_words!r} words")
+    shape = shape_of(header, array, n_words)
+    expected = metadata_of(array, shape)
+    differing = sorted(key for key in expected.keys() | found.keys() if found.get(key) != expected.get(key))
+    if differing:
+        key = differing[0]
+        raise ValueError(f"{array.name} has {key} {found.get(key)!r}, not {expected.get(key)!r}")
+    return shape
+
+
+def check_frame(head: bytes, n_bytes: int) -> None:
+    """A zstd frame's first ZSTD_HEADER_BYTES bytes promise `n_bytes` of contents, which is what decoders allocate.
+
+    Reference: RFC 8878, section 3.1.1.1.
+    """
+    if head[:4] != ZSTD_MAGIC:
+        raise ValueError(f"a chunk begins with {head[:4]!r}, not with zstd's {ZSTD_MAGIC!r}")
+    descriptor = head[4]
+    has_window = not descriptor >> 5 & 1
+    width = (0 if has_window else 1, 2, 4, 8)[descriptor >> 6]
+    start = 5 + has_window + (0, 1, 2, 4)[descriptor & 3]
+    found = int.from_bytes(head[start : start + width], "little") + (256 if width == 2 else 0)
+    if found != n_bytes:
+        raise ValueError(f"a chunk of {found} bytes, not {n_bytes}")

@@ -1,0 +1,293 @@
+"""The packed file: every array, its dimensions, dtype, unit and meaning. docs/FORMAT.md says the same in prose.
+
+Dimensions: n splats; c chunks of CHUNK splats; g groups of GROUP splats; b batches; k atoms; r ranks (atoms a splat,
+at most); w weight levels; e 32-bit words of a stream.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields
+
+FORMAT_NAME = "splatpress"
+FORMAT_VERSION = 5
+READABLE_VERSIONS = (1, 2, 3, 4, 5)
+CHUNK = 128
+GROUP = 8192
+MAX_ATOMS = 16  # a splat; up to version 4 there were OLD_RANKS rows of weight levels, whatever was used
+OLD_RANKS = 8
+PATCH_SIZE = 32
+MIP_SIZES = (32, 16, 8, 4, 2, 1)
+ATOM_SIZES = (32, 16, 8)
+TURN_COUNTS = (1, 8)  # ways in which an atom is used: as it is, or turned and mirrored too
+CLIPLINE_BITS = 12
+ELLIPSOID_FIELD_BITS, ELLIPSOID_FIELDS = 8, 4  # so an ellipsoid is one whole word
+NO_CAMERA = 0xFFFF
+STEPS_AN_OCTAVE = 16  # of lengths in boxes of colours: code s is 2^(s / 16 - 6) of 255ths
+FINEST_COLOR_STEP, COARSEST_COLOR_STEP = (
+    80,
+    255,
+)  # codes: half a 255th, and more than there are; 0 stands for whole bytes
+MOST_COLOR_BITS = 30  # of a splat: what the finest step takes for a box of all colours
+DEFAULT_UP, DEFAULT_AHEAD = (0, 0, 1), (1, 0, 0)
+LONGEST_DIRECTION = 36  # so that 100 (up . normal)^2 of whole numbers stays within 32 bits
+
+
+_JSON_TYPES = {"int": int, "float": (int, float), "str": str, "bool": bool, "dict": dict}
+
+
+def _typed(cls: type, data: dict, **parsed):
+    """A dataclass of the `parsed` fields and, for the others, the plain values of `data`."""
+    for wanted in fields(cls):
+        if wanted.name not in parsed:
+            parsed[wanted.name] = _plain(data[wanted.name], wanted.type, wanted.name)
+    return cls(**parsed)
+
+
+def _plain(value, kind: str, name: str):
+    """A value of one of the _JSON_TYPES; `kind` is the field's annotation."""
+    if not isinstance(value, _JSON_TYPES[kind]) or isinstance(value, bool) != (kind == "bool"):
+        raise TypeError(f"{name} is {value!r}, not of type {kind}")
+    return float(value) if kind == "float" else value
+
+
+def _list(value, n: int | None = None) -> list | tuple:
+    if not isinstance(value, (list, tuple)) or n not in (None, len(value)):
+        raise TypeError(f"{value!r} is no list of {'any number of' if n is None else n} values")
+    return value
+
+
+def _numbers(value, n: int) -> tuple[float, ...]:
+    return tuple(_plain(x, "float", "a coordinate") for x in _list(value, n))
+
+
+def _whole_numbers(value, n: int) -> tuple[int, ...]:
+    return tuple(_plain(x, "int", "a component") for x in _list(value, n))
+
+
+def _directions_of_version_1(up_axis) -> dict:
+    """Version 1 knew world axes only, by number."""
+    if _plain(up_axis, "int", "up_axis") not in (0, 1, 2):
+        raise TypeError(f"up_axis {up_axis}, not 0, 1 or 2")
+    axes = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    return {"up": axes[up_axis], "ahead": axes[(up_axis + 1) % 3]}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera without distortion: x_cam = rotation @ (x_world - centre), pixel = f * xy / z + c.
+
+    Looks along +z of its own frame, x right, y down; the centre of the first pixel is (0.5, 0.5), as in COLMAP.
+    """
+
+    name: str
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    rotation: tuple[tuple[float, float, float], ...]  # (3, 3) world to camera
+    centre: tuple[float, float, float]  # (3,) absolute, in the scan's unit
+
+    @staticmethod
+    def from_json(data: dict) -> Camera:
+        """The camera of what `dataclasses.asdict` makes; KeyError or TypeError where it differs."""
+        rotation = tuple(_numbers(row, 3) for row in _list(data["rotation"], 3))
+        return _typed(Camera, data, rotation=rotation, centre=_numbers(data["centre"], 3))
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Splats that one shader draws: the same atom count, all discs, all discs with a clipline, or all ellipsoids."""
+
+    n_atoms: int
+    clipline: bool = False
+    ellipsoid: bool = False
+
+    @property
+    def kind(self) -> tuple:
+        """What tells it from other batches: atom count, then what else its splats have, in the order of EXTRAS."""
+        return (self.n_atoms, *(getattr(self, extra.flag) for extra in EXTRAS))
+
+
+@dataclass(frozen=True)
+class Extra:
+    """What only some splats have: a field of `Batch`, and a word stream with its table that files without it lack."""
+
+    flag: str  # the field of Batch
+    stream: str
+    table: str
+    bits: int  # of a field
+    n_fields: int = 1  # of a splat
+
+
+EXTRAS = (
+    Extra("clipline", "cliplines", "clipline_word", CLIPLINE_BITS),
+    Extra("ellipsoid", "ellipsoids", "ellipsoid_word", ELLIPSOID_FIELD_BITS, ELLIPSOID_FIELDS),
+)
+
+
+@dataclass(frozen=True)
+class Header:
+    """What holds for the whole packed file; stored as attributes of its root group."""
+
+    n_splats: int
+    radius: float  # of every splat, in `unit`
+    unit: str
+    origin: tuple[float, float, float]  # absolute; boxes are against it
+    up: tuple[int, int, int]  # what tangent frames are aligned with on walls, at most LONGEST_DIRECTION long
+    ahead: tuple[int, int, int]  # and on floors
+    depth_margin: float  # in `unit`: how far behind the nearest surface splats still blend
+    n_dictionary: int  # atoms in the dictionary; 0 in a scan without texture
+    dictionary_bits: int
+    weight_bits: int
+    batches: tuple[Batch, ...]
+    cameras: tuple[Camera, ...]
+    scan: dict  # name, format, n_points as read
+    settings: dict  # what the job asked for
+    effects: dict = field(default_factory=dict)  # of those that are on: what shaders and comparisons need of them
+    atom_size: int = PATCH_SIZE  # texels to a side of an atom's finest level
+    n_turns: int = 1  # ways in which an atom is used, one of TURN_COUNTS
+    coarsest_size: int = 1  # texels to a side of an atom's coarsest level, one of MIP_SIZES up to atom_size
+    n_ranks: int = OLD_RANKS  # rows of weight levels: no splat has more atoms
+    color_step: int = 0  # what cells of colours are no larger than, as a code; 0 where `color` has whole bytes
+
+    @property
+    def mip_sizes(self) -> tuple[int, ...]:
+        """Of the dictionary's levels, the finest first."""
+        return tuple(size for size in MIP_SIZES if self.coarsest_size <= size <= self.atom_size)
+
+    @property
+    def n_indices(self) -> int:
+        """Atoms that an index may name: each of the dictionary's in every turn."""
+        return self.n_dictionary * self.n_turns
+
+    @property
+    def n_chunks(self) -> int:
+        return -(-self.n_splats // CHUNK)
+
+    @property
+    def n_groups(self) -> int:
+        return -(-self.n_splats // GROUP)
+
+    @property
+    def entry_bits(self) -> int:
+        """Bits of one atom of one code: its index, of the turn and above it the atom, then its weight."""
+        return self.dictionary_bits + self.weight_bits
+
+    def to_json(self) -> dict:
+        header = {"format": FORMAT_NAME, "version": FORMAT_VERSION, **asdict(self)}
+        header["batches"] = tuple(
+            batch if batch["ellipsoid"] else {k: v for k, v in batch.items() if k != "ellipsoid"}
+            for batch in header["batches"]
+        )
+        return header if self.effects else {name: value for name, value in header.items() if name != "effects"}
+
+    @staticmethod
+    def from_json(data: dict) -> Header:
+        """The header of attributes as `to_json` makes or made them; KeyError or TypeError where they differ."""
+        if data["version"] == 1:
+            data = data | _directions_of_version_1(data["up_axis"])
+        if data["version"] < 3:
+            data = data | {"atom_size": PATCH_SIZE, "n_turns": 1}
+        if data["version"] < 4:
+            data = data | {"coarsest_size": MIP_SIZES[-1]}
+        if data["version"] < 5:
+            data = data | {"n_ranks": OLD_RANKS, "color_step": 0}
+        return _typed(
+            Header,
+            {"effects": {}} | data,
+            origin=_numbers(data["origin"], 3),
+            up=_whole_numbers(data["up"], 3),
+            ahead=_whole_numbers(data["ahead"], 3),
+            batches=tuple(_typed(Batch, {"ellipsoid": False} | batch) for batch in _list(data["batches"])),
+            cameras=tuple(map(Camera.from_json, _list(data["cameras"]))),
+        )
+
+
+@dataclass(frozen=True)
+class Array:
+    """One array of the packed file. `part` is the row of the size table that its bytes are counted in."""
+
+    name: str
+    dims: tuple[str, ...]
+    dtype: str
+    part: str  # "geometry" | "codes" | "colors" | "dictionary" | "provenance"
+    meaning: str
+
+
+ARRAYS = (
+    Array("box_low", ("c", "3"), "float32", "geometry", "lowest corner of each chunk's box against the origin, unit"),
+    Array("box_size", ("c", "3"), "float32", "geometry", "extents of each chunk's box, unit"),
+    Array("box_bits", ("c", "3"), "uint8", "geometry", "how many of the 24 position bits each axis has"),
+    Array("position", ("n", "3"), "uint8", "geometry", "24-bit cell index, little-endian: x lowest, then y, then z"),
+    Array("normal", ("n", "2"), "int8", "geometry", "octahedral normal, -127..127"),
+    Array("color", ("n", "3"), "uint8", "colors", "average of the patch, sRGB"),
+    Array(
+        "color_low",
+        ("c", "3"),
+        "int16",
+        "colors",
+        "lowest corner of each chunk's box of colours on three axes, 32nds of a 255th",
+    ),
+    Array(
+        "color_size",
+        ("c", "3"),
+        "uint8",
+        "colors",
+        "extents of each chunk's box of colours, in sixteenths of an octave",
+    ),
+    Array("color_word", ("c",), "uint32", "colors", "first word of each chunk's colours"),
+    Array("colors", ("e",), "uint32", "colors", "cell of each splat's average in its chunk's box, first axis lowest"),
+    Array("batch_count", ("c", "b"), "uint8", "codes", "how many splats of the chunk belong to each batch"),
+    Array("group_word", ("g",), "uint32", "codes", "first word of each group's codes"),
+    Array("codes", ("e",), "uint32", "codes", "atoms and weights, a bit stream, lowest bit first"),
+    Array("weight_levels", ("r", "w"), "float32", "dictionary", "the weight that a weight code stands for, by rank"),
+    Array("atom_scale", ("k",), "float32", "dictionary", "what one step of an atom's texels is worth, sRGB in [0, 1]"),
+    *(
+        Array(f"atoms_{s}", ("k", str(s), str(s), "3"), "int8", "dictionary", f"texels of the atoms, {s}x{s} RGB")
+        for s in MIP_SIZES
+    ),
+    Array("clipline_word", ("g",), "uint32", "geometry", "first word of each group's cliplines"),
+    Array("cliplines", ("e",), "uint32", "geometry", "3 x 4 bits a splat of the batches that have cliplines"),
+    Array("ellipsoid_word", ("g",), "uint32", "geometry", "first word of each group's ellipsoids"),
+    Array("ellipsoids", ("e",), "uint32", "geometry", "4 x 8 bits a splat of the batches that are ellipsoids"),
+    Array(
+        "camera", ("n",), "uint16", "provenance", "the camera each splat was textured from; 65535 none; not for GPUs"
+    ),
+)
+BY_NAME = {array.name: array for array in ARRAYS}
+
+
+def arrays_of(header: Header) -> tuple[Array, ...]:
+    """The arrays that a file with this header holds: what a scan does not call for is not there."""
+    absent = set()
+    if not header.n_dictionary:
+        absent |= {a.name for a in ARRAYS if a.part == "dictionary"} | {"codes", "group_word"}
+    absent |= {f"atoms_{size}" for size in MIP_SIZES if size not in header.mip_sizes}
+    absent |= {"color"} if header.color_step else {"color_low", "color_size", "color_word", "colors"}
+    for extra in EXTRAS:
+        if not any(getattr(batch, extra.flag) for batch in header.batches):
+            absent |= {extra.stream, extra.table}
+    if not header.cameras:
+        absent.add("camera")
+    return tuple(array for array in ARRAYS if array.name not in absent)
+
+
+def dimensions_of(header: Header) -> dict[str, int]:
+    """The size of every named dimension but the word streams', whose lengths the streams themselves tell."""
+    return {
+        "n": header.n_splats,
+        "c": header.n_chunks,
+        "g": header.n_groups,
+        "b": len(header.batches),
+        "k": header.n_dictionary,
+        "r": header.n_ranks,
+        "w": 2**header.weight_bits,
+    } | {str(s): s for s in (1, 2, 3, 4, 8, 16, 32)}
+
+
+def color_bits(size, step: int):
+    """Bits of each axis, (c, 3) int64, of boxes of colours with the extents `size` (c, 3) uint8: halvings until no cell
+    is larger than `step`. By whole numbers, so that readers and writers agree and no table of them is stored."""
+    return (-(-(size.astype(int) - step) // STEPS_AN_OCTAVE)).clip(0)

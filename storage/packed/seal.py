@@ -1,0 +1,62 @@
+"""The seal of a packed file: the zip's comment is the SHA-256 of all bytes before it.
+
+So any truncated or altered file is refused before a single field of it is believed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+from storage.errors import InvalidPackedFile
+
+SEAL = b"splatpress sha256 "
+SEAL_BYTES = len(SEAL) + 64
+UNSEALED = SEAL + b"0" * 64  # holds the seal's place while the bytes before it are written
+
+
+def write_seal(path: Path) -> None:
+    """Replace the UNSEALED at the end of a file by its seal, and wait until the disk has it."""
+    with open(path, "r+b") as file:
+        digest = _digest(file, os.fstat(file.fileno()).st_size - SEAL_BYTES)
+        file.write(SEAL + digest.encode())
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def check_seal(path: Path) -> None:
+    """Raise InvalidPackedFile unless the file ends in the seal of the bytes before it."""
+    with open(path, "rb") as file:
+        digest = _digest(file, os.fstat(file.fileno()).st_size - SEAL_BYTES)
+        found = file.read()
+    if not found.startswith(SEAL):
+        raise InvalidPackedFile(str(path), "no seal at its end", "a whole packed file", "truncated, or no packed file")
+    if found != SEAL + digest.encode():
+        sealed = found[len(SEAL) :].decode("ascii", "replace")
+        raise InvalidPackedFile(
+            str(path), f"contents of SHA-256 {digest[:16]}...", f"what the seal says, {sealed[:16]}...", "altered"
+        )
+
+
+def is_packed_file(path: str | Path) -> bool:
+    """Whether a file's end claims that it is a packed file; says nothing of its health."""
+    path = Path(path)
+    if not path.is_file() or path.stat().st_size < SEAL_BYTES:
+        return False
+    with open(path, "rb") as file:
+        file.seek(-SEAL_BYTES, os.SEEK_END)
+        return file.read(len(SEAL)) == SEAL
+
+
+def _digest(file, n_bytes: int) -> str:
+    """SHA-256 of the first `n_bytes`; the file then stands right behind them."""
+    file.seek(0)
+    state, left = hashlib.sha256(), n_bytes
+    while left > 0:
+        block = file.read(min(left, 1 << 20))
+        if not block:
+            break
+        state.update(block)
+        left -= len(block)
+    return state.hexdigest()

@@ -1,0 +1,127 @@
+"""The work folder: one folder a stage, named by the hash of all that its output depends on.
+
+    work/<stage>-<hash>/   the stage's arrays
+        results/<i>.json   one a finished task, so that a restart does only what is missing
+        parts/             what tasks leave for finalise alone; goes once the stage is complete, so finalise may run
+        again summary.json       written last: the stage is complete; and the seconds that it took
+
+Folders and files are few: where workers write gigabytes, a new one takes a disk's journal milliseconds.
+
+A worker that was given up may still run its task while another repeats it. Both make the same bytes, so whatever has a
+name of its own is written aside (`*.partial*`) and given its name whole, or not at all where it is there already.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from storage.whole import whole
+
+LAYOUT_VERSION = 11  # raised when a stage's output changes for equal inputs
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Strict JSON under its name only when it is whole."""
+    with whole(path) as partial:
+        partial.write_text(json.dumps(data, allow_nan=False))
+
+
+def read_json(path: Path) -> Any:
+    return json.loads(path.read_text())
+
+
+def write_parts(path: Path, **arrays: np.ndarray) -> None:
+    """Arrays as one .npz, under its name only when it is whole."""
+    path.parent.mkdir(exist_ok=True)
+    with whole(path) as partial, open(partial, "wb") as stream:
+        np.savez(stream, **arrays)
+
+
+def write_part(path: Path, array: np.ndarray) -> None:
+    """One array as .npy, which can be mapped, under its name only when it is whole."""
+    path.parent.mkdir(exist_ok=True)
+    with whole(path) as partial, open(partial, "wb") as stream:
+        np.save(stream, array)
+
+
+def stage_folder(work: Path, stage: Any) -> Path:
+    """Where a stage's output lies. `stage` is a frozen dataclass; a path among its fields counts by its name, which
+    for another stage's folder holds that stage's hash in turn."""
+    fields = {f.name: getattr(stage, f.name) for f in dataclasses.fields(stage)}
+    plain = {
+        name: value.name if isinstance(value, Path) else value
+        for name, value in fields.items()
+        if name not in getattr(stage, "location_fields", ())
+    }
+    text = json.dumps([LAYOUT_VERSION, stage.name, plain], sort_keys=True, default=_plain)
+    return work / f"{stage.name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+
+
+def _plain(value: Any) -> Any:
+    """A field of a field: a folder counts by its name, as above."""
+    return value.name if isinstance(value, Path) else dataclasses.asdict(value)
+
+
+def is_complete(folder: Path) -> bool:
+    return (folder / "summary.json").is_file()
+
+
+def begin(folder: Path) -> None:
+    (folder / "results").mkdir(parents=True, exist_ok=True)
+
+
+def parts(folder: Path) -> Path:
+    return folder / "parts"
+
+
+def sweep(folder: Path) -> None:
+    """Delete what tasks that are gone had half written. Whole arrays, results and parts stay."""
+    for path in [*folder.rglob("*.partial*")]:
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def finished_tasks(folder: Path) -> dict[int, dict]:
+    """The results of the tasks that have finished, by index."""
+    return {int(p.stem): read_json(p) for p in sorted((folder / "results").glob("*.json"))}
+
+
+def finished_task(folder: Path, index: int) -> dict | None:
+    """The result of one task, if it has finished."""
+    path = _result_path(folder, index)
+    return read_json(path) if path.is_file() else None
+
+
+def record_task(folder: Path, index: int, result: dict) -> None:
+    write_json(_result_path(folder, index), result)
+
+
+def _result_path(folder: Path, index: int) -> Path:
+    return folder / "results" / f"{index:06d}.json"
+
+
+def complete(folder: Path, summary: dict, seconds: float) -> None:
+    write_json(folder / "summary.json", {"seconds": seconds, "summary": summary})
+    shutil.rmtree(parts(folder), ignore_errors=True)
+
+
+def summary(folder: Path) -> dict:
+    return read_json(folder / "summary.json")["summary"]
+
+
+def made_seconds(folder: Path) -> float:
+    """What a stage took when it was made; of one that was cut off and gone on with, its last part alone."""
+    return read_json(folder / "summary.json")["seconds"]
+
+
+def discard(folder: Path) -> None:
+    shutil.rmtree(folder, ignore_errors=True)

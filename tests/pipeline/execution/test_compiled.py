@@ -1,0 +1,55 @@
+"""Results do not depend on what a process has compiled, and what it has loaded from the cache of compiled kernels."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[3]
+
+WORK = """
+import hashlib, sys
+import numpy as np
+from pipeline.coding import omp_kernels
+from pipeline.coding.certified import shorten
+from pipeline.coding.coarse import coarsen
+from pipeline.coding.ksvd import learn_dictionary
+from pipeline.coding.omp import pursue_patches
+from pipeline.coding.turned import turn_all
+from pipeline.texture.resample import Window, resample_patches, resampling_error
+
+rng = np.random.default_rng(0)
+if sys.argv[1] == "parts first":
+    row = np.ones(5, np.float32)
+    omp_kernels.dot(row, row)
+    omp_kernels.subtract_rows(row, np.ones((2, 5), np.float32), np.zeros(2, np.int32), np.ones(2), 2)
+patches = np.cumsum(rng.standard_normal((1200, 192)), axis=1).astype(np.float32)
+atoms = learn_dictionary(patches, 150, max_atoms=5, tolerance=1.0, iterations=3)
+found = [atoms]
+levels = np.tile(np.linspace(-40, 40, 16), (5, 1))
+for searched in (coarsen(atoms, components=24), shorten(atoms, components=24), turn_all(atoms, 8)):
+    for weight_levels in (None, levels):
+        pursuit = pursue_patches(patches, searched, max_atoms=5, weight_levels=weight_levels, search="certified")
+        found += [*pursuit.codes, pursuit.path]
+window = Window(rng.integers(0, 256, (64, 64, 3), np.uint8), 0, 0)
+homography = np.tile([[6.0, 1.3, 31.0], [-1.1, 7.0, 30.0], [0.001, 0.002, 1.0]], (50, 1, 1)) + 1e-3 * rng.standard_normal((50, 3, 3))
+texel = resample_patches(window, homography)
+found += [texel, resampling_error(texel, np.arange(50), window, homography, 0)]
+print(hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in found)).hexdigest())
+"""
+
+
+def outcome(cache: Path, parts: str = "") -> str:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT)}
+    return subprocess.run(
+        [sys.executable, "-c", WORK, parts], env=environment, capture_output=True, text=True, check=True
+    ).stdout
+
+
+def test_compiled__cold_and_warm_processes_agree_to_the_last_bit(tmp_path):
+    cold = outcome(tmp_path / "cache")
+    assert list((tmp_path / "cache").rglob("*.nbc")) and cold.strip()
+    assert outcome(tmp_path / "cache") == cold
+    assert outcome(tmp_path / "cache", "parts first") == cold

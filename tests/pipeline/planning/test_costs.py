@@ -1,0 +1,170 @@
+"""The cost model: its scheduler against what can be reckoned by hand, and what it says breaks first."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.execution.executors import MOST_A_CALL, MOST_SERVED, calls_of
+from pipeline.planning.costs import (
+    BLOCKS,
+    BY_ATOMS,
+    KILO,
+    MOST_HELD,
+    TASKS,
+    Job,
+    StageCost,
+    first_limit,
+    known_costs,
+    makespan,
+    plan_job,
+)
+from pipeline.planning.probe import probe_seconds
+from pipeline.planning.settings import Settings
+from services.docs.scale import PATH, document
+from services.processes.plan import as_text, plan
+from storage.work.arrays import BLOCK
+
+FLAT = {name: StageCost(10.0, 0.0, 0.0, 100.0, 2e8, 0.0) for name in TASKS}
+
+
+@pytest.mark.parametrize(
+    ("n_tasks", "task_s", "n_workers", "dispatch_s", "expected"),
+    [
+        (10, 1.0, 1, 0.0, 10.0),
+        (10, 1.0, 4, 0.0, 3.0),
+        (10, 1.0, 1, 0.5, 15.0),  # alone: handed out, then done
+        (1000, 0.1, 1000, 0.01, 1000 * 0.01 + 0.1),  # the scheduler holds all up
+        (0, 1.0, 3, 0.1, 0.0),
+        (1, 2.0, 500, 0.001, 2.001),
+    ],
+)
+def test_makespan__is_what_can_be_reckoned_by_hand(n_tasks, task_s, n_workers, dispatch_s, expected):
+    assert makespan(n_tasks, task_s, n_workers, dispatch_s) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("task_s", "n_workers"), [(0.8, 24), (0.01, 24), (0.05, 1000)])
+def test_makespan__of_many_tasks_goes_on_as_it_began(task_s, n_workers, monkeypatch):
+    whole = makespan(20_000, task_s, n_workers)
+    monkeypatch.setattr("pipeline.planning.costs.MOST_SIMULATED", 5_000)
+    assert makespan(20_000, task_s, n_workers) == pytest.approx(whole, rel=0.02)
+
+
+def test_makespan__more_workers_never_take_longer():
+    taken = [makespan(500, 0.03, n) for n in (1, 2, 3, 8, 30, 31, 200, 1000)]
+    assert all(b <= a + 1e-9 for a, b in zip(taken, taken[1:])) and taken[-1] >= 500 * 1e-3
+
+
+def test_plan__splats_twice_as_many_cost_twice_where_nothing_is_fixed():
+    small, large = (plan_job(Job(n * BLOCK, 1, 1, 0.0, training_splats=1), FLAT) for n in (64, 128))
+    block = [(a, b) for a, b in zip(small, large) if TASKS[a.name] == BLOCKS]
+    assert block and all(b.seconds == pytest.approx(2 * a.seconds, rel=0.01) for a, b in block)
+    assert all(b.written_bytes == 2 * a.written_bytes and b.n_tasks == 2 * a.n_tasks for a, b in block)
+
+
+def test_plan__learning_does_not_grow_with_the_scan():
+    seconds = [{p.name: p.seconds for p in plan_job(Job(n, 4, 10), FLAT)}["ksvd-update"] for n in (10**6, 10**9)]
+    assert seconds[0] == seconds[1] > 0
+
+
+def test_plan__indices_cost_where_atoms_are_searched_and_nowhere_else():
+    costs = {name: replace(cost, task_us_a_unit_a_kilo=3.0 if name in BY_ATOMS else 0.0) for name, cost in FLAT.items()}
+    few, many = (plan_job(Job(10**6, 1, 10, n_indices=n), costs) for n in (KILO, 11 * KILO))
+    for a, b in zip(few, many):
+        per_task = a.task_s if a.name not in BY_ATOMS else a.task_s * (10 + 33) / (10 + 3)
+        assert b.task_s == pytest.approx(per_task), a.name
+
+
+def test_plan__a_machine_half_as_fast_takes_twice_as_long_and_the_same_bytes():
+    ours, slower = (known_costs(speed=speed) for speed in (1.0, 2.0))
+    for name, cost in ours.items():
+        assert (
+            slower[name].written_bytes_a_unit == cost.written_bytes_a_unit
+            and slower[name].memory_bytes == cost.memory_bytes
+        )
+        assert slower[name].task_us_a_unit == 2 * cost.task_us_a_unit and slower[name].once_s == 2 * cost.once_s
+    assert "0.50 of the time" in as_text(plan(10**6, 4, Settings(), 10, 9.0, speed=0.5))
+
+
+def test_probe__tells_a_machine_by_a_fraction_of_a_second():
+    taken = sorted(probe_seconds() for _ in range(2))
+    assert 1e-4 < taken[0] <= taken[1] < 10
+
+
+@pytest.mark.parametrize(
+    ("change", "workers", "words"),
+    [
+        ({}, 1, "nothing"),
+        ({"memory_bytes": 5e9}, 1, "memory"),
+        ({}, 5000, "what one process does alone"),
+        ({"task_us_a_unit": 0.001}, 1000, "the scheduler"),
+    ],
+)
+def test_plan__says_what_breaks_first(change, workers, words):
+    job = Job(100_000_000, workers, 10)
+    costs = {name: replace(cost, **change) for name, cost in FLAT.items()}
+    assert first_limit(job, plan_job(job, costs), 4 << 30)[0].startswith(words)
+
+
+def test_plan__no_worker_holds_more_of_a_large_scan_than_of_one_that_fits():
+    costs = {name: replace(cost, memory_bytes_a_unit=100.0) for name, cost in FLAT.items()}
+    fits, large = ({p.name: p.worker_bytes for p in plan_job(Job(n, 4, 10), costs)} for n in (MOST_HELD, 10**10))
+    assert large == fits and large["partition"] == FLAT["partition"].memory_bytes + 100.0 * MOST_HELD
+
+
+def test_plan__the_costs_that_are_known_are_of_all_stages_and_sound():
+    costs = known_costs()
+    learning = {"components", "coefficients", "prices"}  # which of them a coder has
+    assert set(TASKS) - learning <= set(costs) <= set(TASKS)
+    values = np.array([[*vars(cost).values()] for cost in costs.values()])
+    assert np.isfinite(values).all() and (values >= 0).all() and all(cost.task_us_a_unit > 0 for cost in costs.values())
+
+
+def test_plan__more_workers_are_never_slower_and_totals_are_sums():
+    found = plan(71_000_000, 24, Settings(), 441, 9.0)
+    taken = [rung["seconds"] for rung in found["workers"]]
+    assert all(b <= 1.02 * a for a, b in zip(taken, taken[1:]))
+    assert found["seconds"] == pytest.approx(sum(s["seconds"] for s in found["stages"]))
+    assert found["tasks"] == sum(s["n_tasks"] for s in found["stages"])
+
+
+def test_scale__the_document_is_current():
+    assert PATH.read_text() == document(), "write it again: python -m services.docs.scale"
+
+
+@pytest.mark.parametrize(("n_tasks", "n_workers"), [(1, 1), (21, 2), (64 * 7, 1), (10**6, 1000), (0, 3), (5, 8)])
+def test_calls_of__keeps_workers_supplied(n_tasks, n_workers):
+    sizes = calls_of(n_tasks, n_workers)
+    left = n_tasks
+    for size in sizes:
+        assert 1 <= size <= MOST_A_CALL and (size == 1 or size <= left / (2 * min(n_workers, MOST_SERVED)))
+        left -= size
+    assert left == 0
+
+
+@pytest.mark.parametrize(("n_tasks", "n_workers"), [(21, 2), (62, 2), (4334, 24)])
+def test_calls_of__equal_tasks_end_together(n_tasks, n_workers):
+    free = [0.0] * n_workers
+    for size in calls_of(n_tasks, n_workers):
+        free[free.index(min(free))] += size
+    assert max(free) <= -(-n_tasks // n_workers) and len(calls_of(n_tasks, n_workers)) < 0.6 * n_tasks
+
+
+def test_plan__points_beyond_memory_cost_more_each_time_they_are_halved_on_disk():
+    costs = FLAT | {"partition": replace(FLAT["partition"], task_us_a_unit_a_halving=2.0)}
+    seconds = {
+        n: next(p.task_s for p in plan_job(Job(n, 2), costs) if p.name == "partition")
+        for n in (MOST_HELD, 4 * MOST_HELD, 5 * MOST_HELD)
+    }
+    assert [1e6 * s / n for n, s in seconds.items()] == pytest.approx([10.0, 14.0, 16.0])
+
+
+def test_plan__long_tasks_go_one_a_call_and_short_ones_by_the_handful():
+    slow = FLAT | {"encode": replace(FLAT["encode"], task_us_a_unit=1e4)}
+    by_name = {
+        p.name: p for p in plan_job(Job(n_splats=71_000_000, n_workers=24, n_photographs=441, megapixels=9.0), slow)
+    }
+    assert by_name["encode"].tasks_a_call == 1 and by_name["resample"].tasks_a_call == MOST_A_CALL
+    assert by_name["encode"].dispatch_s == pytest.approx(1e-3 * by_name["encode"].n_tasks)

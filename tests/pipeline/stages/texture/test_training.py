@@ -1,0 +1,78 @@
+"""The training set: what is chosen, and that only those rows are read."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.execution.executors import SerialExecutor
+from pipeline.execution.stage import run_stage
+from pipeline.stages.texture.strata import FEWEST, N_OCTAVES, census, octave_of, shares
+from pipeline.stages.texture.training import TrainingSet
+from storage.work import arrays, work
+from tests.pipeline.execution.test_stage import Heard
+
+
+def test_strata__an_octave_is_a_factor_of_two():
+    energy = np.float32(2.0) ** np.arange(-14, 12)
+    octaves = octave_of(energy)
+    assert (np.diff(octaves[2:]) == 1).all() and octaves.max() < N_OCTAVES and octave_of(np.zeros(1))[0] < N_OCTAVES
+    assert (octave_of(energy[3:] * np.float32(1.99)) == octaves[3:]).all()
+    assert census(energy).sum() == len(energy)
+
+
+def test_strata__make_the_number_wanted_and_leave_out_what_is_settled():
+    counts = np.zeros(N_OCTAVES, int)
+    counts[5:20] = 100_000
+    share = shares(counts, 1.0, 30_000)
+    below = octave_of(np.array([1.0]))[0]
+    assert (share[:below] == 0).all() and counts @ share == pytest.approx(30_000, rel=1e-9)
+
+
+def test_strata__what_is_rare_is_learned_from_too():
+    counts = np.zeros(N_OCTAVES, int)
+    counts[14], counts[20], counts[21] = 1_000_000, 900, 100
+    share = shares(counts, 1.0, 10_000)
+    assert counts[20] * share[20] == pytest.approx(FEWEST) and share[21] == 1
+    assert (share[counts == 0] == 0).all()
+
+
+def test_strata__a_small_scan_is_taken_whole_and_an_empty_one_not_at_all():
+    counts = np.bincount([15], minlength=N_OCTAVES) * 300
+    assert shares(counts, 1.0, 40_000)[15] == 1
+    assert not shares(np.zeros(N_OCTAVES, int), 1.0, 40_000).any()
+
+
+@pytest.mark.parametrize("rows", [[], [0], [9], [3, 4, 5, 9], list(range(10))])
+def test_arrays__rows_alone_are_those_of_the_whole(tmp_path, rows):
+    whole = np.arange(10 * 6, dtype=np.float32).reshape(10, 6)
+    arrays.store(tmp_path, "rows", whole.astype(np.float32), (4, 6))
+    found = arrays.read_rows(tmp_path, "rows", np.array(rows, int))
+    assert found.dtype == whole.dtype and (found == whole[rows]).all()
+
+
+def test_training__neither_the_choice_nor_its_order_turns_with_the_chunks(tmp_path):
+    rng = np.random.default_rng(0)
+    n = 3000
+    rows = {
+        "texel": rng.integers(0, 256, (n, 3072)).astype(np.uint8),
+        "average": rng.integers(0, 256, (n, 3)).astype(np.float32),
+        "energy": rng.uniform(0, 60, n).astype(np.float32),
+        "point": np.arange(n, dtype=np.uint32),
+    }
+
+    def chosen(order: np.ndarray, seed: int = 0) -> np.ndarray:
+        patches = tmp_path / f"patches-{order[0]}"
+        if not patches.exists():
+            work.begin(patches)
+            for name, values in rows.items():
+                arrays.store(patches, name, values[order])
+            work.complete(patches, {"census": census(rows["energy"]).tolist()}, 0.0)
+        return arrays.read(
+            run_stage(TrainingSet(patches, patches, 8.0, 700, seed, 1.0), tmp_path, SerialExecutor(), Heard()).folder,
+            "texel_0",
+        )
+
+    still, turned = chosen(np.arange(n)), chosen(rng.permutation(n))
+    assert 500 < len(still) < 1100 and (still == turned).all()
+    assert len(still) != len(chosen(np.arange(n), seed=1)) or (still != chosen(np.arange(n), seed=1)).any()

@@ -1,0 +1,70 @@
+"""The default coder against the published one, on a scan made of photographs of a wavy plane."""
+
+import numpy as np
+import pytest
+
+from pipeline.execution.executors import SerialExecutor
+from pipeline.planning.settings import settings_for
+from services.processes.compress import compress
+from storage.packed.packed import PackedFile
+from tests.pipeline.execution.test_stage import Heard
+from tests.services.scans import photo_scan
+
+WANTED = {"training_splats": 4000, "iterations": 2, "effects": "all=off"}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> dict[str, dict]:
+    """By name the report of a job, with its header and weight levels."""
+    folder = tmp_path_factory.mktemp("coders")
+    scan = photo_scan(folder / "wavy plane", n_side=70)
+    jobs = {
+        "paper": {"coder": "paper", "dictionary_bits": 8, "target_psnr_db": 30.0},
+        "default": {"target_psnr_db": 33.0},
+        "lower": {"target_psnr_db": 31.0},
+        "large": {"target_psnr_db": 32.0, "atom_size": 32, "dictionary_bits": 8},
+    }
+    reports = {}
+    for name, changes in jobs.items():
+        settings = settings_for("draft", **WANTED, **changes)
+        reports[name] = compress(
+            scan, folder / name, settings, SerialExecutor(), Heard(), render=False, work=folder / "work"
+        )
+        with PackedFile(folder / name / "wavy plane.splatpress") as packed:
+            reports[name] |= {"header": packed.header, "levels": packed.read("weight_levels")}
+    return reports
+
+
+def texture_bytes(report: dict) -> int:
+    return sum(report["sizes"][part] for part in ("codes_bytes", "colors_bytes", "dictionary_bytes"))
+
+
+def test_coders__the_papers_has_whole_atoms_and_even_weights(made):
+    header, levels = made["paper"]["header"], made["paper"]["levels"]
+    assert (header.atom_size, header.n_turns, header.dictionary_bits) == (32, 1, 8)
+    assert (levels == levels[0]).all()
+    np.testing.assert_allclose(np.diff(levels[0]), levels[0, 1] - levels[0, 0], rtol=1e-4)
+
+
+def test_coders__the_default_has_more_quality_for_fewer_bytes(made):
+    paper, default = made["paper"], made["default"]
+    assert texture_bytes(default) < 0.6 * texture_bytes(paper)
+    assert default["quality"]["texture_psnr_db"] > paper["quality"]["texture_psnr_db"] + 0.5
+    assert default["quality"]["visible_psnr_db"] > paper["quality"]["visible_psnr_db"] + 0.5
+
+
+@pytest.mark.parametrize(("name", "target_psnr_db"), [("default", 33.0), ("lower", 31.0), ("large", 32.0)])
+def test_coders__the_default_meets_its_target_on_the_whole(made, name, target_psnr_db):
+    assert target_psnr_db - 0.3 < made[name]["quality"]["texture_psnr_db"] < target_psnr_db + 2
+
+
+def test_coders__the_default_takes_small_atoms_in_turns_where_they_show_the_target(made):
+    header = made["default"]["header"]
+    assert header.n_turns == 8 and header.atom_size < 32
+    assert 8 * header.n_dictionary <= 2**header.dictionary_bits < 16 * header.n_dictionary
+    assert made["large"]["header"].atom_size == 32
+
+
+def test_coders__a_lower_target_costs_less(made):
+    assert texture_bytes(made["lower"]) < texture_bytes(made["default"])
+    assert made["lower"]["atoms"]["mean"] < made["default"]["atoms"]["mean"]
