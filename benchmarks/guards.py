@@ -125,7 +125,7 @@ def projections() -> dict:
         finally:
             texture_patches.is_whole, texture_patches.is_in_front = own
 
-    everything = lambda h, *size: np.ones(len(h), bool)  # noqa: E731
+    everything = lambda h, *size: np.ones(len(h), bool)
     return {"guarded": lambda: run(*own), "plain": lambda: run(everything, everything)}
 
 

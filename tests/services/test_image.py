@@ -18,7 +18,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.client import Client
+from services.cli.client import Client
 from tests.services.scans import photo_scan
 from tests.services.service_process import ROOT, free_port, until
 
@@ -56,14 +56,34 @@ class Image:
     @property
     def environment(self) -> dict[str, str]:
         given = {name: self.here(value) for name, value in image_environment().items()}
-        return {**given, "PYTHONPATH": str(self.root / "app"), "SPLATPRESS_PORT": str(self.port), "SPLATPRESS_WORKERS": "1"}
+        return {
+            **given,
+            "PYTHONPATH": str(self.root / "app"),
+            "SPLATPRESS_PORT": str(self.port),
+            "SPLATPRESS_WORKERS": "1",
+        }
 
     def start(self, stream) -> subprocess.Popen:
-        return subprocess.Popen([*self.prefix, *(self.here(part) for part in COMMAND)], env=self.environment, cwd="/", stdout=stream,
-                                stderr=subprocess.STDOUT, start_new_session=True, **self.user)
+        return subprocess.Popen(
+            [*self.prefix, *(self.here(part) for part in COMMAND)],
+            env=self.environment,
+            cwd="/",
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            **self.user,
+        )
 
     def run(self, *command: str) -> str:
-        return subprocess.run([*self.prefix, *command], env=self.environment, cwd="/", check=True, capture_output=True, text=True, **self.user).stdout.strip()
+        return subprocess.run(
+            [*self.prefix, *command],
+            env=self.environment,
+            cwd="/",
+            check=True,
+            capture_output=True,
+            text=True,
+            **self.user,
+        ).stdout.strip()
 
 
 def _as_nobody_special() -> tuple[dict, list[str]]:
@@ -73,7 +93,10 @@ def _as_nobody_special() -> tuple[dict, list[str]]:
     if os.getuid() != 0:
         return {}, []
     with suppress(PermissionError):
-        if subprocess.run([sys.executable, "-c", "import numba"], **as_user, capture_output=True, cwd="/").returncode == 0:
+        if (
+            subprocess.run([sys.executable, "-c", "import numba"], **as_user, capture_output=True, cwd="/").returncode
+            == 0
+        ):
             return as_user, []
     drop = ["setpriv", "--bounding-set=-dac_override", "--inh-caps=-dac_override"]
     if shutil.which("setpriv") is None or subprocess.run([*drop, "true"]).returncode != 0:
@@ -111,11 +134,17 @@ def started_image():
 
 def test_image__its_environment_names_folders_that_its_user_may_write():
     environment = image_environment()
-    assert USER == 10001 and environment["HOME"] == "/scratch" and Path(environment["NUMBA_CACHE_DIR"]).parent == Path("/scratch")
+    assert (
+        USER == 10001
+        and environment["HOME"] == "/scratch"
+        and Path(environment["NUMBA_CACHE_DIR"]).parent == Path("/scratch")
+    )
     assert re.search(r"install -d -o splatpress (\S+ )*/scratch", DOCKERFILE)
 
 
-@pytest.mark.skipif(shutil.which("splatpress", path=str(Path(sys.executable).parent)) is None, reason="splatpress is not installed here")
+@pytest.mark.skipif(
+    shutil.which("splatpress", path=str(Path(sys.executable).parent)) is None, reason="splatpress is not installed here"
+)
 def test_image__its_default_command_starts_and_a_job_goes_through(tmp_path):
     with started_image() as client:
         scan = client.upload(photo_scan(tmp_path / "plane", n_side=24))["id"]
