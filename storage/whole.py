@@ -10,10 +10,10 @@ from pathlib import Path
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[Path]:
+def whole(path: Path, suffix: str = ".partial") -> Iterator[Path]:
     """A path beside `path` to write to, of its own, which gets that name at the end; where writing fails nothing is
-    left."""
-    partial = path.with_name(f"{path.name}.{uuid.uuid4().hex}.partial")
+    left. `suffix` is what its name ends in, for libraries that go by it."""
+    partial = path.with_name(f"{path.name}.{uuid.uuid4().hex}{suffix}")
     try:
         yield partial
         os.replace(partial, path)

@@ -14,6 +14,7 @@ import warnings
 from pathlib import Path
 
 from services.cli.arguments import WrongArgument, add_preset, add_settings, add_view_knobs, settings_of
+from services.cli.exports import add_export
 from services.cli.service import add_service_verbs
 from storage.errors import SplatpressError
 
@@ -475,6 +476,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_evaluate(commands)
     _add_estimate(commands)
     _add_tradeoff(commands)
+    add_export(commands)
     add_service_verbs(commands)
     return parser
 

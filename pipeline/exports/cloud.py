@@ -1,0 +1,141 @@
+"""A packed scene as plain numbers: what every export begins with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.geometry.ellipsoids import decode_ellipsoids
+from pipeline.geometry.frame import tangent_frames
+from pipeline.geometry.positions import Boxes, decode_positions
+from pipeline.texture.colors import ColorBoxes, decode_colors
+from storage.packed.packed import PackedScene
+from storage.packed.schema import GROUP, MIP_SIZES
+
+SIGMA_IN_RADII = 0.35  # of a Gaussian that stands for a disc, and of the window that its colour is seen through
+GRID = 4  # samples to a side of a splat's square, where its texture is kept as more points
+GRID_RADIUS = 0.35  # of such a point in radii: neighbours are half a radius apart
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Splats, or samples of them; rows correspond."""
+
+    position: np.ndarray  # (n, 3) float64 against `origin`, in the scan's unit
+    axes: (
+        np.ndarray
+    )  # (n, 3, 3) float64 half axes as rows: u and v one radius long and the unit normal, or an ellipsoid's
+    solid: np.ndarray  # (n,) bool: an ellipsoid, whose third axis is a length too
+    color: np.ndarray  # (n, 3) float64 sRGB in [0, 1]
+    origin: tuple[float, float, float]
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @property
+    def normal(self) -> np.ndarray:  # (n, 3) unit
+        return self.axes[:, 2] / np.linalg.norm(self.axes[:, 2], axis=1, keepdims=True)
+
+    @property
+    def radius(self) -> np.ndarray:  # (n,) of an ellipsoid the longest half axis
+        lengths = np.linalg.norm(self.axes, axis=2)
+        return np.where(self.solid, lengths.max(axis=1), lengths[:, 0])
+
+
+def cloud_of(scene: PackedScene) -> Cloud:
+    """Every splat, in the file's order, with the colour that its patch has in the middle.
+
+    The middle is the patch seen through a Gaussian window of SIGMA_IN_RADII, so atoms count in any turn alike.
+    """
+    header = scene.header
+    u, v, normal = tangent_frames(scene.arrays["normal"], header.up, header.ahead)
+    axes = np.stack([u * header.radius, v * header.radius, normal], axis=1)
+    splat, fields = scene.ellipsoids
+    solid = np.zeros(header.n_splats, bool)
+    if len(splat):
+        solid[splat] = True
+        axes[splat] = decode_ellipsoids(fields, scene.arrays["normal"][splat], header.up, header.ahead, header.radius)
+    return Cloud(positions_of(scene), axes, solid, _middle_colors(scene), header.origin)
+
+
+def samples_of(scene: PackedScene, cloud: Cloud) -> Cloud:
+    """Every splat as points on a grid of its square, those on its disc, with the colours that its texture has there."""
+    middle = (np.arange(GRID) + 0.5) * 2 / GRID - 1
+    y, x = (axis.ravel() for axis in np.meshgrid(middle, middle, indexing="ij"))
+    inside = x * x + y * y < 1
+    place = np.column_stack([x, y])[inside]  # (m, 2)
+    color = np.concatenate([patch[:, inside] for patch in _patches(scene)])
+    n, m = len(cloud), len(place)
+    offset = np.einsum("mk,nkc->nmc", place, cloud.axes[:, :2])
+    axes = np.repeat(cloud.axes * np.array([GRID_RADIUS, GRID_RADIUS, 1.0])[:, None], m, axis=0)
+    position = (cloud.position[:, None] + offset).reshape(n * m, 3)
+    return Cloud(position, axes, np.repeat(cloud.solid, m), color.reshape(n * m, 3), cloud.origin)
+
+
+def positions_of(scene: PackedScene) -> np.ndarray:
+    """(n, 3) float64 against the origin."""
+    arrays = scene.arrays
+    code = arrays["position"].astype(np.int64) @ [1, 1 << 8, 1 << 16]
+    return decode_positions(code, Boxes(arrays["box_low"], arrays["box_size"], arrays["box_bits"]))
+
+
+def averages_of(scene: PackedScene) -> np.ndarray:
+    """(n, 3) float64 sRGB in [0, 1]: what patches are without their atoms."""
+    arrays, step = scene.arrays, scene.header.color_step
+    if not step:
+        return arrays["color"] / 255
+    return decode_colors(scene.color_cells, ColorBoxes(arrays["color_low"], arrays["color_size"], step)) / 255.0
+
+
+def _middle_colors(scene: PackedScene) -> np.ndarray:
+    color = averages_of(scene)
+    if not scene.header.n_dictionary:
+        return color
+    atoms = scene.arrays[f"atoms_{scene.header.atom_size}"]
+    size = atoms.shape[1]
+    middle = (np.arange(size) + 0.5) * 2 / size - 1
+    window = np.exp(-(middle**2) / (2 * SIGMA_IN_RADII**2))
+    weight = np.outer(window, window)
+    seen = (
+        np.einsum("kijc,ij->kc", atoms.astype(np.float64), weight / weight.sum()) * scene.arrays["atom_scale"][:, None]
+    )
+    for start in range(0, len(color), GROUP):
+        index, amount = _codes(scene, start)
+        color[start : start + GROUP] += np.einsum("nr,nrc->nc", amount, seen[index // scene.header.n_turns])
+    return color.clip(0, 1)
+
+
+def _patches(scene: PackedScene):
+    """Patches (n, GRID * GRID, 3) of one group after the other."""
+    average, header = averages_of(scene), scene.header
+    if not header.n_dictionary:
+        yield np.repeat(average[:, None], GRID * GRID, axis=1)
+        return
+    turned = _turned_atoms(scene)
+    for start in range(0, len(average), GROUP):
+        index, amount = _codes(scene, start)
+        atoms = np.einsum("nr,nrpc->npc", amount, turned[index])
+        yield (average[start : start + GROUP, None] + atoms).clip(0, 1)
+
+
+def _turned_atoms(scene: PackedScene) -> np.ndarray:
+    """Every atom in every turn, (n_indices, GRID * GRID, 3) float64, of GRID texels to a side."""
+    size = min((s for s in scene.header.mip_sizes if s >= GRID), default=MIP_SIZES[0])
+    atoms = scene.arrays[f"atoms_{size}"].astype(np.float64)
+    atoms = atoms.reshape(len(atoms), GRID, size // GRID, GRID, size // GRID, 3).mean(axis=(2, 4))
+    atoms *= scene.arrays["atom_scale"][:, None, None, None]
+    turns = []
+    for turn in range(scene.header.n_turns):
+        texels = atoms[:, :, ::-1] if turn & 1 else atoms
+        texels = texels[:, ::-1] if turn & 2 else texels
+        turns.append(texels.swapaxes(1, 2) if turn & 4 else texels)
+    return np.stack(turns, axis=1).reshape(-1, GRID * GRID, 3)
+
+
+def _codes(scene: PackedScene, start: int) -> tuple[np.ndarray, np.ndarray]:
+    """Atom indices and what their texels are times, without the atoms' scales, of one group: two (n, n_ranks)."""
+    index, weight = scene.codes(start, start + GROUP)
+    used = np.arange(index.shape[1]) < scene.n_atoms[start : start + GROUP, None]
+    levels = scene.arrays["weight_levels"]
+    return index, np.where(used, levels[np.arange(index.shape[1]), weight], 0.0)

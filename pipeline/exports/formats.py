@@ -1,0 +1,28 @@
+"""The formats that others open, by name. Light: the command line and the API read it without the encoders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+POINTS, GAUSSIANS = "points", "Gaussians"
+
+
+@dataclass(frozen=True)
+class Format:
+    suffix: str
+    kind: str  # what it consists of
+    media_type: str
+    about: str
+
+
+FORMATS: dict[str, Format] = {
+    "ply": Format(".ply", POINTS, "application/octet-stream", "positions as double, normals, colours, radii"),
+    "las": Format(".las", POINTS, "application/vnd.las", "for GIS; normals and radii as extra dimensions"),
+    "laz": Format(".laz", POINTS, "application/vnd.laszip", "the same, compressed"),
+    "3dgs-ply": Format(".3dgs.ply", GAUSSIANS, "application/octet-stream", "one a splat, as 3DGS trainers write them"),
+    "spz": Format(".spz", GAUSSIANS, "application/octet-stream", "the same, small"),
+    "sog": Format(".sog", GAUSSIANS, "application/zip", "the same, smaller, for SuperSplat and PlayCanvas"),
+    "glb": Format(
+        ".glb", GAUSSIANS, "model/gltf-binary", "glTF with KHR_gaussian_splatting; points to programs without it"
+    ),
+}

@@ -1,0 +1,55 @@
+"""The command line's verb `export`: a packed file as what others open."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from pipeline.exports.formats import FORMATS, POINTS
+from services.cli.arguments import WrongArgument
+
+OK = 0
+
+
+def add_export(commands) -> None:
+    export = commands.add_parser("export", help="a packed file as what others open: points, Gaussians")
+    export.add_argument("packed", metavar="PACKED")
+    export.add_argument(
+        "--to",
+        required=True,
+        choices=FORMATS,
+        metavar="FORMAT",
+        help="; ".join(f"{name}: {known.kind}, {known.about}" for name, known in FORMATS.items()),
+    )
+    export.add_argument(
+        "--out", type=Path, metavar="FILE", help="default: the packed file's name with the format's ending, beside it"
+    )
+    export.add_argument(
+        "--textured",
+        action="store_true",
+        help=f"keep textures as more points: {', '.join(n for n, known in FORMATS.items() if known.kind == POINTS)}",
+    )
+    export.add_argument("--overwrite", "-w", action="store_true", help="replace FILE")
+    export.add_argument("--json", action="store_true", help="what was written and lost as the last line of stdout")
+    export.set_defaults(command=_export)
+
+
+def _export(options: argparse.Namespace) -> int:
+    from services.processes.export import export
+
+    packed = Path(options.packed)
+    if not packed.exists():
+        raise FileNotFoundError(f"{packed}: no such file or folder")
+    out = options.out or packed.with_suffix(FORMATS[options.to].suffix)
+    if out.exists() and not options.overwrite:
+        raise WrongArgument(f"--out {out} exists; choose another, or say --overwrite")
+    made = export(packed, options.to, out, options.textured)
+    if options.json:
+        print(json.dumps({**asdict(made), "path": str(made.path)}))
+    else:
+        print(f"{made.path}  {made.n_elements:,} {FORMATS[options.to].kind}, {made.n_bytes:,} bytes")
+        for text in made.lost:
+            print(f"loses {text}")
+    return OK

@@ -1,0 +1,147 @@
+"""A packed file as what others open: points or Gaussians. Each format says what it loses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pipeline.exports import glb, las, ply, sog, spz
+from pipeline.exports.cloud import GRID, Cloud, cloud_of, samples_of
+from pipeline.exports.formats import FORMATS, GAUSSIANS, POINTS
+from pipeline.exports.gaussians import Gaussians, gaussians_of, to_y_up, turned
+from renderer.splats.views import up_direction
+from storage.errors import UnsupportedScan
+from storage.packed.packed import PackedFile, PackedScene
+from storage.packed.schema import Header
+from storage.whole import whole
+
+METRES = {"metre": 1.0, "foot": 0.3048, "US survey foot": 1200 / 3937}
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written and what it lost, in words."""
+
+    format: str
+    path: Path
+    n_bytes: int
+    n_elements: int  # points or Gaussians
+    lost: tuple[str, ...]
+
+
+def export(packed: Path, format: str, out: Path, textured: bool = False) -> Exported:
+    """Write `packed` as one of FORMATS to the path `out`, which appears when it is whole. With `textured`, points are samples of textures.
+
+    Raises: UnsupportedScan for a format that is unknown, or that has no points where `textured` asks for more of them.
+    """
+    if format not in FORMATS:
+        raise UnsupportedScan("export", f"format {format!r}", ", ".join(FORMATS))
+    chosen = FORMATS[format]
+    if textured and chosen.kind != POINTS:
+        raise UnsupportedScan(
+            "export",
+            f"{format} with textures as more points",
+            ", ".join(name for name, known in FORMATS.items() if known.kind == POINTS),
+        )
+    with PackedFile(packed) as opened:
+        scene = opened.load()
+    cloud = cloud_of(scene)
+    lost = _lost_by_all(scene, cloud, chosen.kind, textured)
+    if textured:
+        cloud = samples_of(scene, cloud)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with whole(out, suffix=chosen.suffix) as partial:
+        lost += _WRITERS[format](partial, cloud if chosen.kind == POINTS else gaussians_of(cloud), scene.header)
+    return Exported(format, out, out.stat().st_size, len(cloud), lost)
+
+
+def _lost_by_all(scene: PackedScene, cloud: Cloud, kind: str, textured: bool) -> tuple[str, ...]:
+    n, lost = len(cloud), []
+    n_lines = int((scene.rows.clipline >= 0).sum())
+    if scene.header.n_dictionary:
+        n_textured = int((scene.n_atoms > 0).sum())
+        lost.append(
+            f"textures of {n_textured:,} of {n:,} splats: "
+            + (f"{GRID} x {GRID} samples of each" if textured else "each has the one colour of its patch's middle")
+        )
+    if n_lines:
+        lost.append(f"cliplines of {n_lines:,} splats: they are whole")
+    n_solid = int(cloud.solid.sum())
+    if n_solid and kind == POINTS:
+        lost.append(f"shapes of {n_solid:,} ellipsoids: points with their longest half axis as radius")
+    if kind == GAUSSIANS:
+        lost.append("the blending of surfaces within a depth margin: Gaussians are sorted and laid over each other")
+    if scene.header.cameras:
+        lost.append(f"{len(scene.header.cameras)} cameras, and which splat was textured from which")
+    return tuple(lost)
+
+
+def _error_of(largest: float, header: Header) -> str:
+    unit = "" if header.unit == "unknown" else f" {header.unit}"
+    return f"coordinates to within {largest:.2g}{unit}, {largest / header.radius:.2g} of a splat's radius"
+
+
+def _against_origin(header: Header) -> tuple[str, ...]:
+    if not any(header.origin):
+        return ()
+    return (f"large coordinates: positions are against the origin {', '.join(f'{x:.10g}' for x in header.origin)}",)
+
+
+def _comments(header: Header) -> Sequence[str]:
+    return ["made by splatpress", f"unit {header.unit}"]
+
+
+def _write_ply(path: Path, cloud: Cloud, header: Header) -> tuple[str, ...]:
+    ply.write_points(path, cloud, _comments(header))
+    return ()
+
+
+def _write_las(path: Path, cloud: Cloud, header: Header) -> tuple[str, ...]:
+    largest = las.write(path, cloud)
+    return (_error_of(largest, header), "the name of the coordinate system, which packed files do not keep")
+
+
+def _write_gaussian_ply(path: Path, gaussians: Gaussians, header: Header) -> tuple[str, ...]:
+    ply.write_gaussians(path, gaussians, _comments(header))
+    return _against_origin(header)
+
+
+def _write_spz(path: Path, gaussians: Gaussians, header: Header) -> tuple[str, ...]:
+    largest = spz.write(path, turned(gaussians, _y_up(header)))
+    return (
+        *_against_origin(header),
+        "the scan's axes: turned so that y is up",
+        _error_of(largest, header),
+        "colours to within 0.94 of 255",
+    )
+
+
+def _write_sog(path: Path, gaussians: Gaussians, header: Header) -> tuple[str, ...]:
+    largest = sog.write(path, gaussians)
+    return (*_against_origin(header), _error_of(largest, header))
+
+
+def _write_glb(path: Path, gaussians: Gaussians, header: Header) -> tuple[str, ...]:
+    glb.write(path, gaussians, _y_up(header), METRES.get(header.unit, 1.0), header.unit)
+    return _against_origin(header)
+
+
+def _y_up(header: Header) -> Rotation:
+    return to_y_up(np.asarray(up_direction(header)))
+
+
+_WRITERS: dict[
+    str, Callable[[Path, Cloud | Gaussians, Header], tuple[str, ...]]
+] = {  # each returns what it alone loses
+    "ply": _write_ply,
+    "las": _write_las,
+    "laz": _write_las,
+    "3dgs-ply": _write_gaussian_ply,
+    "spz": _write_spz,
+    "sog": _write_sog,
+    "glb": _write_glb,
+}
