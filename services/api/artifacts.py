@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse
 
+from pipeline.exports.formats import FORMATS
 from services.api.context import Database, Job, Settings
 from services.jobs.documents import artifact_document
 from services.jobs.workflow import job_folder
 from services.problems import Problem
+from services.store.exports import export_name, packed_artifact, want_export
 from services.store.store import LIVE
 
 router = APIRouter(tags=["artifacts"])
@@ -19,10 +23,37 @@ _PAGE = (
 )
 
 
-@router.get("/jobs/{id}/artifacts")
-def get_artifacts(job: Job, settings: Settings, store: Database) -> dict:
-    """Of a failed or dismissed job, those that it had made by then."""
-    return {"artifacts": [artifact_document(a, job, settings) for a in store.artifacts(job["id"])]}
+_RETRY_S = "1"
+
+
+@router.get("/jobs/{id}/artifacts", responses={202: {"description": "a format that is being made: ask again"}})
+def get_artifacts(
+    job: Job,
+    settings: Settings,
+    store: Database,
+    response: Response,
+    format: Annotated[Literal[*FORMATS] | None, Query(description="the packed file as what others open")] = None,
+) -> dict:
+    """Of a failed or dismissed job, those that it had made by then. With `format` that one alone, made by a worker
+    where it is not there yet: 202 until it is, then it is kept as an artifact."""
+    if format is None:
+        return {"artifacts": [artifact_document(a, job, settings) for a in store.artifacts(job["id"])]}
+    packed = packed_artifact(store, job["id"])
+    if packed is None:
+        raise _absent(job, "packed file", " to make it of")
+    found = store.artifact(job["id"], export_name(packed, format))
+    if found is not None:
+        return {"artifacts": [artifact_document(found, job, settings)]}
+    if job["status"] in LIVE:
+        raise _absent(job, format)
+    problem = want_export(store, job["id"], format)
+    if problem is not None:
+        raise Problem(
+            problem["status"], "export-failed", problem["detail"], kind=problem["class"], retryable=problem["retryable"]
+        )
+    response.status_code = 202
+    response.headers["Retry-After"] = _RETRY_S
+    return {"artifacts": []}
 
 
 @router.get(
@@ -33,13 +64,7 @@ def get_artifacts(job: Job, settings: Settings, store: Database) -> dict:
 def get_artifact(job: Job, name: str, settings: Settings, store: Database) -> FileResponse:
     artifact = store.artifact(job["id"], name) if len(name) <= 300 and name.isprintable() else None
     if artifact is None:
-        early = job["status"] in LIVE
-        raise Problem(
-            404,
-            "result-not-ready" if early else "no-such-artifact",
-            f"job {job['id']} has no {name!r}" + (f" yet: it is {job['status']}" if early else ""),
-            retryable=early,
-        )
+        raise _absent(job, repr(name))
     path = job_folder(settings, job["id"]) / artifact["path"]
     if not path.is_file():
         raise Problem(410, "expired", f"{name} has expired")
@@ -47,3 +72,13 @@ def get_artifact(job: Job, name: str, settings: Settings, store: Database) -> Fi
     if path.suffix == ".html":
         headers["content-security-policy"] = _PAGE
     return FileResponse(path, headers=headers)
+
+
+def _absent(job: dict, what: str, tail: str = "") -> Problem:
+    early = job["status"] in LIVE
+    return Problem(
+        404,
+        "result-not-ready" if early else "no-such-artifact",
+        f"job {job['id']} has no {what}{tail}" + (f" yet: it is {job['status']}" if early else ""),
+        retryable=early,
+    )

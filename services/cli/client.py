@@ -172,6 +172,14 @@ class Client:
         wanted = [a for a in self.artifacts(job) if names is None or a["name"] in names]
         return [self._fetch(a, out / a["name"]) for a in wanted]
 
+    def export(self, job: str, format: str) -> dict:
+        """The artifact that is the job's packed file as `format`, once the service has made it."""
+        while not (
+            found := self._ask("GET", f"/v1/jobs/{job}/artifacts", params={"format": format}).json()["artifacts"]
+        ):
+            time.sleep(0.5)
+        return found[0]
+
     def _fetch(self, artifact: dict, path: Path) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(path.name + ".partial")

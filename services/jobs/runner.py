@@ -20,6 +20,7 @@ from dbos import DBOS, SetWorkflowID
 
 from services.jobs.cluster import own_cluster
 from services.jobs.documents import job_document
+from services.jobs.exports import make_next_export
 from services.jobs.heartbeat import show_alive, show_dashboard, show_gone
 from services.jobs.webhooks import deliver_due
 from services.jobs.workflow import JobRunner, job_folder
@@ -32,6 +33,7 @@ EXECUTOR_ID = "runner"
 UNDER_WAY = ("PENDING", "ENQUEUED", "DELAYED")
 POLL_S = 0.3
 TIDY_EVERY_S = 60.0
+EXPORT_POLL_S = 0.5
 DATABASE_PATIENCE_S = 120.0  # of a database that is being started anew
 
 _jobs: JobRunner | None = None
@@ -64,7 +66,7 @@ def run_forever(settings: ServiceSettings, stop: threading.Event | None = None) 
         DBOS.launch()
         status = 1
         try:
-            _serve(settings, store, stop)
+            _serve(settings, store, stop, scheduler)
             status = 0
         except Exception as error:
             _complain(error)
@@ -102,9 +104,9 @@ def _alone(stack: ExitStack, data: Path, stop: threading.Event) -> bool:
     return False
 
 
-def _serve(settings: ServiceSettings, store: Store, stop: threading.Event) -> None:
-    beside = threading.Thread(target=_beside, args=(settings, store, stop), daemon=True)
-    beside.start()
+def _serve(settings: ServiceSettings, store: Store, stop: threading.Event, scheduler: str) -> None:
+    threading.Thread(target=_beside, args=(settings, store, stop), daemon=True).start()
+    threading.Thread(target=_export, args=(settings, store, stop, scheduler), daemon=True).start()
     found = DBOS.list_workflows(status=list(UNDER_WAY), app_version=APPLICATION_VERSION, load_input=False)
     under_way = {"-".join(w.workflow_id.split("-")[:2]): DBOS.retrieve_workflow(w.workflow_id) for w in found}
     for job in store.running_jobs():
@@ -158,6 +160,12 @@ def _beside(settings: ServiceSettings, store: Store, stop: threading.Event) -> N
         if time.monotonic() - tidied > TIDY_EVERY_S:
             tidied = time.monotonic()
             _or_complain(tidy, settings, store)
+
+
+def _export(settings: ServiceSettings, store: Store, stop: threading.Event, scheduler: str) -> None:
+    """Exports that are asked for, one after the other, in a thread of their own: a large one takes minutes."""
+    while not stop.wait(EXPORT_POLL_S):
+        _or_complain(make_next_export, settings, store, scheduler)
 
 
 def _or_complain(what: Callable, *arguments) -> None:

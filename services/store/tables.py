@@ -78,6 +78,14 @@ ARTIFACTS = sa.Table(
     sa.Column("bytes", sa.BigInteger, nullable=False),
     sa.Column("sha256", sa.String(64), nullable=False),
 )
+EXPORTS = sa.Table(
+    "exports",
+    METADATA,
+    sa.Column("job", sa.ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
+    sa.Column("format", sa.String(20), primary_key=True),
+    sa.Column("requested", sa.Float, nullable=False),
+    sa.Column("problem", sa.JSON(none_as_null=True)),  # why it could not be made; None: it is wanted
+)
 UPLOADS = sa.Table(
     "uploads",
     METADATA,

@@ -88,6 +88,22 @@ def test_service__a_job_over_http_packs_the_bytes_of_compress_and_makes_every_ar
     assert {"ksvd-update", "render"} <= {e["data"]["stage"] for e in events if e["kind"] == "progress"}
 
 
+def test_service__a_worker_makes_exports_when_they_are_asked_for(served, uploaded, expected, tmp_path):
+    job = next(job["jobID"] for job in served.client.ls(status="successful"))
+    address = f"{served.url}/v1/jobs/{job}/artifacts"
+    first = httpx.get(address, params={"format": "spz"})
+    assert first.status_code == 202 and first.headers["retry-after"] == "1" and first.json() == {"artifacts": []}
+    made = served.client.export(job, "spz")
+    assert made["name"] == "exports/plane.spz"
+    assert made in served.client.artifacts(job) and served.client.export(job, "spz") == made
+    (tmp_path / "plane.splatpress").write_bytes(expected)
+    assert main(["export", str(tmp_path / "plane.splatpress"), "--to", "spz"]) == 0
+    fetched = served.client.fetch(job, tmp_path, [made["name"]])
+    assert fetched[0].read_bytes() == (tmp_path / "plane.spz").read_bytes()
+    said = " ".join(line["message"] for line in served.client.logs(job))
+    assert "export as spz:" in said and "export as spz loses textures of" in said
+
+
 def test_service__a_tradeoff_is_a_job_too(served, uploaded, tmp_path):
     job = served.client.submit(uploaded, process="tradeoff", preset="draft", options=OPTIONS, knobs={}, budget_s=0.01)[
         "jobID"
