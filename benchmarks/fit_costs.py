@@ -20,15 +20,12 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.catalogue import Task
 from pipeline.planning.costs import (
     BY_ATOMS,
     COSTS,
-    PHOTOS,
-    SAMPLE,
     SAMPLED,
-    SEED,
     TASKS,
-    TRAINING,
     Job,
     StageCost,
     halvings,
@@ -130,7 +127,7 @@ def _measured(name: str, row: dict) -> dict:
     here = np.ones(len(splats), bool)
     if _stage_of(name) == "ingest":
         here = splats == 0 if name == "photographs" else splats > 0
-    units = np.prod(_photographs(row)) if TASKS[name] == PHOTOS else _rows_of(name, row, splats)
+    units = np.prod(_photographs(row)) if TASKS[name] == Task.PHOTO else _rows_of(name, row, splats)
     once = 0.0 if name == "photographs" else row["seconds"][name] - (wall - compiling).sum() / row["workers"]
     return {
         "units": units,
@@ -146,9 +143,9 @@ def _measured(name: str, row: dict) -> dict:
 
 
 def _rows_of(name: str, row: dict, splats: np.ndarray) -> float:
-    if TASKS[name] == SAMPLE:
+    if TASKS[name] == Task.SAMPLE:
         return float(min(row["splats"], SAMPLED * BLOCK))
-    if TASKS[name] in (TRAINING, SEED):
+    if TASKS[name] in (Task.TRAINING, Task.ONCE):
         return float(sum(row["tasks"]["training-set"]["splats"]))
     return float(row["splats"])
 

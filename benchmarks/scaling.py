@@ -20,14 +20,13 @@ import numpy as np
 
 from benchmarks.patches import Silent
 from benchmarks.scans import resized
+from pipeline.catalogue import LEARNING
 from pipeline.execution.executors import DaskExecutor
 from pipeline.planning.probe import probe_seconds
 from pipeline.planning.settings import settings_for
 from services.processes.compress import compress
 from storage.packed.packed import SUFFIX, PackedFile
 from storage.work import work
-
-LEARNING = ("training-set", "components", "coefficients", "dictionary-seed", "ksvd-update", "quantise", "prices")
 
 
 def measure(

@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+from pipeline.catalogue import CATALOGUE, Phase, Task
 from pipeline.coding.ksvd import BLOCK as TRAINING_BLOCK
 from pipeline.execution.executors import MOST_A_CALL, calls_of
 from pipeline.execution.task import CALL_S
@@ -32,54 +33,25 @@ SAMPLED = 16  # blocks that effects are measured on
 KILO, SMALLEST = 1024, min(ATOM_SIZES)  # indices of atoms, and texels to a side of the smallest
 COSTS = Path(__file__).with_name("costs.json")
 
-# What a task of a stage is; the cost of a task is that of its units.
-BLOCKS, SCAN, TRAINING, SEED, GROUPS = "a block", "the scan", "a training block", "once", "groups"
-PHOTOS, BY_PHOTO, SAMPLE = "a photograph", "the splats of a photograph", "a block of a sample"
-TASKS = {
-    "ingest": SCAN,
-    "photographs": PHOTOS,
-    "partition": SCAN,
-    "neighbours": BLOCKS,
-    "splats": BLOCKS,
-    "nearest-points": BY_PHOTO,
-    "measure-effects": SAMPLE,
-    "cliplines": BLOCKS,
-    "exposure": PHOTOS,
-    "resample": BLOCKS,
-    "colors": BLOCKS,
-    "training-set": TRAINING,
-    "components": TRAINING,
-    "coefficients": TRAINING,
-    "dictionary-seed": SEED,
-    "ksvd-update": TRAINING,
-    "quantise": TRAINING,
-    "prices": TRAINING,
-    "encode": BLOCKS,
-    "pack": GROUPS,
-}
-BY_ATOMS = {
-    "dictionary-seed",
-    "ksvd-update",
-    "quantise",
-    "prices",
-    "encode",
-}  # whose costs go with the number of indices
-READS = {  # whose output a stage reads whole; the training set reads its own share of patches
-    "partition": ("ingest",),
-    "neighbours": ("partition",),
-    "splats": ("partition", "neighbours"),
-    "nearest-points": ("partition",),
-    "cliplines": ("splats", "nearest-points"),
-    "exposure": ("photographs",),
-    "resample": ("splats", "photographs"),
-    "components": ("training-set",),
-    "coefficients": ("training-set",),
-    "dictionary-seed": ("components", "coefficients"),
-    "ksvd-update": ("components", "coefficients"),
-    "quantise": ("components", "coefficients"),
-    "prices": ("components", "coefficients"),
-    "encode": ("resample",),
-    "pack": ("splats", "encode"),
+PHOTOGRAPHS = "photographs"  # the part of ingest that grows with them: a stage of its own to the model
+
+
+def _modelled() -> dict[str, Task]:
+    """What a task is, by stage, in the order of the catalogue."""
+    tasks: dict[str, Task] = {}
+    for entry in CATALOGUE:
+        if entry.phase != Phase.EVALUATION:
+            tasks[entry.name] = entry.task
+        if entry.name == "ingest":
+            tasks[PHOTOGRAPHS] = Task.PHOTO
+    return tasks
+
+
+TASKS = _modelled()
+BY_ATOMS = {entry.name for entry in CATALOGUE if entry.by_atoms}  # whose costs go with the number of indices
+READS = {entry.name: entry.reads for entry in CATALOGUE} | {  # the training set reads its own share of patches
+    "exposure": (PHOTOGRAPHS,),
+    "resample": ("splats", PHOTOGRAPHS),
 }
 
 
@@ -198,18 +170,23 @@ def halvings(units: float) -> int:
 
 def _units(name: str, job: Job) -> float:
     kind = TASKS[name]
-    if kind == PHOTOS:
+    if kind == Task.PHOTO:
         return job.n_photographs * job.megapixels
-    if kind == SAMPLE:
+    if kind == Task.SAMPLE:
         return min(job.n_splats, SAMPLED * BLOCK)
-    return min(job.training_splats, job.n_splats) if kind in (TRAINING, SEED) else job.n_splats
+    return min(job.training_splats, job.n_splats) if kind in (Task.TRAINING, Task.ONCE) else job.n_splats
 
 
 def _n_tasks(name: str, job: Job) -> int:
     kind = TASKS[name]
-    if kind in (PHOTOS, BY_PHOTO):
+    if kind in (Task.PHOTO, Task.BY_PHOTO):
         return job.n_photographs
-    rows = {BLOCKS: BLOCK, SAMPLE: BLOCK, GROUPS: PACK_BLOCK, TRAINING: TRAINING_BLOCK}.get(kind)
+    rows = {
+        Task.BLOCK: BLOCK,
+        Task.SAMPLE: BLOCK,
+        Task.GROUP: PACK_BLOCK,
+        Task.TRAINING: TRAINING_BLOCK,
+    }.get(kind)
     return 1 if rows is None else max(1, -(-int(_units(name, job)) // rows))
 
 
@@ -240,11 +217,11 @@ def first_limit(job: Job, plans: list[StagePlan], memory_bytes: float) -> tuple[
             "split the scan into jobs of a region each: the stage holds something of every splat",
         )
     total = sum(p.seconds for p in plans)
-    once = sum(p.once_s for p in plans) + sum(p.task_s for p in plans if TASKS[p.name] == SCAN)
+    once = sum(p.once_s for p in plans) + sum(p.task_s for p in plans if TASKS[p.name] == Task.SCAN)
     held_up = sum(
         p.dispatch_s for p in plans if p.dispatch_s > 0.9 * (p.seconds - p.once_s) and p.n_tasks > job.n_workers
     )
-    worst = max(plans, key=lambda p: p.once_s + (p.task_s if TASKS[p.name] == SCAN else 0))
+    worst = max(plans, key=lambda p: p.once_s + (p.task_s if TASKS[p.name] == Task.SCAN else 0))
     if held_up > total / 3:
         return "the scheduler: calls end faster than it hands them out", f"larger calls: more than {MOST_A_CALL} tasks"
     if once > total / 2:

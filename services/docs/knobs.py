@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pipeline.planning.knobs import KNOBS, VIEW_KNOBS, Knob
 from pipeline.planning.settings import DEFAULT_PRESET, PRESETS
+from services.docs.tables import table
 
 PATH = Path(__file__).resolve().parents[2] / "docs" / "KNOBS.md"
 _HEAD = """# Knobs: what trades accuracy for time and bytes
@@ -18,12 +19,12 @@ named stage again and those after it; with a work folder all before it are reuse
 
 def document() -> str:
     """The text of docs/KNOBS.md."""
-    knobs = _table(("knob", "what", "allowed", "buys", "costs", "runs again from"), map(_row, KNOBS))
+    knobs = table(("knob", "what", "allowed", "buys", "costs", "runs again from"), map(_row, KNOBS))
     names = [knob.name for knob in KNOBS if knob.name != "seed"]
-    presets = _table(
+    presets = table(
         ("preset", *names), ((_preset_name(p), *(_shown(getattr(s, n)) for n in names)) for p, s in PRESETS.items())
     )
-    views = _table(("knob", "what", "allowed", "buys", "costs"), (_row(knob)[:-1] for knob in VIEW_KNOBS))
+    views = table(("knob", "what", "allowed", "buys", "costs"), (_row(knob)[:-1] for knob in VIEW_KNOBS))
     return f"{_HEAD}\n## The table\n\n{knobs}\n## Presets\n\n{presets}\n## Of a picture\n\nArguments of `splatpress render`; no file changes.\n\n{views}"
 
 
@@ -45,11 +46,6 @@ def _shown(value) -> str:
         if isinstance(value, int)
         else str(value)
     )
-
-
-def _table(head: tuple[str, ...], rows) -> str:
-    lines = [head, ("---",) * len(head), *rows]
-    return "".join("| " + " | ".join(cells) + " |\n" for cells in lines)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+from pipeline.catalogue import RENDER
 from pipeline.execution.stage import StageRecord
 from renderer.evaluate.edges import draw_edges
 from renderer.report.report import build_report, write_report
@@ -41,13 +42,13 @@ def _views(run: Run, path: Path, photos: Path, out: Path) -> list[dict]:
     def on_view(n_done: int, n_views: int) -> None:
         nonlocal done
         if done == 0:
-            run.progress.begin("render", n_views)
-        run.progress.advance("render", n_done - done, 0)
+            run.progress.begin(RENDER, n_views)
+        run.progress.advance(RENDER, n_done - done, 0)
         done = n_done
 
-    run.progress.begin("render", 1)
+    run.progress.begin(RENDER, 1)
     views = run.draw(path, photos, out, on_view)
-    record = StageRecord("render", out, {}, time.perf_counter() - begun, 0, len(views), 0, False)
+    record = StageRecord(RENDER, out, {}, time.perf_counter() - begun, 0, len(views), 0, False)
     run.records.append(record)
     run.progress.end(record)
     return views

@@ -32,6 +32,7 @@ class Run:
     step: Callable[[Stage, Callable[[], StageRecord]], StageRecord] = _at_once
     draw: Callable[[Path, Path, Path, Callable[[int, int], None]], list[dict]] = previews_of
     paint: Callable = _here  # how other pictures are drawn: a function and its arguments
+    round: Callable[[int, int], None] = lambda index, n_rounds: None  # hears which point of a trade-off begins
     clock: Callable[[], float] = time.monotonic
     records: list[StageRecord] = field(default_factory=list)
 

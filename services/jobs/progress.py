@@ -5,32 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from pipeline.catalogue import RENDER
 from pipeline.execution.stage import StageRecord
+from pipeline.stages.texture.dictionary import KsvdUpdate
+from pipeline.stages.texture.training import TrainingSet
 from services.flow.textures import estimated_psnr_db
+from services.jobs.portion import Portion
 from services.store.store import Store
 
-# Shares of a whole job's time: fountain_p11, 329,992 points, preset balanced, two workers.
-SHARES = {
-    "ingest": 2,
-    "partition": 1,
-    "neighbours": 4,
-    "splats": 2,
-    "nearest-points": 1,
-    "measure-effects": 3,
-    "cliplines": 1,
-    "exposure": 1,
-    "resample": 9,
-    "colors": 1,
-    "training-set": 1,
-    "coefficients": 1,
-    "dictionary-seed": 1,
-    "ksvd-update": 12,
-    "quantise": 2,
-    "prices": 1,
-    "encode": 14,
-    "pack": 1,
-    "render": 30,
-}
 TELL_EVERY_S = 0.5
 FIRST_ESTIMATE = 3  # percent; before that a guess of the time left says nothing
 
@@ -38,14 +20,14 @@ FIRST_ESTIMATE = 3  # percent; before that a guess of the time left says nothing
 class JobProgress:
     """Hears of the stages (`pipeline.execution.stage.Progress`) and tells the store, at most every TELL_EVERY_S.
 
-    `check` is called whenever something happens, and raises once the job is no longer wanted.
+    `check` is called whenever something happens, and raises once the job is no longer wanted. `textured`: whether the
+    scan has photographs.
     """
 
-    def __init__(self, store: Store, job: dict, check: Callable[[], None]) -> None:
+    def __init__(self, store: Store, job: dict, check: Callable[[], None], textured: bool) -> None:
         self._store, self._id, self._attempt, self._check = store, job["id"], job["attempt"], check
-        self._iterations = job["settings"]["iterations"]
+        self._portion = Portion(job["settings"]["iterations"], textured)
         self._begun = self._told = time.monotonic()
-        self._done = 0.0
         self.stage, self._n_tasks, self._n_done, self._n_splats, self._stage_begun = "", 1, 0, 0, self._begun
         self._training: dict | None = None
         self._first: float | None = None  # percent when this attempt began: what earlier ones did took it no time
@@ -70,18 +52,15 @@ class JobProgress:
         self._store.log(self._id, "info", f"{record.name}: {how}")
         if not record.reused:
             self._store.count_stage(record.name, record.seconds, record.n_splats)
-        if record.name == "render":
+        if record.name == RENDER:
             self.passed(record)
 
     def passed(self, record: StageRecord) -> None:
         """A stage is done, now or by an earlier runner."""
-        share = SHARES.get(record.name, 1)
-        self._done += share / self._iterations if record.name == "ksvd-update" else share
-        if record.name == "quantise" and self.learning:  # passes that were not called for
-            self._done += SHARES["ksvd-update"] * max(0.0, 1 - len(self.learning) / self._iterations)
-        if record.name == "training-set":
+        self._portion.passed(record.name)
+        if record.name == TrainingSet.name:
             self._training = record.summary
-        if record.name == "ksvd-update":
+        if record.name == KsvdUpdate.name:
             self._psnr_db = estimated_psnr_db(self._training, record.summary)
             self.learning.append(
                 {
@@ -94,13 +73,13 @@ class JobProgress:
         self.stage, self._n_done = record.name, 0
         self._tell()
 
-    def _percent(self) -> float:
-        share = SHARES.get(self.stage, 1) / (self._iterations if self.stage == "ksvd-update" else 1)
-        return min(99.0, 100 * (self._done + share * min(1.0, self._n_done / self._n_tasks)) / sum(SHARES.values()))
+    def round(self, index: int, n_rounds: int) -> None:
+        """Point `index` of `n_rounds` of a trade-off begins."""
+        self._portion.round(index, n_rounds)
 
     def _tell(self) -> None:
         self._told = now = time.monotonic()
-        percent = self._percent()
+        percent = min(99.0, 100 * self._portion.at(self.stage, self._n_done / self._n_tasks))
         self._first = percent if self._first is None else self._first
         gone = percent - self._first
         left = (now - self._begun) * (100 - percent) / gone if gone >= FIRST_ESTIMATE else None

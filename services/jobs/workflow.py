@@ -14,9 +14,12 @@ from pathlib import Path
 from dbos import DBOS
 from sqlalchemy.exc import SQLAlchemyError
 
+from pipeline.catalogue import PICTURES, RENDER
 from pipeline.execution.calls import error_of_disk
 from pipeline.execution.stage import Stage, StageRecord
 from pipeline.planning.settings import Settings
+from pipeline.stages.points.ingest import Ingest
+from pipeline.stages.texture.dictionary import KsvdUpdate
 from services.flow.previews import previews_of
 from services.flow.run import Run
 from services.flow.stage_lock import stage_lock
@@ -97,7 +100,8 @@ class JobRunner:
 
     def _make(self, job: dict, out: Path) -> None:
         check = self._check_of(job)
-        progress = JobProgress(self.store, job, check)
+        n_cameras = self.store.scan(job["scan"])["header"]["cameras"]["count"]
+        progress = JobProgress(self.store, job, check, textured=bool(n_cameras))
         work = work_folder(self.settings, job["scan"])
         work.mkdir(parents=True, exist_ok=True)
         scan = scan_path(self.settings, self.store.scan(job["scan"]))
@@ -114,11 +118,11 @@ class JobRunner:
 
             record = DBOS.run_step({"name": stage.name}, bring_about)
             progress.passed(record)
-            if stage.name == "ingest":
+            if stage.name == Ingest.name:
                 self.store.note_of_scan(
                     job["scan"], bounds={"min": record.summary["low"], "max": record.summary["high"]}
                 )
-            if stage.name == "ksvd-update":
+            if stage.name == KsvdUpdate.name:
                 write_json(out / LEARNING, progress.learning)
             return record
 
@@ -128,20 +132,20 @@ class JobRunner:
             def count() -> None:
                 done = len(list(previews.glob("*.packed.png"))) if previews.is_dir() else 0
                 if done:
-                    on_view(done, max(done, min(12, job_views or done)))
+                    on_view(done, max(done, min(12, n_views or done)))
 
             def on_gl_worker() -> list[dict]:
                 check_room(self.settings, "render")
-                return link.call("render", previews_of, packed, ingest, folder, resources=GL, meanwhile=count)
+                return link.call(RENDER, previews_of, packed, ingest, folder, resources=GL, meanwhile=count)
 
-            job_views = self.store.scan(job["scan"])["header"]["cameras"]["count"] or 4
-            return DBOS.run_step({"name": "render"}, on_gl_worker)
+            n_views = n_cameras or 4
+            return DBOS.run_step({"name": RENDER}, on_gl_worker)
 
         def paint(function: Callable, *arguments):
-            check_room(self.settings, "pictures")
-            return DBOS.run_step({"name": "pictures"}, lambda: link.call("render", function, *arguments, resources=GL))
+            check_room(self.settings, PICTURES)
+            return DBOS.run_step({"name": PICTURES}, lambda: link.call(RENDER, function, *arguments, resources=GL))
 
-        run.step, run.draw, run.paint = step, draw, paint
+        run.step, run.draw, run.paint, run.round = step, draw, paint, progress.round
         run.clock = lambda: DBOS.run_step(
             {"name": "clock"}, time.time
         )  # what depends on it must come out the same again

@@ -20,6 +20,8 @@ from pipeline.coding.grid import TURNS, AtomForm
 from pipeline.execution.stage import Executor, Progress, Stage, StageRecord
 from pipeline.planning.settings import Settings
 from pipeline.stages.points.sampled import Sampled
+from pipeline.stages.texture.dictionary import KsvdUpdate
+from pipeline.stages.texture.encode import Encode
 from pipeline.stages.texture.prices import Prices, least_price, price_for
 from pipeline.stages.texture.resample import Resample
 from pipeline.stages.texture.strata import shares
@@ -222,7 +224,7 @@ def _learning(pilot: _Pilot, settings: Settings) -> dict:
     """Patches and atoms of the job's learning, and of the pilot's."""
     if pilot.coded is None or pilot.coded.quantized is None:
         return {}
-    training = next(record for _, record in pilot.stages if record.name == "training-set").summary
+    training = next(record for _, record in pilot.stages if record.name == TrainingSet.name).summary
     n_active = training["n_active"] / pilot.share
     n_patches = min(settings.training_splats, n_active)
     found = pilot.coded.quantized.summary
@@ -265,11 +267,11 @@ def _stage_seconds(
     if hasattr(stage, "training") or stage.name == TrainingSet.name:
         n_patches = min(learning.get("n_patches", 0), getattr(stage, "most_patches", np.inf))
         factor = n_patches / record.n_splats if learning and record.n_splats else 1.0
-        passes = _passes(pilot, settings) if record.name == "ksvd-update" else 1
+        passes = _passes(pilot, settings) if record.name == KsvdUpdate.name else 1
         return passes * atoms * (
             once + _shared(busy * factor, len(tasks) * factor, pilot.n_workers)
         ), passes * atoms * used * factor
-    atoms = atoms if record.name == "encode" else 1.0
+    atoms = atoms if record.name == Encode.name else 1.0
     return once + _shared(
         busy * atoms / pilot.share, len(tasks) / pilot.share, pilot.n_workers
     ), used * atoms / pilot.share

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 
+from pipeline.catalogue import Task
 from pipeline.coding.grid import TURNS, AtomForm
 from pipeline.planning.costs import (
-    BLOCKS,
     TASKS,
     Job,
     StageCost,
@@ -85,7 +85,7 @@ def _totals(stages: list[StagePlan]) -> dict:
         "seconds": seconds,
         "tasks": sum(s.n_tasks for s in stages),
         "scheduler_share": max(
-            (s.dispatch_s / s.seconds for s in stages if s.seconds and TASKS[s.name] == BLOCKS), default=0.0
+            (s.dispatch_s / s.seconds for s in stages if s.seconds and TASKS[s.name] == Task.BLOCK), default=0.0
         ),
         "alone_share": sum(s.once_s for s in stages) / seconds,
         "read_bytes": sum(s.read_bytes for s in stages),

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from pipeline.catalogue import PICTURES
 from pipeline.execution.stage import Executor, Progress, StageRecord
 from pipeline.numerics.accuracy import BEST_DB
 from pipeline.planning.knobs import BY_NAME, KNOBS
@@ -133,13 +134,16 @@ def measure_ladder(
     folder = out / "packed"
     folder.mkdir(exist_ok=True)
     points, skipped, last, photos = [], [], 0.0, None
-    for step in ladder(settings, default_knobs() if knobs is None else knobs):
+    steps = ladder(settings, default_knobs() if knobs is None else knobs)
+    for i, step in enumerate(steps):
         if points and run.clock() - begun + last > budget_s:
             skipped.append({"key": step.key, "command": step.command})
             continue
+        run.round(i, len(steps) + 1)  # the pictures are one more
         point, photos = _point(run, scan, step, folder)
         points.append(point)
         last = point.pop("_own_seconds")
+    run.round(len(steps), len(steps) + 1)
     pictures = _pictures(run, points, photos, out) if render else []
     document = summarised(
         {
@@ -211,15 +215,15 @@ def _shown(psnr_db: float | None) -> float:
 def _pictures(run: Run, points: list[dict], photographs: Path, out: Path) -> list[dict]:
     """Close-ups of every point, and the time that a frame of it takes, into the points."""
     begun = time.perf_counter()
-    run.progress.begin("pictures", 2)
+    run.progress.begin(PICTURES, 2)
     variants = [Variant(point["key"], point["_packed"]) for point in points]
     photos = Variant("photographs", points[0]["_packed"], photographs)
     close_ups = run.paint(draw_close_ups, [photos, *variants], points[0]["_packed"], photographs, out, SPOTS)
-    run.progress.advance("pictures", 1, 0)
+    run.progress.advance(PICTURES, 1, 0)
     for point, timed in zip(points, run.paint(time_passes, variants), strict=True):
         point["frame_seconds"] = sum(timed["seconds"].values())
         point["device"] = timed["device"]
-    run.progress.end(StageRecord("pictures", out, {}, time.perf_counter() - begun, 0, 2, 0, False))
+    run.progress.end(StageRecord(PICTURES, out, {}, time.perf_counter() - begun, 0, 2, 0, False))
     return close_ups
 
 

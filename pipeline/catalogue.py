@@ -1,0 +1,174 @@
+"""The pipeline as one declaration: every stage in the order in which a scan meets it.
+
+Order, progress, costs, estimates and the table of docs/PIPELINE.md come out of this table; what a stage does stands in
+its own file. `tests/pipeline/test_catalogue.py` holds that every stage stands here under its name, and nothing else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Task(StrEnum):
+    """What a task of a stage is; the cost of a task is that of its units (splats, training patches, pixels)."""
+
+    SCAN = "the scan"
+    BLOCK = "a block of 16,384 splats"
+    GROUP = "65,536 splats"
+    SAMPLE = "one of at most 16 blocks"
+    PHOTO = "a photograph"
+    BY_PHOTO = "the splats of a photograph"
+    TRAINING = "a training block of about 4,096 patches"
+    ONCE = "all of the training set"
+
+
+class Phase(StrEnum):
+    """Which part of a job a stage belongs to."""
+
+    POINTS = "points"
+    EFFECTS = "effects"
+    TEXTURE = "texture"
+    LEARNING = "learning"  # its cost is fixed by knobs, not by the scan
+    FILE = "file"
+    EVALUATION = "evaluation"  # run by `evaluate`, `estimate` and `report` alone
+
+
+@dataclass(frozen=True)
+class StageEntry:
+    """A row. `share` is of a whole job's time in percent: fountain_p11, 329,992 points, preset balanced, two workers."""
+
+    name: str
+    file: str  # below pipeline/
+    phase: Phase
+    task: Task
+    makes: str
+    reads: tuple[str, ...] = ()  # stages whose output it reads whole
+    share: float = 1.0
+    when: str = ""  # not every scan, or job, has it
+    by_atoms: bool = False  # its cost grows with the number of atoms, in all their turns
+
+
+_LEARNT_FROM = ("components", "coefficients")
+
+CATALOGUE = (
+    StageEntry(
+        "ingest", "stages/points/ingest.py", Phase.POINTS, Task.SCAN,
+        "points and photographs as arrays; the 8 sharpest cameras of each point", share=2,
+    ),
+    StageEntry(
+        "partition", "stages/points/partition.py", Phase.POINTS, Task.SCAN,
+        "points in chunk order: median split, out of core", ("ingest",), share=1,
+    ),
+    StageEntry(
+        "neighbours", "stages/points/neighbours.py", Phase.POINTS, Task.BLOCK,
+        "spacing; normals where there are none", ("partition",), share=4,
+    ),
+    StageEntry(
+        "sampled", "stages/points/sampled.py", Phase.EVALUATION, Task.BLOCK,
+        "whole chunks, spread over the scan: what a pilot is run on", ("partition",), when="`estimate`",
+    ),
+    StageEntry(
+        "depth-maps", "stages/points/depth_maps.py", Phase.POINTS, Task.PHOTO,
+        "a depth map of each camera", ("partition",), share=2, when="photographs without visibility lists",
+    ),
+    StageEntry(
+        "splats", "stages/points/splats.py", Phase.POINTS, Task.BLOCK,
+        "quantised geometry, camera, colour; once more where ellipsoids are on", ("partition", "neighbours"), share=2,
+    ),
+    StageEntry(
+        "nearest-points", "effects/cliplines/nearest.py", Phase.EFFECTS, Task.BY_PHOTO,
+        "the nearest point in each cell of each eye", ("partition",), when="cliplines may be called for",
+    ),
+    StageEntry(
+        "measure-effects", "stages/points/measure_effects.py", Phase.EFFECTS, Task.SAMPLE,
+        "what the scan calls for, see EFFECTS.md", share=3,
+    ),
+    StageEntry(
+        "ellipsoids", "effects/ellipsoids/stage.py", Phase.EFFECTS, Task.BLOCK,
+        "which splats are thin, with centre and axes", ("partition", "splats"), share=4, when="the plan has them on",
+    ),
+    StageEntry(
+        "cliplines", "effects/cliplines/stage.py", Phase.EFFECTS, Task.BLOCK,
+        "a line for each splat that reaches over an edge", ("splats", "nearest-points"), when="the plan has them on",
+    ),
+    StageEntry(
+        "exposure", "effects/exposure/stage.py", Phase.EFFECTS, Task.PHOTO,
+        "photographs in one light", ("ingest",), when="the plan has it on",
+    ),
+    StageEntry(
+        "resample", "stages/texture/resample.py", Phase.TEXTURE, Task.BLOCK,
+        "32x32 patches in the frame of the decoded geometry", ("splats", "ingest"), share=9, when="photographs",
+    ),
+    StageEntry(
+        "colors", "stages/texture/colors.py", Phase.TEXTURE, Task.BLOCK,
+        "average colours as the file has them: in boxes of their chunks, or in bytes", when="photographs",
+    ),
+    StageEntry(
+        "patch-sample", "stages/texture/patch_sample.py", Phase.EVALUATION, Task.BLOCK,
+        "patches chosen by hash, for Figure 9", ("resample",), when="`evaluate`",
+    ),
+    StageEntry(
+        "training-set", "stages/texture/training.py", Phase.LEARNING, Task.TRAINING,
+        "patches that an average colour does not settle, chosen by hash within octaves of contrast", when="photographs",
+    ),
+    StageEntry(
+        "components", "stages/texture/training.py", Phase.LEARNING, Task.TRAINING,
+        "the training set in its principal components", ("training-set",), when="coder `paper`",
+    ),
+    StageEntry(
+        "coefficients", "stages/texture/training.py", Phase.LEARNING, Task.TRAINING,
+        "the training set as coefficients of what atoms of a size can show", ("training-set",), when="coder `default`",
+    ),
+    StageEntry(
+        "dictionary-seed", "stages/texture/dictionary.py", Phase.LEARNING, Task.ONCE,
+        "the first dictionary", _LEARNT_FROM, when="photographs", by_atoms=True,
+    ),
+    StageEntry(
+        "ksvd-update", "stages/texture/dictionary.py", Phase.LEARNING, Task.TRAINING,
+        "the dictionary after an iteration; a stage an iteration", _LEARNT_FROM, share=12, when="photographs",
+        by_atoms=True,
+    ),
+    StageEntry(
+        "quantise", "stages/texture/quantise.py", Phase.LEARNING, Task.TRAINING,
+        "atoms in bytes with mip levels, weight levels", _LEARNT_FROM, share=2, when="photographs", by_atoms=True,
+    ),
+    StageEntry(
+        "prices", "stages/texture/prices.py", Phase.LEARNING, Task.TRAINING,
+        "error and atoms of a sample at eight Lagrange multipliers", _LEARNT_FROM, when="photographs", by_atoms=True,
+    ),
+    StageEntry(
+        "encode", "stages/texture/encode.py", Phase.TEXTURE, Task.BLOCK,
+        "codes, and what they lose", ("resample",), share=14, when="photographs", by_atoms=True,
+    ),
+    StageEntry(
+        "pack", "stages/packed/pack.py", Phase.FILE, Task.GROUP, "the packed file", ("splats", "encode"),
+    ),
+    StageEntry(
+        "measure", "stages/packed/measure.py", Phase.EVALUATION, Task.BLOCK,
+        "a packed file decoded, and compared with its photographs", ("ingest",), when="`report`",
+    ),
+    StageEntry(
+        "photo-variant", "stages/texture/photo_variants.py", Phase.EVALUATION, Task.PHOTO,
+        "photographs as BC7, BC1, JPEG, WebP and AVIF leave them", ("ingest",), when="`evaluate`",
+    ),
+    StageEntry(
+        "variant-errors", "stages/texture/photo_variants.py", Phase.EVALUATION, Task.BLOCK,
+        "what that costs the patches", ("resample", "photo-variant"), when="`evaluate`",
+    ),
+)  # fmt: skip
+BY_NAME = {entry.name: entry for entry in CATALOGUE}
+LEARNING = tuple(entry.name for entry in CATALOGUE if entry.phase == Phase.LEARNING)
+
+RENDER, PICTURES = "render", "pictures"  # what is heard as a stage, and drawn by a render worker
+SHARES = {entry.name: entry.share for entry in CATALOGUE} | {RENDER: 30.0, PICTURES: 2.0}
+ALWAYS = frozenset(entry.name for entry in CATALOGUE if not entry.when) | {RENDER}  # in every job that draws
+
+
+def common_share(textured: bool) -> float:
+    """The summed shares of what every job has, with photographs or without."""
+    return sum(
+        SHARES[name]
+        for name in SHARES
+        if name in ALWAYS or (textured and name in BY_NAME and BY_NAME[name].when == "photographs")
+    )
