@@ -166,6 +166,7 @@ def test_structure__a_file_holds_one_idea():
     allowed = {
         "pipeline/coding/omp_kernels.py": "kernels, each kept whole",
         "pipeline/coding/certified_kernels.py": "kernels, each kept whole",
+        "pipeline/effects/ellipsoids/decision.py": "kernels, each kept whole",
         "pipeline/planning/knobs.py": "a table",
         "services/store/store.py": "all changes of a job's state, to be read beside each other",
         "services/cli/main.py": "the commands and their options",

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from pipeline.execution.compiled import kernel, part
+from pipeline.numerics.hashing import BY_SEED, STEP, mixed
 from storage.packed.schema import PATCH_SIZE
 
 PATCH_DIM = 3 * PATCH_SIZE * PATCH_SIZE
@@ -199,11 +200,8 @@ def _resample(pixels, left, top, homography, patches, rows, antialiased):
 @kernel()
 def _uniform(state):
     """The next state of a splitmix64 stream and a number in [0, 1) (Steele et al. 2014)."""
-    state = state + np.uint64(0x9E3779B97F4A7C15)
-    z = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
-    return state, np.float64(z >> np.uint64(11)) / 9007199254740992.0
+    state = state + STEP
+    return state, np.float64(mixed(state) >> np.uint64(11)) / 9007199254740992.0
 
 
 @kernel()
@@ -211,7 +209,7 @@ def _probe(pixels, left, top, homography, patches, rows, first_splat, error):
     last_x, last_y = pixels.shape[1] - 2.0, pixels.shape[0] - 2.0
     for i in range(homography.shape[0]):
         h = homography[i]
-        state = np.uint64(first_splat + rows[i]) * np.uint64(0xD1342543DE82EF95)
+        state = np.uint64(first_splat + rows[i]) * BY_SEED
         error[i] = 0.0
         for _ in range(PROBES):
             state, a = _uniform(state)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.numerics import accuracy
 from pipeline.stages.packed.measure import SplatErrors, splat_errors
 from renderer.evaluate.compare import flip, psnr_db, ssim
 from renderer.evaluate.previews import WARM_UP_PX, even_choice, limited_view
@@ -64,7 +65,7 @@ def draw_close_ups(
         {
             "why": spot.why,
             "camera": cameras[spot.camera].name,
-            "texture_psnr_db": psnr_of(spot.error),
+            "texture_psnr_db": accuracy.psnr_db(spot.error, 1),
             "pictures": {},
             "figures": {},
         }
@@ -119,10 +120,6 @@ def time_passes(variants: Sequence[Variant]) -> list[dict]:
         }
         for name, turns in seconds.items()
     ]
-
-
-def psnr_of(error: float) -> float | None:
-    return float(-10 * np.log10(error)) if error > 0 else None
 
 
 def choose_spots(packed: Path, ingest: Path) -> list[_Spot]:

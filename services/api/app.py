@@ -15,6 +15,7 @@ from services.api.limits import MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyGuard, G
 from services.problems import RESOURCE, Problem, is_of_database, mistake
 from services.settings import ServiceSettings
 from services.store.store import Store
+from storage.version import VERSION
 
 PROBLEM_JSON = "application/problem+json"
 _PROBLEM = {
@@ -48,7 +49,7 @@ _SECURITY = {
 def create_app(settings: ServiceSettings) -> FastAPI:
     app = FastAPI(
         title="splatpress",
-        version="1",
+        version=VERSION,
         docs_url=None,
         redoc_url=None,
         openapi_url="/v1/openapi.json",

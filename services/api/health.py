@@ -10,6 +10,7 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 
 from services.api.context import Database, Owner, Settings
 from services.jobs.heartbeat import runner_age_s
+from storage.version import VERSION
 
 router = APIRouter(tags=["health"])
 RUNNER_AGE_S = 30.0
@@ -17,8 +18,8 @@ RUNNER_AGE_S = 30.0
 
 @router.get("/healthz")
 def get_healthz() -> dict:
-    """This process answers."""
-    return {"status": "ok"}
+    """This process answers, of this version."""
+    return {"status": "ok", "version": VERSION}
 
 
 @router.get("/readyz", responses={503: {"description": "not yet"}})

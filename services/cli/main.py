@@ -17,6 +17,7 @@ from services.cli.arguments import WrongArgument, add_preset, add_settings, add_
 from services.cli.exports import add_export
 from services.cli.service import add_service_verbs
 from storage.errors import SplatpressError
+from storage.version import VERSION
 
 OK, ARGUMENTS, INPUT_OUTPUT, INVALID_INPUT, INTERNAL, GATE_MISSED, INTERRUPTED = 0, 1, 2, 3, 4, 7, 130
 
@@ -434,6 +435,7 @@ def _direction(text: str) -> tuple[float, float, float]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="splatpress", description="Turns textured scans into small packed files that a GPU renders.")
+    parser.add_argument("--version", action="version", version=f"splatpress {VERSION}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
     _add_compress(commands)
     inspect = commands.add_parser("inspect", help="what a scan or a packed file is, and what is wrong with it")

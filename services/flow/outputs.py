@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import shutil
+import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,6 +84,19 @@ def stage_row(record: StageRecord) -> dict:
         "tasks": record.n_tasks,
         "reused": record.reused,
     }
+
+
+@contextmanager
+def placed_whole(out: Path) -> Iterator[Path]:
+    """A folder beside `out` to make things in, which becomes `out` at the end; where making fails nothing is left, and
+    an older `out` stays."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    made = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    try:
+        yield made
+        put_in_place(made, out)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
 
 
 def put_in_place(made: Path, out: Path) -> None:

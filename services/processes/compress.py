@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 from dataclasses import asdict
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from renderer.report.report import sizes_of
 from services.flow.budget import check_budget
 from services.flow.code import code
 from services.flow.estimate_cache import against, known_estimate
-from services.flow.outputs import put_in_place, write_outputs
+from services.flow.outputs import placed_whole, write_outputs
 from services.flow.pack import pack, packed_gpu_bytes
 from services.flow.prepare import Prepared, is_textured, prepare
 from services.flow.run import Run
@@ -36,17 +35,12 @@ def compress(
     `out` appears with all of it, or not at all. With `work` the outputs of the stages stay there and are used again;
     else they are thrown away.
     """
-    out.parent.mkdir(parents=True, exist_ok=True)
-    made = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    try:
+    with placed_whole(out) as made:
         run = Run(work or made / "work", executor, progress)
         report = make(run, scan, settings, made, render)
         if work is None:
             shutil.rmtree(made / "work")
-        put_in_place(made, out)
-        return report
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
+    return report
 
 
 def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = True) -> dict:

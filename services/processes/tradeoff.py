@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shutil
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -19,7 +18,7 @@ from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
 from renderer.report.report import sizes_of
 from renderer.report.tradeoff_page import summarised, write_tradeoff
 from services.flow.code import code_prepared, resample
-from services.flow.outputs import put_in_place
+from services.flow.outputs import placed_whole
 from services.flow.pack import pack
 from services.flow.prepare import is_textured, prepare
 from services.flow.run import Run
@@ -105,16 +104,11 @@ def tradeoff(
 
     `out` appears with all of it, or not at all. Stages that a change does not touch run once.
     """
-    out.parent.mkdir(parents=True, exist_ok=True)
-    made = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    try:
+    with placed_whole(out) as made:
         run = Run(work or made / "work", executor, progress)
         document = measure_ladder(run, scan, made, settings, knobs, budget_s, render)
         shutil.rmtree(made / "work", ignore_errors=True)
-        put_in_place(made, out)
-        return document
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
+    return document
 
 
 def measure_ladder(

@@ -7,7 +7,6 @@ one process.
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import zipfile
 from collections.abc import Iterator
@@ -40,6 +39,7 @@ from storage.packed.layout import (
 from storage.packed.scene import PackedScene, check_tables, streams_of
 from storage.packed.schema import BY_NAME, GROUP, Array, Header, arrays_of, color_bits
 from storage.packed.seal import UNSEALED, check_seal, is_packed_file, write_seal
+from storage.whole import whole
 
 __all__ = [
     "GROUPS_PER_ZARR_CHUNK",
@@ -102,16 +102,12 @@ def seal_packed(folder: Path, path: Path) -> None:
     killed task, stays out.
     """
     members = _finished_members(folder)
-    partial = path.with_name(path.name + ".partial")
-    try:
+    with whole(path) as partial:
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
             for member in members:
                 _add_member(archive, folder, member)
             archive.comment = UNSEALED
         write_seal(partial)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _finished_members(folder: Path) -> list[str]:

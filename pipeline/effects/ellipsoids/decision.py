@@ -27,6 +27,7 @@ import numpy as np
 from pipeline.effects.ellipsoids.fit import moments, principal_axes
 from pipeline.effects.ellipsoids.neighbourhoods import LEAST_AFTER_OUTLIERS, OUTLIER_REACHES, Neighbourhood, gather
 from pipeline.execution.compiled import kernel
+from pipeline.numerics.hashing import FIRST, STEP
 
 # Lengths in splat radii, angles in radians. Tuned on the room of tests/thin_scene.py, seeds 0 to 2, with noise of
 # 0.05 to 0.23 radii; the test measures other seeds.
@@ -201,8 +202,8 @@ def _best_arcs(offset, count, tolerance, enough):
 @kernel()
 def _three(hypothesis, count):
     """Three members, by a fixed hash, so that equal neighbourhoods are decided equally."""
-    state = np.uint64(hypothesis + 1) * np.uint64(0x9E3779B97F4A7C15)
-    state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    state = np.uint64(hypothesis + 1) * STEP
+    state = (state ^ (state >> np.uint64(30))) * FIRST
     n = np.uint64(count)
     return (
         np.int64((state >> np.uint64(4)) % n),

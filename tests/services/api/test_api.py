@@ -30,6 +30,7 @@ from services.settings import settings_from
 from services.store.store import RUNNING
 from services.uploads.first_bytes import Look, look
 from services.uploads.validation import validated_header
+from storage.version import VERSION
 from tests.pipeline.readers.workspace import write_ply
 from tests.services.scans import photo_scan, point_scan
 
@@ -625,7 +626,7 @@ def test_api__options_and_presets_are_those_of_the_command_line(api):
 
 
 def test_api__health_and_metrics(api, scan):
-    assert api.get("/healthz").json() == {"status": "ok"}
+    assert api.get("/healthz").json() == {"status": "ok", "version": VERSION}
     ready = api.get("/readyz")
     assert ready.status_code == 503 and ready.json()["checks"] == {"database": True, "disk": True, "runner": False}
     text = api.get("/metrics").text
