@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pipeline.coding.beam import pursue_beam
 from pipeline.coding.certified import (
     MOST_WITH_GRAM,
     ShortDictionary,
@@ -27,6 +28,14 @@ from pipeline.execution.threads import available_cores, run_all
 ROWS = 512  # patches a GEMM: 512 x 4096 correlations are 8 MiB, near the second-level cache
 NO_LEVELS = np.empty((0, 0))
 SEARCHES = ("exact", "certified", "approximate")
+PURSUITS = {
+    "omp": (0, 1),
+    "ormp": (1, 1),
+    "1x4": (1, 4),
+    "2x2": (2, 2),
+    "4x4": (4, 4),
+    "8x4": (8, 4),
+}  # width of the beam, candidates
 
 
 @dataclass(frozen=True)
@@ -94,21 +103,21 @@ def sparse_encode(
     price: float = 0.0,
     weight_levels: np.ndarray | None = None,  # (max_atoms or more, n_levels), ascending rows
     search: str = "exact",
+    pursuit: str = "omp",
     n_threads: int | None = None,
 ) -> Codes:
     """Code each patch by at most `max_atoms` atoms; returns `(atom_index, weight, n_atoms)`.
 
     A patch is done when its squared residual norm is at most `tolerance` (one number, or one a patch; in the units of
-    the patches squared, as scikit-learn's `tol` and SPAMS' `eps`), or when a further atom would lower it by no more
-    than `price`: one price for all patches spends atoms where they mend most. With `weight_levels` every weight of rank
-    j is one of row j, chosen inside the loop: the next atom sees what the rounding left.
+    the patches squared, as scikit-learn's `tol` and SPAMS' `eps`), or when a further atom would lower it by no more than
+    `price`: one price for all patches spends atoms where they mend most. With `weight_levels` every weight of rank j is one
+    of row j, chosen inside the loop: the next atom sees what the rounding left.
 
     `search` is how the atom of largest correlation is found: "exact" by all products; "certified" by short products
     that prove most atoms smaller, and products of full width with the few others: the same atoms, but where two
     correlations differ by less than float32's rounding; "approximate" by short products alone: an atom may be taken
     whose correlation is below the largest by the share of the patch (beyond 16,384 atoms, of the residual) outside the
-    components times those of both atoms, while weights stay those of the full patches. `n_threads` None takes all
-    cores.
+    components times those of both atoms, while weights stay those of the full patches. `n_threads` None takes all cores.
 
     Guarantees: no atom twice in a support; the residual never rises with an atom; exact weights are the least squares
     of their support; scaling a patch (and its tolerance, by the square) scales its weights; the result of a patch
@@ -131,6 +140,7 @@ def sparse_encode(
         price=price,
         weight_levels=weight_levels,
         search=search,
+        pursuit=pursuit,
         n_threads=available_cores() if n_threads is None else n_threads,
     ).codes
 
@@ -144,6 +154,7 @@ def pursue_patches(
     price: float = 0.0,
     weight_levels: np.ndarray | None = None,
     search: str = "exact",
+    pursuit: str = "omp",
     n_threads: int = 1,
 ) -> Pursuit:
     """`sparse_encode`, with all that the pursuit found out."""
@@ -161,6 +172,7 @@ def pursue_patches(
     tolerance = np.broadcast_to(np.asarray(tolerance, np.float64), (n,))
     in_components = isinstance(dictionary, ShortDictionary)
     certify = search == "certified"
+    width, candidates = PURSUITS[pursuit]
     step = rows_at_a_time(dictionary) if in_components else dictionary.rows
 
     def pursue_block(start: int) -> None:
@@ -187,7 +199,7 @@ def pursue_patches(
                 rows, energy, dictionary, certify and len(dictionary.basis) > 0, tolerance[todo], price, levels, *found
             )
         else:
-            pursue(
+            inputs = (
                 rows,
                 dictionary.dictionary,
                 *dictionary.products(rows, energy),
@@ -199,8 +211,11 @@ def pursue_patches(
                 tolerance[todo],
                 price,
                 levels,
-                *found,
             )
+            if width:
+                pursue_beam(*inputs, width, candidates, *found)
+            else:
+                pursue(*inputs, *found)
             if isinstance(dictionary, TurnedDictionary):
                 found[0][:] = dictionary.numbers(found[0])
         for whole, rows_found in zip((codes.atom_index, codes.weight, weight_code, codes.n_atoms, path), found):
