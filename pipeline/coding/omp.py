@@ -11,7 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.coding.beam import pursue_beam
+from pipeline.coding.beam import by_steps
+from pipeline.coding.beam.by_gram import pursue_beam
+from pipeline.coding.beam.form import beam_of
 from pipeline.coding.certified import (
     MOST_WITH_GRAM,
     ShortDictionary,
@@ -28,14 +30,6 @@ from pipeline.execution.threads import available_cores, run_all
 ROWS = 512  # patches a GEMM: 512 x 4096 correlations are 8 MiB, near the second-level cache
 NO_LEVELS = np.empty((0, 0))
 SEARCHES = ("exact", "certified", "approximate")
-PURSUITS = {
-    "omp": (0, 1),
-    "ormp": (1, 1),
-    "1x4": (1, 4),
-    "2x2": (2, 2),
-    "4x4": (4, 4),
-    "8x4": (8, 4),
-}  # width of the beam, candidates
 
 
 @dataclass(frozen=True)
@@ -119,13 +113,18 @@ def sparse_encode(
     whose correlation is below the largest by the share of the patch (beyond 16,384 atoms, of the residual) outside the
     components times those of both atoms, while weights stay those of the full patches. `n_threads` None takes all cores.
 
+    `pursuit` is which atom is the best: "omp", that of largest correlation with the residual; "ormp" (order-recursive, as
+    SPAMS' `omp`), the one that leaves least once all weights are fitted again; a beam "WxC" follows W supports at a
+    time, tries each with the C best atoms by that rule, and keeps those that leave least with their weights as they are quantised.
+    With levels, "ormp" alone is the worse: it does not see what rounding left. Beyond 16,384 atoms only "omp" takes short products.
+
     Guarantees: no atom twice in a support; the residual never rises with an atom; exact weights are the least squares
     of their support; scaling a patch (and its tolerance, by the square) scales its weights; the result of a patch
     does not depend on threads, nor, but for the rounding of BLAS products of another size, on the other patches. Inputs
     may be read-only, strided or float64. Beyond 16,384 atoms no k x k matrix is made.
 
     Raises ValueError: shapes that do not fit, more atoms asked than exist, rows that are not unit vectors, values that
-    are not finite, a search there is not.
+    are not finite, a search or a pursuit there is not.
 
     >>> atoms = np.eye(4, dtype=np.float32)
     >>> codes = sparse_encode(np.array([[0, 3, 0, -1]]), atoms, max_atoms=2)
@@ -164,7 +163,7 @@ def pursue_patches(
         dictionary = ready_for(search, _checked(dictionary))
     elif search == "exact":
         dictionary = by_whole_products(dictionary)
-    patches = _fitting(patches, dictionary.dictionary, max_atoms)
+    patches, beam = _fitting(patches, dictionary.dictionary, max_atoms), beam_of(pursuit)
     levels = NO_LEVELS if weight_levels is None else np.ascontiguousarray(weight_levels, np.float64)
     n = len(patches)
     codes = Codes(np.zeros((n, max_atoms), np.int32), np.zeros((n, max_atoms), np.float32), np.zeros(n, np.int32))
@@ -172,8 +171,10 @@ def pursue_patches(
     tolerance = np.broadcast_to(np.asarray(tolerance, np.float64), (n,))
     in_components = isinstance(dictionary, ShortDictionary)
     certify = search == "certified"
-    width, candidates = PURSUITS[pursuit]
-    step = rows_at_a_time(dictionary) if in_components else dictionary.rows
+    if beam and in_components:
+        step = by_steps.rows_at_a_time(len(dictionary.dictionary), beam.width)
+    else:
+        step = rows_at_a_time(dictionary) if in_components else dictionary.rows
 
     def pursue_block(start: int) -> None:
         part = slice(start, start + step)
@@ -194,28 +195,24 @@ def pursue_patches(
             np.zeros(len(todo), np.int32),
             np.zeros((len(todo), max_atoms + 1)),
         )
-        if in_components:
-            pursue_rows(
-                rows, energy, dictionary, certify and len(dictionary.basis) > 0, tolerance[todo], price, levels, *found
-            )
+        stop = (tolerance[todo], price, levels)
+        if beam and in_components:
+            by_steps.pursue_beam_rows(rows, energy, dictionary, *stop, beam.width, beam.candidates, *found)
+        elif in_components:
+            pursue_rows(rows, energy, dictionary, certify and len(dictionary.basis) > 0, *stop, *found)
         else:
-            inputs = (
-                rows,
-                dictionary.dictionary,
+            products = (
                 *dictionary.products(rows, energy),
                 dictionary.rest,
                 certify,
                 energy,
                 dictionary.gram,
                 dictionary.turns,
-                tolerance[todo],
-                price,
-                levels,
             )
-            if width:
-                pursue_beam(*inputs, width, candidates, *found)
+            if beam:
+                pursue_beam(rows, dictionary.dictionary, *products, *stop, beam.width, beam.candidates, *found)
             else:
-                pursue(*inputs, *found)
+                pursue(rows, dictionary.dictionary, *products, *stop, *found)
             if isinstance(dictionary, TurnedDictionary):
                 found[0][:] = dictionary.numbers(found[0])
         for whole, rows_found in zip((codes.atom_index, codes.weight, weight_code, codes.n_atoms, path), found):

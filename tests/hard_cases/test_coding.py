@@ -14,6 +14,7 @@ from tests import reference
 from tests.pipeline.coding.test_omp import smooth_patches, unit_rows
 
 DIM = 768
+PURSUITS = ("omp", "ormp", "2x2", "4x4")
 SCALES = (1e-6, 1e-4, 1e-2, 1e2, 1e4, 1e6)
 
 
@@ -50,12 +51,13 @@ def exact_residuals(patches, atoms, codes) -> tuple[np.ndarray, np.ndarray]:
 # --- scale -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("pursuit", PURSUITS)
 @pytest.mark.parametrize("scale", SCALES)
-def test_coding__scale_leaves_atoms_and_proportions_of_weights(scale):
+def test_coding__scale_leaves_atoms_and_proportions_of_weights(scale, pursuit):
     rng = np.random.default_rng(1)
     atoms, patches = unit_rows(rng, 64, 192), smooth_patches(rng, 100)
-    plain = sparse_encode(patches, atoms, max_atoms=6, tolerance=0.05)
-    scaled = sparse_encode(patches * np.float32(scale), atoms, max_atoms=6, tolerance=0.05 * scale**2)
+    plain = sparse_encode(patches, atoms, max_atoms=6, tolerance=0.05, pursuit=pursuit)
+    scaled = sparse_encode(patches * np.float32(scale), atoms, max_atoms=6, tolerance=0.05 * scale**2, pursuit=pursuit)
     assert (plain.n_atoms == scaled.n_atoms).all() and (plain.atom_index == scaled.atom_index).all()
     off = np.abs(scaled.weight / scale - plain.weight).max(axis=1)
     assert (off <= 1e-5 * np.abs(plain.weight).max(axis=1)).all()
@@ -69,13 +71,14 @@ def test_coding__scale_breaks_a_pursuit_with_an_absolute_threshold():
         assert len(reference.naive_omp(patch * np.float32(1e-6), atoms, 6)[0]) < 6
 
 
-def test_coding__a_patch_of_1e_minus_22_is_coded_as_one_of_1():
+@pytest.mark.parametrize("pursuit", PURSUITS)
+def test_coding__a_patch_of_1e_minus_22_is_coded_as_one_of_1(pursuit):
     """Squares of its correlations vanish in float32, not those in float64."""
     rng = np.random.default_rng(2)
     atoms, patches = unit_rows(rng, 64, 192), smooth_patches(rng, 50)
-    plain = sparse_encode(patches, atoms, max_atoms=4)
+    plain = sparse_encode(patches, atoms, max_atoms=4, pursuit=pursuit)
     faint = (patches.astype(float) * 1e-22).astype(np.float32)
-    tiny = sparse_encode(faint, atoms, max_atoms=4)
+    tiny = sparse_encode(faint, atoms, max_atoms=4, pursuit=pursuit)
     correlation = faint @ atoms.T
     assert (
         (correlation**2).argmax(axis=1) != np.abs(correlation).argmax(axis=1)
@@ -86,15 +89,16 @@ def test_coding__a_patch_of_1e_minus_22_is_coded_as_one_of_1():
 # --- parallel atoms --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("pursuit", PURSUITS)
 @pytest.mark.parametrize("gap", [0.0, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2])
-def test_coding__near_twins_are_within_1e_minus_4_of_least_squares(gap):
+def test_coding__near_twins_are_within_1e_minus_4_of_least_squares(gap, pursuit):
     rng = np.random.default_rng(3)
     atoms = near_twins(rng, 20, gap)
     mixed = (rng.standard_normal((40, 40)) @ atoms + 0.01 * rng.standard_normal((40, DIM))).astype(np.float32)
     for patches in (mixed, differences_of_twins(rng, atoms, 60)):
         before = np.linalg.norm(patches.astype(float), axis=1)
         for most in (1, 2, 3, 5, 8):
-            codes = sparse_encode(patches, atoms, max_atoms=most)
+            codes = sparse_encode(patches, atoms, max_atoms=most, pursuit=pursuit)
             assert np.isfinite(codes.weight).all()
             assert all(len(set(a[:n])) == n for a, n in zip(codes.atom_index, codes.n_atoms))
             found, best = exact_residuals(patches, atoms, codes)
@@ -119,20 +123,25 @@ def test_coding__near_twins_break_a_pursuit_without_a_pivot_test(gap):
     assert broken > 0
 
 
-def test_coding__copies_of_atoms_are_never_taken_twice():
+@pytest.mark.parametrize("pursuit", PURSUITS)
+def test_coding__copies_of_atoms_are_never_taken_twice(pursuit):
     rng = np.random.default_rng(4)
     atoms, patches = unit_rows(rng, 32, 192), smooth_patches(rng, 200)
     copies = np.concatenate([atoms, -atoms, atoms])
-    found = pursue_patches(patches, copies, max_atoms=8)
+    found = pursue_patches(patches, copies, max_atoms=8, pursuit=pursuit)
     codes, residual = found.codes, found.residual
     assert all(len(set(a[:n] % 32)) == n for a, n in zip(codes.atom_index, codes.n_atoms))
-    np.testing.assert_allclose(residual, pursue_patches(patches, atoms, max_atoms=8).residual, rtol=1e-4)
+    alone = pursue_patches(patches, atoms, max_atoms=8, pursuit=pursuit).residual
+    # A beam follows a support and its copy for two where rounding chose another copy in each.
+    np.testing.assert_allclose(residual, alone, rtol=1e-4 if pursuit in ("omp", "ormp") else 5e-3)
+    assert residual.sum() == pytest.approx(alone.sum(), rel=2e-4)
 
 
-def test_coding__a_dictionary_of_one_direction_gives_one_atom():
+@pytest.mark.parametrize("pursuit", PURSUITS)
+def test_coding__a_dictionary_of_one_direction_gives_one_atom(pursuit):
     rng = np.random.default_rng(5)
     atoms = np.tile(unit_rows(rng, 1, 192), (16, 1))
-    codes = sparse_encode(smooth_patches(rng, 30), atoms, max_atoms=8)
+    codes = sparse_encode(smooth_patches(rng, 30), atoms, max_atoms=8, pursuit=pursuit)
     assert (codes.n_atoms == 1).all() and (codes.atom_index[:, 0] == 0).all()
     support, weight = reference.naive_cholesky_omp(smooth_patches(rng, 1)[0], atoms, 8)
     assert len(support) > 1 and not np.abs(weight).max() < 100  # the naive way: the same atom again, or NaN
@@ -156,8 +165,9 @@ def hard_patches() -> dict[str, np.ndarray]:
     }
 
 
+@pytest.mark.parametrize("pursuit", PURSUITS)
 @pytest.mark.parametrize("name", hard_patches())
-def test_coding__hard_patches_are_no_worse_than_their_average(name):
+def test_coding__hard_patches_are_no_worse_than_their_average(name, pursuit):
     """In bytes as the pipeline has them: the average costs at most half a level, and atoms only lower the error."""
     from pipeline.texture.patches import _measure, centred
 
@@ -170,7 +180,9 @@ def test_coding__hard_patches_are_no_worse_than_their_average(name):
     levels = np.tile(np.linspace(-20, 20, 16), (8, 1))
     deviation = texel.reshape(-1, 3) / 255.0 - (texel.reshape(-1, 3) / 255.0).mean(axis=0)
     for weight_levels in (None, levels):
-        found = pursue_patches(patch, atoms.astype(np.float32), max_atoms=8, weight_levels=weight_levels)
+        found = pursue_patches(
+            patch, atoms.astype(np.float32), max_atoms=8, weight_levels=weight_levels, pursuit=pursuit
+        )
         codes, residual = found.codes, found.residual
         decoded = reconstruct(codes, atoms.astype(np.float32))
         assert np.isfinite(decoded).all() and np.isfinite(residual).all()
@@ -195,11 +207,12 @@ def test_coding__more_atoms_than_exist_or_none_is_an_error_that_says_so(most):
         sparse_encode(smooth_patches(rng, 3, 64), unit_rows(rng, 16, 64), max_atoms=most)
 
 
-def test_coding__all_atoms_of_the_dictionary_may_be_asked_for():
+@pytest.mark.parametrize("pursuit", PURSUITS)
+def test_coding__all_atoms_of_the_dictionary_may_be_asked_for(pursuit):
     rng = np.random.default_rng(10)
     atoms = unit_rows(rng, 16, 64)
     patches = (rng.standard_normal((20, 16)) @ atoms).astype(np.float32)
-    found = pursue_patches(patches, atoms, max_atoms=16)
+    found = pursue_patches(patches, atoms, max_atoms=16, pursuit=pursuit)
     codes, residual = found.codes, found.residual
     assert (codes.n_atoms >= 15).all()
     assert (residual <= 1e-6 * (patches.astype(float) ** 2).sum(axis=1)).all()
@@ -242,15 +255,16 @@ def test_coding__values_that_are_not_finite_are_refused():
             sparse_encode(patches, bad, max_atoms=3)
 
 
-def test_coding__levels_far_from_every_weight_end_the_pursuit_and_never_raise_the_error():
+@pytest.mark.parametrize("pursuit", PURSUITS)
+def test_coding__levels_far_from_every_weight_end_the_pursuit_and_never_raise_the_error(pursuit):
     rng = np.random.default_rng(13)
     atoms, patches = unit_rows(rng, 32, 192), smooth_patches(rng, 100)
     for levels in (np.full((8, 16), 1e6), np.zeros((8, 16)), np.tile([-1e-9, 1e-9], (8, 1))):
-        found = pursue_patches(patches, atoms, max_atoms=8, weight_levels=levels)
+        found = pursue_patches(patches, atoms, max_atoms=8, weight_levels=levels, pursuit=pursuit)
         residual = found.residual
         energy = (patches.astype(float) ** 2).sum(axis=1)
         assert np.isfinite(residual).all() and (residual <= energy * (1 + 1e-9)).all()
-    exact = sparse_encode(patches, atoms, max_atoms=8)
+    exact = sparse_encode(patches, atoms, max_atoms=8, pursuit=pursuit)
     rounded = reference.nearest_weights(exact.weight[0], np.full((8, 16), 1e6)) @ atoms[exact.atom_index[0]]
     assert np.linalg.norm(patches[0] - rounded) > np.linalg.norm(
         patches[0]
@@ -267,8 +281,9 @@ rng = np.random.default_rng(0)
 patches = np.cumsum(rng.standard_normal((60, 48)), axis=1).astype(np.float32) / 48
 atoms = learn_dictionary(patches, 12, max_atoms=3, iterations=2)
 levels = np.tile(np.linspace(-2, 2, 16), (8, 1))
-codes, weight_code, _ = pursue_patches(patches, atoms, max_atoms=4, tolerance=0.02, weight_levels=levels)
-print(codes.atom_index.tolist(), codes.n_atoms.tolist(), weight_code.tolist())
+for pursuit in ("omp", "ormp", "2x2", "4x4"):
+    codes, weight_code, _ = pursue_patches(patches, atoms, max_atoms=4, tolerance=0.02, weight_levels=levels, pursuit=pursuit)
+    print(codes.atom_index.tolist(), codes.n_atoms.tolist(), weight_code.tolist())
 """
 
 
