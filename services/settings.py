@@ -22,6 +22,8 @@ class ServiceSettings:
     dashboard_url: str = ""  # shown on the job page
     jobs_at_once: int = 2  # run side by side; the others wait in order
     max_upload_bytes: int = 50 << 30
+    max_uploads_at_once: int = 20  # that are not whole yet, of one owner
+    max_owner_bytes: int = 500 << 30  # of one owner's scans and open uploads
     max_multipart_bytes: int = 1 << 30
     max_unpacked_bytes: int = 200 << 30
     max_archive_files: int = 100_000
@@ -30,7 +32,9 @@ class ServiceSettings:
     max_jobs_in_flight: int = 500  # accepted or running, of one owner
     validation_s: float = 300.0  # a scan whose headers take longer is refused
     validation_memory_bytes: int = 8 << 30
-    upload_expires_s: float = DAY_S
+    upload_expires_s: float = DAY_S  # after its last request
+    headers_s: float = 20.0  # a connection whose request has no whole headers by then is closed
+    body_idle_s: float = 60.0  # a request whose body stands still for so long is ended; what arrived of an upload stays
     retention_s: float = 30 * DAY_S  # after a job's end; pinned jobs stay
     reserve_bytes: int = 1 << 30  # no stage begins with less disk than this
     performance_from_s: float = (

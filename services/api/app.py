@@ -11,7 +11,8 @@ from sqlalchemy.exc import InterfaceError, OperationalError
 from starlette.exceptions import HTTPException
 
 from services.api import artifacts, estimates, events, health, jobs, page, scans, uploads, words
-from services.api.limits import MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyGuard, Guard, cap, first_look
+from services.api.context import owner_of
+from services.api.limits import MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyGuard, Guard, cap, first_look, room
 from services.problems import RESOURCE, Problem, is_of_database, mistake
 from services.settings import ServiceSettings
 from services.store.store import Store
@@ -67,16 +68,22 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     for away in (OperationalError, InterfaceError):
         app.add_exception_handler(away, _database)
     app.add_exception_handler(Exception, _mistake)
-    app.add_middleware(BodyGuard, guards=lambda *request: _guards(settings, *request))
+    app.add_middleware(
+        BodyGuard, admit=owner_of, guards=lambda *request: _guards(settings, *request), idle_s=settings.body_idle_s
+    )
     app.middleware("http")(_secured)
     return app
 
 
 def _guards(settings: ServiceSettings, method: str, path: str, promised: int) -> list[Guard]:
-    if method == "PATCH" and path.startswith("/v1/uploads/"):
+    if method in ("PATCH", "POST") and path.startswith("/v1/uploads"):
         return []  # counts and looks by itself
     if path == "/v1/scans":
-        return [cap(settings.max_multipart_bytes + MULTIPART_OVERHEAD, promised), first_look(settings, promised)]
+        return [
+            cap(settings.max_multipart_bytes + MULTIPART_OVERHEAD, promised),
+            room(settings, promised),
+            first_look(settings, promised),
+        ]
     return [cap(MAX_JSON_BYTES, promised)]
 
 

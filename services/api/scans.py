@@ -12,7 +12,14 @@ from pipeline.stages.points.measure_effects import known_rows
 from services.api.context import Database, Hash, Owner, Settings
 from services.jobs.documents import scan_document
 from services.problems import Problem
-from services.uploads.scans import BLOCK_BYTES, accept_scan, incoming_folder, safe_name, work_folder
+from services.uploads.scans import (
+    BLOCK_BYTES,
+    accept_scan,
+    discard_unused_scans,
+    incoming_folder,
+    safe_name,
+    work_folder,
+)
 
 router = APIRouter(tags=["scans"])
 
@@ -21,7 +28,7 @@ router = APIRouter(tags=["scans"])
 async def post_scan(
     file: Annotated[UploadFile, File()], response: Response, owner: Owner, settings: Settings, store: Database
 ) -> dict:
-    """Take in a scan of one file. 201 if it is new to the service, 200 if its content is known already."""
+    """Take in a scan of one file. 201 if it is new to you, 200 if you have brought its content before."""
     scan, new = await run_in_threadpool(_take_in, file, owner, settings, store)
     response.status_code = 201 if new else 200
     response.headers["Location"] = f"/v1/scans/{scan['id']}"
@@ -47,7 +54,9 @@ def get_scans(
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
     offset: Annotated[int, Query(ge=0, le=1 << 31)] = 0,
 ) -> dict:
-    return {"scans": [scan_document(scan, settings) for scan in store.scans(owner, limit, offset)]}
+    rows, n_matched = store.scans(owner, limit, offset)
+    documents = [scan_document(row, settings) for row in rows]
+    return {"scans": documents, "numberMatched": n_matched, "numberReturned": len(rows)}
 
 
 @router.get("/scans/{id}")
@@ -56,4 +65,17 @@ def get_scan(id: Hash, owner: Owner, settings: Settings, store: Database) -> dic
     scan = store.scan(id, owner)
     if scan is None:
         raise Problem(404, "no-such-scan", f"no scan {id}")
-    return scan_document(scan, settings) | {"effects": known_rows(work_folder(settings, id))}
+    document = scan_document(scan, settings)
+    measured = store.jobs(owner, 1, 0, scan=id)[1] > 0  # by a job of the owner's own
+    return document | ({"effects": known_rows(work_folder(settings, id))} if measured else {})
+
+
+@router.delete("/scans/{id}", status_code=204)
+def delete_scan(id: Hash, owner: Owner, settings: Settings, store: Database) -> Response:
+    """Forget a scan. Jobs that have ended keep their results; while one is under way the answer is 409."""
+    if store.scan(id, owner) is None:
+        raise Problem(404, "no-such-scan", f"no scan {id}")
+    if not store.disown_scan(id, owner):
+        raise Problem(409, "scan-in-use", f"a job on scan {id} is under way", hint="dismiss it first", retryable=True)
+    discard_unused_scans(settings, store)
+    return Response(status_code=204)

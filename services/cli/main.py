@@ -50,12 +50,18 @@ def main(arguments: list[str] | None = None) -> int:
         return INTERRUPTED
     except Exception as error:
         if type(error).__module__.startswith("httpx"):
-            print(f"splatpress: no answer from the service: {error}", file=sys.stderr)
+            print(f"splatpress: no answer from {_asked(error)}: {error}", file=sys.stderr)
             return INPUT_OUTPUT
         # Whatever else comes here is ours to mend, and must not look like wrong arguments.
         traceback.print_exc()
         print("splatpress: internal error: please report the lines above", file=sys.stderr)
         return INTERNAL
+
+
+def _asked(error: Exception) -> str:
+    """The service that an error of httpx is about."""
+    request = getattr(error, "_request", None)
+    return "the service" if request is None else str(request.url.copy_with(path="/", query=None))
 
 
 # --- commands: heavy imports stand inside, so that --help and inspect answer at once ----------------------------------

@@ -7,9 +7,11 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 
+from services.jobs.disk import make_data_folder
 from services.jobs.heartbeat import dashboard, runner_age_s, show_gone
 from services.settings import ServiceSettings, environment_of
 
@@ -23,8 +25,10 @@ def run_api(settings: ServiceSettings) -> None:
     import uvicorn
 
     from services.api.app import create_app
+    from services.api.connection import protocol
 
-    settings.data.mkdir(parents=True, exist_ok=True)
+    make_data_folder(settings.data)
+    tempfile.tempdir = str(settings.data / "incoming")  # bodies of a form: as large as scans, so on the disk for scans
     uvicorn.run(
         create_app(settings),
         host=settings.host,
@@ -32,6 +36,7 @@ def run_api(settings: ServiceSettings) -> None:
         log_level="warning",
         timeout_graceful_shutdown=3,
         server_header=False,
+        http=protocol(settings.headers_s),
     )
 
 
@@ -41,7 +46,7 @@ def serve(settings: ServiceSettings) -> int:
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    settings.data.mkdir(parents=True, exist_ok=True)
+    make_data_folder(settings.data)
     show_gone(settings.data)
     environment = {**os.environ, **environment_of(settings)}
     running = {part: _start(part, environment) for part in PARTS}

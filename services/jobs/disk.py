@@ -17,6 +17,13 @@ BALLAST_BYTES = 8 << 20  # the end of a job takes a few pages of two SQLite data
 HINT = "free some, then retry: what is done stays done"
 
 
+def make_data_folder(data: Path) -> None:
+    """Scans and results are their owners' alone: nobody else on this machine may look into a folder made here."""
+    data.parent.mkdir(parents=True, exist_ok=True)
+    data.mkdir(mode=0o700, exist_ok=True)
+    (data / "incoming").mkdir(exist_ok=True)
+
+
 def check_room(settings: ServiceSettings, stage: str) -> None:
     """Raises ResourceExhausted where less than the reserve is free."""
     free, wanted = shutil.disk_usage(settings.data).free, settings.reserve_bytes

@@ -19,6 +19,7 @@ from pathlib import Path
 from dbos import DBOS, SetWorkflowID
 
 from services.jobs.cluster import own_cluster
+from services.jobs.disk import make_data_folder
 from services.jobs.documents import job_document
 from services.jobs.exports import make_next_export
 from services.jobs.heartbeat import show_alive, show_dashboard, show_gone
@@ -26,7 +27,7 @@ from services.jobs.webhooks import deliver_due
 from services.jobs.workflow import JobRunner, job_folder
 from services.settings import ServiceSettings
 from services.store.store import Store
-from services.uploads.scans import discard_scan
+from services.uploads.scans import discard_unused_scans
 
 APPLICATION_VERSION = "1"  # raised when the steps of a job change; workflows of another version are not resumed
 EXECUTOR_ID = "runner"
@@ -52,7 +53,7 @@ def run_forever(settings: ServiceSettings, stop: threading.Event | None = None) 
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    settings.data.mkdir(parents=True, exist_ok=True)
+    make_data_folder(settings.data)
     with ExitStack() as stack:
         if not _alone(stack, settings.data, stop):
             return
@@ -181,9 +182,8 @@ def tidy(settings: ServiceSettings, store: Store) -> None:
     for job in store.expired_jobs(before):
         if store.forget_job(job["id"]):
             shutil.rmtree(job_folder(settings, job["id"]), ignore_errors=True)
-    for scan in store.unused_scans(before):
-        if store.forget_scan(scan["id"]):
-            discard_scan(settings, scan["id"])
+    store.disown_expired_scans(before)
+    discard_unused_scans(settings, store)
     for upload in store.expired_uploads():
         store.forget_upload(upload["id"])
         shutil.rmtree(settings.data / "uploads" / upload["id"], ignore_errors=True)

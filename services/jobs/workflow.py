@@ -105,6 +105,7 @@ class JobRunner:
         work = work_folder(self.settings, job["scan"])
         work.mkdir(parents=True, exist_ok=True)
         scan = scan_path(self.settings, self.store.scan(job["scan"]))
+        file = (self.store.scan(job["scan"], job["owner"]) or {"file": job["name"]})["file"]
         link = SchedulerLink(
             self.scheduler, self.store, job["id"], check, out / PERFORMANCE, self.settings.performance_from_s
         )
@@ -119,9 +120,8 @@ class JobRunner:
             record = DBOS.run_step({"name": stage.name}, bring_about)
             progress.passed(record)
             if stage.name == Ingest.name:
-                self.store.note_of_scan(
-                    job["scan"], bounds={"min": record.summary["low"], "max": record.summary["high"]}
-                )
+                bounds = {"min": record.summary["low"], "max": record.summary["high"]}
+                self.store.note_of_scan(job["scan"], job["owner"], bounds=bounds)
             if stage.name == KsvdUpdate.name:
                 write_json(out / LEARNING, progress.learning)
             return record
@@ -151,17 +151,18 @@ class JobRunner:
         )  # what depends on it must come out the same again
         try:
             with link:
-                self._run_process(run, scan, job, out)
+                self._run_process(run, scan, file, job, out)
         except OSError as error:  # between the tasks: the packed file, the report
             raise error_of_disk(progress.stage, error) from error
         check()
 
-    def _run_process(self, run: Run, scan: Path, job: dict, out: Path) -> None:
+    def _run_process(self, run: Run, scan: Path, file: str, job: dict, out: Path) -> None:
         process, settings = process_of_job(job), Settings(**settings_of_job(job))
         if process["name"] == TRADEOFF:
-            measure_ladder(run, scan, out, settings, process["knobs"], process["budget_s"])
+            measure_ladder(run, scan, out, settings, process["knobs"], process["budget_s"], name=file)
         else:
-            self.store.note_of_scan(job["scan"], effects=make(run, scan, settings, out)["effects"])
+            effects = make(run, scan, settings, out, name=Path(file).stem)["effects"]
+            self.store.note_of_scan(job["scan"], job["owner"], effects=effects)
 
     def _check_of(self, job: dict) -> Callable[[], None]:
         token = dismissal_token(self.settings, job["id"], job["attempt"])

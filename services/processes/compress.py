@@ -43,9 +43,10 @@ def compress(
     return report
 
 
-def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = True) -> dict:
-    """All of a job, into the folder `out`, which is there. Returns the report."""
-    name = scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem
+def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = True, name: str | None = None) -> dict:
+    """All of a job, into the folder `out`, which is there; the packed file is called `name`, else as the scan.
+    Returns the report."""
+    name = name or (scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem)
     path = out / (name + SUFFIX)
     prepared = prepare(run, scan, settings.radius, settings.effects, density=settings.density)
     coded = code(run, prepared, settings) if is_textured(prepared) else None

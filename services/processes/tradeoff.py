@@ -119,8 +119,9 @@ def measure_ladder(
     knobs: dict[str, Sequence] | None = None,
     budget_s: float = BUDGET_S,
     render: bool = True,
+    name: str | None = None,
 ) -> dict:
-    """All of it, into the folder `out`, which is there.
+    """All of it, into the folder `out`, which is there; the scan is called `name`, else as its file.
 
     Raises: InvalidScan for a scan without photographs.
     """
@@ -141,7 +142,7 @@ def measure_ladder(
     pictures = _pictures(run, points, photos, out) if render else []
     document = summarised(
         {
-            "scan": {"name": scan.resolve().name, "n_cameras": points[0]["n_cameras"]},
+            "scan": {"name": name or scan.resolve().name, "n_cameras": points[0]["n_cameras"]},
             "splats": points[0]["splats"],
             "preset": settings.preset,
             "budget_s": budget_s,

@@ -97,31 +97,48 @@ class Store:
     # --- scans
 
     def add_scan(self, scan: dict, owner: str) -> bool:
-        """Whether the scan is new. The owner has it from here on either way."""
-        new = self._insert_new(SCANS, {**scan, "created": time.time()})
-        if not new:  # its time starts anew
-            self._write(SCANS.update().where(SCANS.c.id == scan["id"]).values(created=time.time()))
-        self._insert_new(SCAN_OWNERS, {"scan": scan["id"], "owner": owner})
+        """Whether the scan is new to its owner, who has it from here on either way; whoever else has it makes no
+        difference. Its time starts anew."""
+        now = time.time()
+        content = {name: scan[name] for name in ("id", "bytes", "header")}
+        if not self._insert_new(SCANS, {**content, "file": scan["path_name"], "created": now}):
+            self._write(SCANS.update().where(SCANS.c.id == scan["id"]).values(created=now))
+        row = {"scan": scan["id"], "owner": owner, "file": scan["file"], "header": scan["header"], "created": now}
+        new = self._insert_new(SCAN_OWNERS, row)
+        if not new:
+            self._write(SCAN_OWNERS.update().where(_owned(scan["id"], owner)).values(created=now))
         return new
 
     def scan(self, id: str, owner: str | None = None) -> dict | None:
-        query = sa.select(SCANS).where(SCANS.c.id == id)
-        if owner is not None:
-            query = query.join(SCAN_OWNERS, SCAN_OWNERS.c.scan == SCANS.c.id).where(SCAN_OWNERS.c.owner == owner)
-        return self._one(query)
+        """With an owner: as that one knows it, under that one's name for it; `path_name` is its name on disk."""
+        if owner is None:
+            return self._one(sa.select(SCANS, SCANS.c.file.label("path_name")).where(SCANS.c.id == id))
+        return self._one(_OWNED_SCANS.where(_owned(id, owner)))
 
-    def scans(self, owner: str, limit: int, offset: int) -> list[dict]:
-        query = sa.select(SCANS).join(SCAN_OWNERS, SCAN_OWNERS.c.scan == SCANS.c.id).where(SCAN_OWNERS.c.owner == owner)
-        return self._all(query.order_by(SCANS.c.created.desc(), SCANS.c.id).limit(limit).offset(offset))
+    def scans(self, owner: str, limit: int, offset: int) -> tuple[list[dict], int]:
+        """One page, newest first, and how many there are in all."""
+        mine = SCAN_OWNERS.c.owner == owner
+        order = (SCAN_OWNERS.c.created.desc(), SCANS.c.id)
+        rows = self._all(_OWNED_SCANS.where(mine).order_by(*order).limit(limit).offset(offset))
+        return rows, self._value(sa.select(sa.func.count()).select_from(SCAN_OWNERS).where(mine))
 
-    def unused_scans(self, before: float) -> list[dict]:
-        used = sa.select(JOBS.c.scan)
-        return self._all(sa.select(SCANS).where(SCANS.c.created < before, SCANS.c.id.not_in(used)))
+    def disown_expired_scans(self, before: float) -> None:
+        """Where the owner has no job on it."""
+        used = sa.exists().where(JOBS.c.scan == SCAN_OWNERS.c.scan, JOBS.c.owner == SCAN_OWNERS.c.owner)
+        self._write(SCAN_OWNERS.delete().where(SCAN_OWNERS.c.created < before, ~used))
+
+    def disown_scan(self, id: str, owner: str) -> bool:
+        """Unless a job of the owner's on it is under way."""
+        live = sa.exists().where(JOBS.c.scan == id, JOBS.c.owner == owner, JOBS.c.status.in_(LIVE))
+        return self._write(SCAN_OWNERS.delete().where(_owned(id, owner), ~live)) == 1
+
+    def unused_scans(self) -> list[dict]:
+        """That no owner has any more, and no job needs."""
+        return self._all(sa.select(SCANS).where(*_UNUSED))
 
     def forget_scan(self, id: str) -> bool:
-        """Unless a job has come to need it."""
-        used = sa.exists().where(JOBS.c.scan == id)
-        return self._write(SCANS.delete().where(SCANS.c.id == id, ~used)) == 1
+        """Unless an owner or a job has come to need it."""
+        return self._write(SCANS.delete().where(SCANS.c.id == id, *_UNUSED)) == 1
 
     # --- jobs
 
@@ -273,11 +290,11 @@ class Store:
                     return was
         return None
 
-    def note_of_scan(self, id: str, **found) -> None:
-        """What a job has learned of a scan, beside what its headers told."""
-        scan = self.scan(id)
+    def note_of_scan(self, id: str, owner: str, **found) -> None:
+        """What a job of the owner's has learned of a scan, beside what its headers told."""
+        scan = self.scan(id, owner)
         if scan is not None:
-            self._write(SCANS.update().where(SCANS.c.id == id).values(header=scan["header"] | found))
+            self._write(SCAN_OWNERS.update().where(_owned(id, owner)).values(header=scan["header"] | found))
 
     @_patient
     def retry(self, id: str) -> bool:
@@ -378,7 +395,7 @@ class Store:
     # --- uploads
 
     def add_upload(self, upload: dict) -> dict:
-        row = {"id": secrets.token_hex(16), "scan": None, "problem": None, **upload}
+        row = {"id": secrets.token_hex(16), "scan": None, "problem": None, "concat": "", **upload}
         self._write(UPLOADS.insert().values(row))
         return row
 
@@ -386,8 +403,18 @@ class Store:
         query = sa.select(UPLOADS).where(UPLOADS.c.id == id)
         return self._one(query if owner is None else query.where(UPLOADS.c.owner == owner))
 
-    def end_upload(self, id: str, scan: str | None, problem: dict | None) -> None:
-        self._write(UPLOADS.update().where(UPLOADS.c.id == id).values(scan=scan, problem=problem))
+    def open_uploads(self) -> list[dict]:
+        """Of all owners, newest last."""
+        wanted = (UPLOADS.c.scan.is_(None), UPLOADS.c.expires >= time.time())
+        return self._all(sa.select(UPLOADS).where(*wanted).order_by(UPLOADS.c.expires, UPLOADS.c.id))
+
+    def bytes_of(self, owner: str) -> int:
+        """Of the scans that an owner has."""
+        mine = SCANS.c.id.in_(sa.select(SCAN_OWNERS.c.scan).where(SCAN_OWNERS.c.owner == owner))
+        return int(self._value(sa.select(sa.func.coalesce(sa.func.sum(SCANS.c.bytes), 0)).where(mine)))
+
+    def change_upload(self, id: str, **values) -> None:
+        self._write(UPLOADS.update().where(UPLOADS.c.id == id).values(**values))
 
     def forget_upload(self, id: str) -> None:
         self._write(UPLOADS.delete().where(UPLOADS.c.id == id))
@@ -441,6 +468,21 @@ class Store:
     def _insert_new(self, table: sa.Table, row: dict) -> bool:
         insert = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}[self.engine.dialect.name]
         return self._write(insert(table).values(row).on_conflict_do_nothing()) == 1
+
+
+_OWNED_SCANS = sa.select(
+    SCANS.c.id,
+    SCANS.c.bytes,
+    SCANS.c.file.label("path_name"),
+    SCAN_OWNERS.c.file,
+    SCAN_OWNERS.c.header,
+    SCAN_OWNERS.c.created,
+).join(SCAN_OWNERS, SCAN_OWNERS.c.scan == SCANS.c.id)
+_UNUSED = (~sa.exists().where(JOBS.c.scan == SCANS.c.id), ~sa.exists().where(SCAN_OWNERS.c.scan == SCANS.c.id))
+
+
+def _owned(scan: str, owner: str):
+    return (SCAN_OWNERS.c.scan == scan) & (SCAN_OWNERS.c.owner == owner)
 
 
 def _due(now: float):

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import sqlalchemy as sa
 
+from services.store.migrate import migrate
+
 METADATA = sa.MetaData()
 
 TOKENS = sa.Table(
@@ -14,12 +16,15 @@ TOKENS = sa.Table(
     sa.Column("hash", sa.String(64), primary_key=True),  # SHA-256 of the token; tokens hold 256 random bits
     sa.Column("owner", sa.String(100), nullable=False),
     sa.Column("created", sa.Float, nullable=False),
+    sa.Column("label", sa.String(100), nullable=False, server_default=""),  # the owner's word for it
+    sa.Column("expires", sa.Float),  # None: never
+    sa.Column("used", sa.Float),  # when last, to the minute
 )
 SCANS = sa.Table(
     "scans",
     METADATA,
     sa.Column("id", sa.String(64), primary_key=True),  # SHA-256 of the uploaded bytes
-    sa.Column("file", sa.String(200), nullable=False),  # its name, in the scan's folder
+    sa.Column("file", sa.String(200), nullable=False),  # its name on disk, in the scan's folder: no owner is told it
     sa.Column("bytes", sa.BigInteger, nullable=False),
     sa.Column("header", sa.JSON, nullable=False),
     sa.Column("created", sa.Float, nullable=False),
@@ -29,6 +34,9 @@ SCAN_OWNERS = sa.Table(
     METADATA,
     sa.Column("scan", sa.ForeignKey("scans.id", ondelete="CASCADE"), primary_key=True),
     sa.Column("owner", sa.String(100), primary_key=True),
+    sa.Column("file", sa.String(200), nullable=False, server_default=""),  # the owner's name for it
+    sa.Column("header", sa.JSON, nullable=False, server_default="{}"),  # as read from the owner's upload
+    sa.Column("created", sa.Float, nullable=False, server_default="0"),
 )
 JOBS = sa.Table(
     "jobs",
@@ -92,11 +100,24 @@ UPLOADS = sa.Table(
     sa.Column("id", sa.String(32), primary_key=True),
     sa.Column("owner", sa.String(100), nullable=False),
     sa.Column("file", sa.String(200), nullable=False),
-    sa.Column("length", sa.BigInteger, nullable=False),
+    sa.Column("length", sa.BigInteger, nullable=False),  # -1: said later
     sa.Column("metadata", sa.String(4000), nullable=False),
     sa.Column("expires", sa.Float, nullable=False),
     sa.Column("scan", sa.String(64)),  # set once it is whole and accepted
     sa.Column("problem", sa.JSON),  # why it was refused
+    sa.Column("concat", sa.String(4000), nullable=False, server_default=""),  # tus: a part, or made of parts
+)
+AUDIT = sa.Table(
+    "audit",
+    METADATA,
+    sa.Column("id", sa.Integer, primary_key=True, autoincrement=True),
+    sa.Column("time", sa.Float, nullable=False),
+    sa.Column("owner", sa.String(100), nullable=False),
+    sa.Column("action", sa.String(40), nullable=False),
+    sa.Column("target", sa.String(100), nullable=False),
+    sa.Column("client", sa.String(100), nullable=False),  # the address that asked
+    sa.Index("audit_by_owner", "owner", "id"),
+    sqlite_autoincrement=True,
 )
 STAGE_TOTALS = sa.Table(
     "stage_totals",
@@ -109,7 +130,7 @@ STAGE_TOTALS = sa.Table(
 
 
 def engine_for(url: str) -> sa.Engine:
-    """An engine whose tables exist."""
+    """An engine whose tables are those of here."""
     sqlite = url.startswith("sqlite")
     if sqlite:
         Path(sa.make_url(url).database).parent.mkdir(parents=True, exist_ok=True)
@@ -117,7 +138,7 @@ def engine_for(url: str) -> sa.Engine:
         sa.event.listen(engine, "connect", _prepare_sqlite)
     else:
         engine = sa.create_engine(_with_driver(url), pool_pre_ping=True)
-    _create_tables(engine)
+    migrate(engine)
     return engine
 
 
@@ -129,11 +150,3 @@ def _with_driver(url: str) -> sa.URL:
 def _prepare_sqlite(connection, _) -> None:
     for pragma in ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON", "busy_timeout=30000"):
         connection.execute(f"PRAGMA {pragma}")
-
-
-def _create_tables(engine: sa.Engine) -> None:
-    """Once, though API and runner may start at the same moment."""
-    try:
-        METADATA.create_all(engine)
-    except (sa.exc.OperationalError, sa.exc.IntegrityError, sa.exc.ProgrammingError):
-        METADATA.create_all(engine)  # the other one was faster with a table

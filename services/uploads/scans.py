@@ -2,18 +2,21 @@
 
 In the data folder:
 
-    scans/<sha256>/<file name>
+    scans/<sha256>/scan.<suffix>    whatever its owners call it
     work/<sha256>/<stage>-<hash>/   the stages' outputs, shared by the jobs on a scan
     incoming/<random>/              an upload until it is accepted
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import re
 import secrets
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from services.problems import Problem
@@ -42,8 +45,13 @@ def incoming_folder(settings: ServiceSettings) -> Path:
     return folder
 
 
+def disk_name(file: str) -> str:
+    """The same for whoever brings it, but for what the readers go by."""
+    return "scan" + Path(file).suffix.lower()
+
+
 def scan_path(settings: ServiceSettings, scan: dict) -> Path:
-    return settings.data / "scans" / scan["id"] / scan["file"]
+    return settings.data / "scans" / scan["id"] / scan["path_name"]
 
 
 def work_folder(settings: ServiceSettings, scan_id: str) -> Path:
@@ -51,19 +59,37 @@ def work_folder(settings: ServiceSettings, scan_id: str) -> Path:
 
 
 def accept_scan(path: Path, owner: str, settings: ServiceSettings, store: Store) -> tuple[dict, bool]:
-    """Make a scan of the uploaded file at `path`, which is moved; returns it, and whether it is new to the service.
+    """Make a scan of the uploaded file at `path`, which may be moved; returns it, and whether it is new to its
+    owner.
 
     Raises: Problem; `path` is left where it was.
     """
     if path.stat().st_size == 0:
         raise Problem(422, "bad-scan", f"{path.name}: an empty file, 0 bytes; allowed: a scan")
     id = file_hash(path)
-    if (known := store.scan(id)) is None:
-        header = validated_header(path, settings)
-        known = {"id": id, "file": path.name, "bytes": path.stat().st_size, "header": header}
-        _put_in_place(path, scan_path(settings, known))
-    new = store.add_scan(known, owner)
-    return store.scan(id), new
+    known = store.scan(id, owner)
+    header = known["header"] if known else validated_header(path, settings)  # read anew for a new owner, whoever has it
+    scan = {
+        "id": id,
+        "file": path.name,
+        "path_name": disk_name(path.name),
+        "bytes": path.stat().st_size,
+        "header": header,
+    }
+    with scans_alone(settings):
+        target = scan_path(settings, store.scan(id) or scan)
+        if not target.is_file():
+            _put_in_place(path, target)
+        new = store.add_scan(scan, owner)
+    return store.scan(id, owner), new
+
+
+@contextmanager
+def scans_alone(settings: ServiceSettings) -> Iterator[None]:
+    """Putting a scan in place and taking it away again happen one after the other, in whichever process."""
+    with open(settings.data / "scans.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def file_hash(path: Path) -> str:
@@ -79,6 +105,14 @@ def _put_in_place(path: Path, target: Path) -> None:
     os.replace(path, target)
 
 
-def discard_scan(settings: ServiceSettings, id: str) -> None:
+def discard_unused_scans(settings: ServiceSettings, store: Store) -> None:
+    """The row goes first: files without a row are harmless, a row without is not."""
+    for scan in store.unused_scans():
+        with scans_alone(settings):
+            if store.forget_scan(scan["id"]):
+                _discard(settings, scan["id"])
+
+
+def _discard(settings: ServiceSettings, id: str) -> None:
     shutil.rmtree(settings.data / "scans" / id, ignore_errors=True)
     shutil.rmtree(work_folder(settings, id), ignore_errors=True)

@@ -16,6 +16,7 @@ import httpx
 import psutil
 
 from services.cli.client import Client
+from services.store.store import Store
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -141,3 +142,52 @@ def service(data: Path, workers: int = 2, log: Path | None = None, **settings: s
             except psutil.Error:
                 pass
     assert "*** Aborted" not in log.read_text()
+
+
+class ApiProcess:
+    """`splatpress api` alone, without a runner: started, killed and started again on one port."""
+
+    def __init__(self, data: Path, **settings: str) -> None:
+        self.data, self.port, self._settings = data, free_port(), settings
+        self.url, self.log = f"http://127.0.0.1:{self.port}", data.with_name(data.name + ".log")
+        self.start()
+
+    def start(self) -> None:
+        environment = {
+            **os.environ,
+            **{f"SPLATPRESS_{name.upper()}": value for name, value in self._settings.items()},
+            "PYTHONPATH": str(ROOT),
+        }
+        command = [sys.executable, "-m", "services.cli", "api", "--data", self.data.name, "--port", str(self.port)]
+        with open(self.log, "a") as stream:
+            self.process = subprocess.Popen(
+                command, env=environment, stdout=stream, stderr=subprocess.STDOUT, cwd=self.data.parent
+            )
+        until(self._answers, 60, 0.05)
+
+    def _answers(self) -> bool:
+        assert self.process.poll() is None, self.log.read_text()[-3000:]
+        try:
+            return httpx.get(self.url + "/healthz").status_code == 200
+        except httpx.TransportError:
+            return False
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+    def token(self, owner: str) -> str:
+        store = Store(f"sqlite:///{self.data / 'splatpress.sqlite'}")
+        try:
+            return store.add_token(owner)
+        finally:
+            store.close()
+
+
+@contextmanager
+def api_alone(data: Path, **settings: str):
+    started = ApiProcess(data, **settings)
+    try:
+        yield started
+    finally:
+        started.kill()

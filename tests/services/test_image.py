@@ -139,7 +139,7 @@ def test_image__its_environment_names_folders_that_its_user_may_write():
         and environment["HOME"] == "/scratch"
         and Path(environment["NUMBA_CACHE_DIR"]).parent == Path("/scratch")
     )
-    assert re.search(r"install -d -o splatpress (\S+ )*/scratch", DOCKERFILE)
+    assert re.search(r"install -d -m 700 -o splatpress (\S+ )*/scratch", DOCKERFILE)
 
 
 @pytest.mark.skipif(

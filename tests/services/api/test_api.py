@@ -71,7 +71,7 @@ def scan(api, ball) -> str:
 
 def files_of(api) -> set[Path]:
     data = api.app.state.settings.data
-    return {p for p in data.rglob("*") if p.is_file() and not p.name.startswith("splatpress.sqlite")}
+    return {p for p in data.rglob("*") if p.is_file() and not p.name.startswith(("splatpress.sqlite", "scans.lock"))}
 
 
 def problem(answer, status: int, words: str) -> dict:

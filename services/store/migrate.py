@@ -1,0 +1,73 @@
+"""The database's schema brought up to date, by Alembic's revisions (services/store/migrations/versions)."""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import sqlalchemy as sa
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+
+FIRST = "1"
+_LOCK_KEY = 0x73706C6174  # of PostgreSQL's advisory lock
+_FOLDER = Path(__file__).parent / "migrations"
+
+
+class NewerDatabase(RuntimeError):
+    """A database that a newer version of the program has changed."""
+
+
+def migrate(engine: sa.Engine) -> None:
+    """Bring the schema to the newest revision; one process at a time does it, others wait and find it done.
+
+    Raises: NewerDatabase naming the revision that is not known here.
+    """
+    with _alone(engine) as connection:
+        config = _config(connection)
+        known = {script.revision for script in ScriptDirectory.from_config(config).walk_revisions()}
+        found = MigrationContext.configure(connection).get_current_revision()
+        if found is not None and found not in known:
+            raise NewerDatabase(
+                f"the database is at revision {found}; allowed: up to {max(known, key=int)}; use a newer splatpress"
+            )
+        if found is None and sa.inspect(connection).has_table("jobs"):
+            command.stamp(config, FIRST)
+        if found != newest():
+            command.upgrade(config, "head")
+        connection.commit()
+
+
+def newest() -> str:
+    return ScriptDirectory(str(_FOLDER)).get_current_head()
+
+
+def _config(connection: sa.Connection) -> Config:
+    config = Config(attributes={"connection": connection})
+    config.set_main_option("script_location", str(_FOLDER).replace("%", "%%"))
+    config.set_main_option("path_separator", "os")
+    return config
+
+
+@contextmanager
+def _alone(engine: sa.Engine) -> Iterator[sa.Connection]:
+    """A connection, while no other process has one from here."""
+    database = engine.url.database if engine.dialect.name == "sqlite" else None
+    if database is None:
+        with engine.connect() as connection:
+            connection.execute(sa.text(f"SELECT pg_advisory_lock({_LOCK_KEY})"))
+            try:
+                yield connection
+            finally:
+                connection.rollback()
+                connection.execute(sa.text(f"SELECT pg_advisory_unlock({_LOCK_KEY})"))
+                connection.commit()
+        return
+    with open(f"{database}.migrating", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with engine.connect() as connection:
+            yield connection
