@@ -64,7 +64,9 @@ def test_owners__the_reader_looks_again_for_another(api, who, ball, monkeypatch)
 def test_owners__what_anothers_job_measured_is_not_shown(api, who, ball):
     scan = bring(api, who["ann"], "a.ply", ball).json()["id"]
     bring(api, who["bob"], "b.ply", ball)
-    api.app.state.store.note_of_scan(scan, "ann", bounds={"min": [0, 0, 0], "max": [9, 9, 9]}, effects=[{"effect": "x"}])
+    api.app.state.store.note_of_scan(
+        scan, "ann", bounds={"min": [0, 0, 0], "max": [9, 9, 9]}, effects=[{"effect": "x"}]
+    )
     found = {n: api.get(f"/v1/scans/{scan}", headers=who[n]).json() for n in ("ann", "bob")}
     assert found["ann"]["bounds"]["max"] == [9, 9, 9]
     assert found["bob"]["effects"] is None and found["bob"]["bounds"] != found["ann"]["bounds"]

@@ -62,7 +62,12 @@ def stalled_patch(where: str, content: bytes, n_sent: int) -> socket.socket:
     """A connection that has promised all of `content` and sent a part."""
     url = httpx.URL(where)
     connection = socket.create_connection((url.host, url.port))
-    lines = [f"PATCH {url.path} HTTP/1.1", f"Host: {url.host}:{url.port}", "Upload-Offset: 0", f"Content-Length: {len(content)}"]
+    lines = [
+        f"PATCH {url.path} HTTP/1.1",
+        f"Host: {url.host}:{url.port}",
+        "Upload-Offset: 0",
+        f"Content-Length: {len(content)}",
+    ]
     lines += [f"{name}: {value}" for name, value in PATCH.items()]
     connection.sendall("\r\n".join(lines).encode() + b"\r\n\r\n" + content[:n_sent])
     return connection
@@ -113,7 +118,9 @@ def test_uploads__two_that_write_at_once_mix_no_bytes(server, ball):
             if at == len(content):
                 return
             piece = content[at : at + 300_000]
-            answers.append(httpx.patch(where, content=piece, headers={**PATCH, "Upload-Offset": str(at)}, timeout=60).status_code)
+            answers.append(
+                httpx.patch(where, content=piece, headers={**PATCH, "Upload-Offset": str(at)}, timeout=60).status_code
+            )
 
     threads = [threading.Thread(target=send) for _ in range(3)]
     [t.start() for t in threads]
@@ -124,7 +131,9 @@ def test_uploads__two_that_write_at_once_mix_no_bytes(server, ball):
 
 def test_uploads__lengths_may_be_said_later(api, ball):
     made = api.post("/v1/uploads", headers={**TUS, "Upload-Defer-Length": "1", **metadata("ball.ply")})
-    assert made.status_code == 201 and made.headers["upload-defer-length"] == "1" and "upload-length" not in made.headers
+    assert (
+        made.status_code == 201 and made.headers["upload-defer-length"] == "1" and "upload-length" not in made.headers
+    )
     where = made.headers["location"]
     assert api.patch(where, content=ball[:500], headers={**PATCH, "Upload-Offset": "0"}).status_code == 204
     assert api.head(where, headers=TUS).headers["upload-defer-length"] == "1"
@@ -258,7 +267,10 @@ def test_client__an_upload_outlives_an_api_that_is_killed_and_started_anew(ball,
     monkeypatch.setattr(uploading, "PIECE_BYTES", 20_000)
     (tmp_path / "ball.ply").write_bytes(ball)
     killed = []
-    with api_alone(tmp_path / "data", reserve_bytes="0") as server, Client(server.url, memory=Memory(tmp_path / "m")) as client:
+    with (
+        api_alone(tmp_path / "data", reserve_bytes="0") as server,
+        Client(server.url, memory=Memory(tmp_path / "m")) as client,
+    ):
         sizes = sent_bytes(client)
 
         def kill(sent: int, total: int) -> None:
@@ -300,7 +312,9 @@ def test_uploads__no_more_is_promised_than_the_disk_holds(tmp_path, monkeypatch)
 
 def test_uploads__an_owner_has_so_many_at_once_and_so_many_bytes(tmp_path, ball):
     (tmp_path / "data").mkdir()
-    settings = settings_from({}, data=tmp_path / "data", max_uploads_at_once=3, max_owner_bytes=2 * len(ball), reserve_bytes=0)
+    settings = settings_from(
+        {}, data=tmp_path / "data", max_uploads_at_once=3, max_owner_bytes=2 * len(ball), reserve_bytes=0
+    )
     with TestClient(create_app(settings), base_url="http://127.0.0.1") as api:
         small = {**TUS, "Upload-Length": "10", **metadata("a.ply")}
         assert [api.post("/v1/uploads", headers=small).status_code for _ in range(4)] == [201, 201, 201, 429]
@@ -311,7 +325,10 @@ def test_uploads__an_owner_has_so_many_at_once_and_so_many_bytes(tmp_path, ball)
         assert api.post("/v1/uploads", headers=large).status_code == 201  # half of it taken, half of it promised
         refused = api.post("/v1/uploads", headers=small)
         assert refused.status_code == 413 and "of one owner" in refused.json()["detail"]
-        assert api.delete(f"/v1/scans/{scan}").status_code == 204 and api.post("/v1/uploads", headers=small).status_code == 201
+        assert (
+            api.delete(f"/v1/scans/{scan}").status_code == 204
+            and api.post("/v1/uploads", headers=small).status_code == 201
+        )
 
 
 def test_uploads__a_disk_that_fills_up_ends_the_request_as_the_services_matter(api, ball, monkeypatch):
@@ -352,7 +369,11 @@ def test_api__a_stranger_hears_401_before_a_byte_of_his_body_is_read(guarded, re
 
 
 def test_api__headers_that_never_end_are_dropped(guarded):
-    for sent in (b"", b"GET /healthz HTTP/1.1\r\nHost: 127", b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /he"):
+    for sent in (
+        b"",
+        b"GET /healthz HTTP/1.1\r\nHost: 127",
+        b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /he",
+    ):
         with socket.create_connection(("127.0.0.1", guarded.port)) as connection:
             begin = time.monotonic()
             connection.settimeout(10)
