@@ -71,7 +71,9 @@ def problem_of_job(error: Exception) -> dict:
     ):  # a file of ours that is not there is no want
         return Problem(500, "out-of-resources", error.strerror or f"{error}", kind=RESOURCE, retryable=True).body()
     if is_of_database(error):
-        return Problem(500, "out-of-resources", f"the database: {error.orig}", kind=RESOURCE, retryable=True).body()
+        return Problem(
+            500, "out-of-resources", f"the database: {getattr(error, 'orig', error)}", kind=RESOURCE, retryable=True
+        ).body()
     return Problem(
         500,
         "internal-error",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -59,7 +60,7 @@ class ServiceSettings:
                 raise ValueError(f"{PREFIX}{field.name.upper()} is {value}; allowed: 0 or more")
 
 
-def settings_from(environment: dict[str, str] | None = None, **changes) -> ServiceSettings:
+def settings_from(environment: Mapping[str, str] | None = None, **changes) -> ServiceSettings:
     """Settings from the environment, with changes; a change of None leaves what is there.
 
     Raises: ValueError naming the variable and what it allows.

@@ -6,10 +6,11 @@ import asyncio
 import queue
 import time
 import uuid
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import wait
 from itertools import accumulate, pairwise
 from pathlib import Path
+from typing import Any
 
 from pipeline.execution.calls import run_call
 from pipeline.execution.stage import Stage
@@ -72,7 +73,7 @@ class DaskExecutor:
         scheduler: str | None = None,
         *,
         job: str | None = None,
-        resources: dict[str, float] | None = None,
+        resources: Mapping[str, float] | None = None,
         watch: Callable[[], None] = lambda: None,
         on_lost: Callable[[str, list[str]], None] | None = None,
     ) -> None:
@@ -132,7 +133,7 @@ class DaskExecutor:
         name: str,
         function: Callable,
         *arguments,
-        resources: dict[str, float] | None = None,
+        resources: Mapping[str, float] | None = None,
         meanwhile: Callable[[], None] = lambda: None,
     ):
         """The result of one call on a worker that has `resources`; `meanwhile` is called while it runs."""
@@ -157,8 +158,8 @@ class DaskExecutor:
         name: str,
         function: Callable,
         calls: list[tuple],
-        resources: dict[str, float] | None,
-        on_call: Callable[[tuple, object], list[tuple]],
+        resources: Mapping[str, float] | None,
+        on_call: Callable[[tuple, Any], list[tuple]],
         meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
         """Call `function` with each of these arguments; `on_call(arguments, result)` says what is to be called
@@ -230,13 +231,13 @@ class DaskExecutor:
         keys = {f.key for f in futures}
         try:
             busy = {worker for worker, given in self._client.processing().items() if keys & set(given)}
-            busy = sorted(busy.union(*self._client.who_has(futures).values()))
+            busy = busy.union(*self._client.who_has(futures).values())
             self._client.cancel(futures, force=True)
             deadline = time.monotonic() + GRACE_S
             while busy and time.monotonic() < deadline:
-                busy = self._still_running(keys, busy, deadline)
+                busy = set(self._still_running(keys, sorted(busy), deadline))
             if busy:
-                self._client.restart_workers(busy, timeout=30, raise_for_error=False)
+                self._client.restart_workers(sorted(busy), timeout=30, raise_for_error=False)
         except (OSError, TimeoutError, ValueError):
             pass  # the scheduler is gone, or a worker of another's cluster has no nanny: nothing is left to stop it with
 

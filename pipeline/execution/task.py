@@ -41,7 +41,7 @@ def run_tasks(stage: Stage, folder: Path, indices: list[int]) -> list[dict]:
     """Several tasks as one: the results of the first, and of as many others as begin within CALL_S. Those that were
     done before a worker died are not done again."""
     begun = time.perf_counter()
-    results = []
+    results: list[dict] = []
     for index in indices:
         if results and time.perf_counter() - begun > CALL_S:
             break

@@ -34,8 +34,8 @@ class ColorBoxes:
         return color_bits(self.size, self.step)
 
 
-def length_of(code: np.ndarray | int) -> np.ndarray | float:
-    """The length that a code stands for, in 255ths.
+def length_of(code):
+    """The length that a code, or each of an array of codes, stands for, in 255ths.
 
     >>> length_of(96), length_of(112)
     (1.0, 2.0)

@@ -61,7 +61,7 @@ def draw_close_ups(
     spots = choose_spots(packed, ingest)[keep]
     cameras = [Camera.from_json(c) for c in work.summary(ingest)["cameras"]]
     views = [close_up(cameras[spot.camera], spot.centre) for spot in spots]
-    rows = [
+    rows: list[dict] = [
         {
             "why": spot.why,
             "camera": cameras[spot.camera].name,

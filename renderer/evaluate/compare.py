@@ -165,7 +165,8 @@ def _rectangle(mask: np.ndarray) -> tuple[slice, slice]:
     for axis, size in enumerate(mask.shape):
         used = np.flatnonzero(mask.any(axis=1 - axis))
         slices.append(slice(max(0, used[0] - SSIM_WINDOW_PX), min(size, used[-1] + 1 + SSIM_WINDOW_PX)))
-    return tuple(slices)
+    rows, columns = slices
+    return rows, columns
 
 
 def _check_sizes(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> None:

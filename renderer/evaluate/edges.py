@@ -58,7 +58,7 @@ def draw_edges(packed: Path, photos: Path, folder: Path) -> list[dict]:
     def draw(view: Camera) -> dict:
         return {name: renderer.render(gpu_scene, view) for name, gpu_scene in scenes.items()}
 
-    rows = []
+    rows: list[dict] = []
     for i, left, top, side in _chosen(draw, scene.header.cameras, photos):
         photo = arrays.read_window(photos, f"photo_{i}", top, top + side, left, left + side)
         rows.append(_row(draw, scene.header.cameras[i], photo, (left, top, side), Path(folder), len(rows)))
@@ -69,7 +69,8 @@ def draw_edges(packed: Path, photos: Path, folder: Path) -> list[dict]:
 
 def _chosen(draw, cameras: tuple[Camera, ...], photos: Path) -> list[tuple[int, int, int, int]]:
     """Camera, left, top and side of the squares that are shown."""
-    gained, lost = [], []
+    gained: list[tuple[float, int, int, int, int]] = []
+    lost: list[tuple[float, int, int, int, int]] = []
     for i in even_choice(len(cameras), N_CAMERAS):
         nearer = _nearer(draw, cameras[i], arrays.read(photos, f"photo_{i}"))
         shrink = nearer.shape[1] / cameras[i].width_px
@@ -77,7 +78,7 @@ def _chosen(draw, cameras: tuple[Camera, ...], photos: Path) -> list[tuple[int, 
             amount, row, column = fullest_square(values, max(1, round(SIDE_PX * shrink)))
             if amount > 0:
                 found.append((-amount, i, *_in_photo(cameras[i], row / shrink, column / shrink)))
-    return [square for _, *square in sorted(gained)[:N_GAINED] + sorted(lost)[:1]]
+    return [found[1:] for found in sorted(gained)[:N_GAINED] + sorted(lost)[:1]]
 
 
 def _nearer(draw, camera: Camera, photo: np.ndarray) -> np.ndarray:
@@ -92,9 +93,8 @@ def _nearer(draw, camera: Camera, photo: np.ndarray) -> np.ndarray:
 def _in_photo(camera: Camera, top: float, left: float) -> tuple[int, int, int]:
     """Left, top and side of a square in pixels of the photograph, within it."""
     side = min(SIDE_PX, camera.width_px, camera.height_px)
-    return *(
-        int(np.clip(round(at), 0, size - side)) for at, size in ((left, camera.width_px), (top, camera.height_px))
-    ), side
+    x, y = (int(np.clip(round(at), 0, size - side)) for at, size in ((left, camera.width_px), (top, camera.height_px)))
+    return x, y, side
 
 
 def _row(draw, camera: Camera, photo: np.ndarray, square: tuple[int, int, int], folder: Path, number: int) -> dict:

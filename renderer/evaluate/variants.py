@@ -50,10 +50,11 @@ def compare_variants(variants: Sequence[Variant], folder: Path | None = None) ->
     cameras = scenes[0].scene.header.cameras
     chosen = even_choice(len(cameras), N_VIEWS)
     views = [limited_view(cameras[i], MAX_SIDE_PX) for i in chosen] or orbit_views(scenes[0].scene, N_VIEWS, ORBIT_PX)
-    seconds, ratios = [[] for _ in variants], [[] for _ in variants]
-    spots = [(-1.0, None)] * len(variants)
-    figures = [{"psnr_vs_photos_db": [], "psnr_vs_first_db": []} for _ in variants]
-    programs = [set() for _ in variants]
+    seconds: list[list[float]] = [[] for _ in variants]
+    ratios: list[list[float]] = [[] for _ in variants]
+    spots: list[tuple] = [(-1.0, None)] * len(variants)
+    figures: list[dict[str, list]] = [{"psnr_vs_photos_db": [], "psnr_vs_first_db": []} for _ in variants]
+    programs: list[set[str]] = [set() for _ in variants]
     for scene in scenes:
         renderer.render(
             scene, views[0]

@@ -63,7 +63,8 @@ def atlas_picture(levels: list[np.ndarray], layout: AtlasLayout) -> np.ndarray:
 
 def upload_atlas(context: moderngl.Context, levels: list[np.ndarray]) -> tuple[moderngl.Texture, int]:
     """The texture of a dictionary, and its bytes."""
-    layout = atlas_layout(*levels[0].shape[:2], levels[-1].shape[1])
+    n_atoms, finest = levels[0].shape[:2]
+    layout = atlas_layout(n_atoms, finest, levels[-1].shape[1])
     limit = context.info["GL_MAX_TEXTURE_SIZE"]
     if max(layout.width, layout.height) > limit:
         raise ResourceExhausted(

@@ -32,14 +32,14 @@ def has_stacks(scene: PackedScene) -> bool:
     n_chunks = len(scene.arrays["box_low"])
     code = np.full(n_chunks * CHUNK, -1)  # the last chunk is filled up with what is no splat
     code[: scene.header.n_splats] = scene.arrays["position"].astype(np.int64) @ [1, 1 << 8, 1 << 16]
-    code = code.reshape(n_chunks, CHUNK)
+    by_chunk = code.reshape(n_chunks, CHUNK)
     bits = scene.arrays["box_bits"].astype(np.int64)
     step = scene.arrays["box_size"] / np.exp2(bits)
     with np.errstate(divide="ignore"):  # a zero extent is one cell
         dropped = np.clip(np.floor(np.log2(CELL_IN_RADII * scene.header.radius / step)), 0, bits).astype(np.int64)
-    suspect = _suspects(code, bits, dropped)
+    suspect = _suspects(by_chunk, bits, dropped)
     return any(
-        _has_many_equal(_cells(code[suspect], bits[suspect], dropped[suspect], shifted), MOST_ALIKE).any()
+        _has_many_equal(_cells(by_chunk[suspect], bits[suspect], dropped[suspect], shifted), MOST_ALIKE).any()
         for shifted in (False, True)
     )
 

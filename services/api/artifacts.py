@@ -32,7 +32,7 @@ def get_artifacts(
     settings: Settings,
     store: Database,
     response: Response,
-    format: Annotated[Literal[*FORMATS] | None, Query(description="the packed file as what others open")] = None,
+    format: Annotated[Literal[*FORMATS] | None, Query(description="the packed file as what others open")] = None,  # type: ignore[valid-type]
 ) -> dict:
     """Of a failed or dismissed job, those that it had made by then. With `format` that one alone, made by a worker
     where it is not there yet: 202 until it is, then it is kept as an artifact."""

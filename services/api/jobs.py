@@ -26,7 +26,7 @@ Offset = Annotated[int, Query(ge=0, le=1 << 31)]
 
 
 # What a preset is changed by; `GET /v1/options` says what each allows.
-JobOptions = create_model(
+JobOptions = create_model(  # type: ignore[call-overload]
     "JobOptions",
     __config__=ConfigDict(extra="forbid", strict=True),
     **{knob.name: (Union[*knob.kinds, None], None) for knob in KNOBS if knob.name != "seed"},
@@ -37,9 +37,9 @@ class JobRequest(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     scan: str = Field(pattern="^[0-9a-f]{64}$")
-    process: Literal[*PROCESSES] = COMPRESS
-    preset: Literal[*PRESETS] = DEFAULT_PRESET
-    options: JobOptions = JobOptions()
+    process: Literal[*PROCESSES] = COMPRESS  # type: ignore[valid-type]
+    preset: Literal[*PRESETS] = DEFAULT_PRESET  # type: ignore[valid-type]
+    options: JobOptions = JobOptions()  # type: ignore[valid-type]
     seed: int = Field(0, ge=0, lt=2**63)
     knobs: dict[str, Annotated[list[int | float | str], Field(max_length=20)]] | None = Field(
         None, max_length=len(KNOBS)
@@ -100,7 +100,7 @@ def post_job(
 
 def _settings(request: JobRequest) -> dict:
     try:
-        settings = settings_for(request.preset, **request.options.model_dump(), seed=request.seed)
+        settings = settings_for(request.preset, **request.options.model_dump(), seed=request.seed)  # type: ignore[attr-defined]
         return stored(settings, request.process, request.knobs, request.budget_s)
     except ValueError as error:
         raise Problem(422, "invalid-option", str(error)) from None
@@ -124,7 +124,7 @@ def get_jobs(
     owner: Owner,
     settings: Settings,
     store: Database,
-    status: Literal[*STATES] | None = None,
+    status: Literal[*STATES] | None = None,  # type: ignore[valid-type]
     scan: Annotated[str | None, Query(pattern="^[0-9a-f]{64}$")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
     offset: Offset = 0,
@@ -181,7 +181,7 @@ def get_logs(
     job: Job,
     store: Database,
     offset: Offset = 0,
-    level: Literal[*LEVELS] = "info",
+    level: Literal[*LEVELS] = "info",  # type: ignore[valid-type]
     limit: Annotated[int, Query(ge=1, le=1000)] = 200,
 ) -> dict:
     """Lines of `level` and above, oldest first."""

@@ -9,6 +9,7 @@ with Client("http://127.0.0.1:8000") as client:
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import os
 import secrets
@@ -93,11 +94,11 @@ class Client:
                 return
             offset = page["next_offset"]
 
-    def watch(self, job: str, on_event: Callable[[dict], None]) -> dict:
+    def watch(self, job: str, on_event: Callable[[dict], None]) -> dict:  # type: ignore[return]
         """Hear each event of a job once, `{id, kind, data}`, until it has ended; returns it. Survives lost
         connections."""
         last = "0"
-        for attempt in range(10**9):
+        for attempt in itertools.count():
             try:
                 with self._http.stream("GET", f"/v1/jobs/{job}/events", headers={"Last-Event-ID": last}) as answer:
                     check(answer)
@@ -170,7 +171,7 @@ class Client:
         return document(self._ask("GET", path, **request))
 
     def _ask(self, method: str, path: str, **request) -> httpx.Response:
-        for attempt in range(TRIES):
+        for attempt in itertools.count():
             try:
                 return self._once(method, path, **request)
             except (httpx.ConnectError, ServiceError) as error:

@@ -30,7 +30,7 @@ def texels_of_levels(prepared: Prepared, settings: Settings) -> tuple[int, int]:
 def _stored_index_bits(coded: Coded | None, settings: Settings) -> int:
     """No more than the indices take; the paper's coder has those of its name."""
     if settings.coder == "paper" and settings.dictionary_bits != "auto":
-        return settings.dictionary_bits
+        return int(settings.dictionary_bits)
     n_indices = coded.n_dictionary * coded.quantized.summary["n_turns"] if coded and coded.quantized else 1
     return max(1, (n_indices - 1).bit_length())
 

@@ -119,14 +119,14 @@ def _form(training: dict, settings: Settings, tolerance: float, most_texels: int
     share = training["n_active"] / training["n_splats"]
     fine = [s for s in ATOM_SIZES if training["beyond"][str(s)] * share <= BEYOND_ATOMS * tolerance]
     return AtomForm(
-        min(*fine, most_texels, ATOM_SIZES[0]) if settings.atom_size == "auto" else settings.atom_size, TURNS
+        min(*fine, most_texels, ATOM_SIZES[0]) if settings.atom_size == "auto" else int(settings.atom_size), TURNS
     )
 
 
 def index_bits(settings: Settings, form: AtomForm | None, n_splats: int) -> int:
     """Bits of an index: those asked for, or as many as the scan pays for."""
     if settings.dictionary_bits != "auto":
-        return settings.dictionary_bits
+        return int(settings.dictionary_bits)
     if form is None:
         return FEWEST_INDEX_BITS
     affordable = n_splats * DICTIONARY_BYTES_A_SPLAT / (4 * form.size**2) * form.n_turns

@@ -107,7 +107,7 @@ def _reached(
 
 def _public_address(host: str, port: int, allow_private: bool) -> str:
     try:
-        found = [info[4][0] for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
+        found = [str(info[4][0]) for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
     except (OSError, UnicodeError) as error:
         raise RefusedAddress(f"{host} has no address ({error})") from error
     for address in found if not allow_private else ():

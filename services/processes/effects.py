@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from pipeline.effects.plan.plan import EffectPlan
 from pipeline.effects.plan.request import canonical_request, parse_request
 from pipeline.execution.stage import Executor, Progress
 from pipeline.planning.settings import Settings
@@ -44,7 +45,9 @@ def worth_of_effects(
     each that is on alone off; what renderer.evaluate.variants measures of each, with the seconds that its stages took.
     With `out` there are pictures of where each differs most from the plan, and all of it as effects.json."""
     with _run(executor, progress, work) as run, tempfile.TemporaryDirectory(prefix="splatpress-variants-") as folder:
-        plan, variants, seconds = None, [], []
+        plan: EffectPlan | None = None
+        variants: list[Variant] = []
+        seconds: list[float] = []
         requests = {"plan": settings.effects}
         while len(variants) < len(requests):
             name = list(requests)[len(variants)]

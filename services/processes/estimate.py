@@ -334,12 +334,13 @@ def _job_for_pilot(pilot: _Pilot, settings: Settings, learning: dict) -> tuple[f
     """Squared error and atoms of the job's splats, for one of each of the pilot's."""
     if not learning:
         return 1.0, 1.0
-    stage, record = next(pair for pair in pilot.stages if isinstance(pair[0], TrainingSet))
+    stage, record = next((stage, record) for stage, record in pilot.stages if isinstance(stage, TrainingSet))
     active, learned, octave = membership(stage, record.folder)
     error, n_atoms = (arrays.read(pilot.coded.codes.folder, name).astype(float) for name in ("error", "n_atoms"))
     prices = next((r.summary for _, r in pilot.stages if r.name == Prices.name), None)
-    price = prices and price_for(prices, record.summary)
-    slope = slope_at(price, prices, least_price(prices, record.summary)) if prices else Slope(None)
+    slope = Slope(None)
+    if prices:
+        slope = slope_at(price_for(prices, record.summary), prices, least_price(prices, record.summary))
     census = np.array(work.summary(stage.colors)["census"]) / pilot.share
     a_patch = (learning["n_atoms"] / learning["n_patches"]) / (learning["n_atoms_pilot"] / learning["n_patches_pilot"])
     job = outcome_in_job(

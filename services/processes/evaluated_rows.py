@@ -71,7 +71,7 @@ def average_row(e: Evaluation) -> None:
 def coded_row(e: Evaluation, key: str, coder: str, **changes) -> None:
     if key in CODED_ROWS:
         changes |= dict(zip(("dictionary_bits", "weight_bits"), CODED_ROWS[key]))
-    settings = replace(e.settings, **changes, **({"coder": coder} if coder else {}))
+    settings = replace(e.settings, **(changes | ({"coder": coder} if coder else {})))
     n_before = len(e.run.records)
     coded = code_prepared(e.run, e.prepared, e.patches, settings)
     seconds = sum(record.made_seconds for record in e.run.records[n_before:])

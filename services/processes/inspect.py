@@ -12,7 +12,7 @@ from storage.packed.seal import is_packed_file
 
 def inspect(path: Path) -> dict:
     """A JSON-able account of a scan or a packed file."""
-    return inspect_packed(path) if is_packed_file(path) else inspect_scan(path)
+    return inspect_packed(path) if is_packed_file(path) else inspect_scan(str(path))
 
 
 def inspect_packed(path: Path) -> dict:

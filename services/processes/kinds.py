@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from pipeline.planning.knobs import BY_NAME
@@ -13,7 +13,7 @@ COMPRESS, TRADEOFF = PROCESSES = ("compress", "tradeoff")
 _KEY = "process"
 
 
-def stored(settings: Settings, process: str, knobs: dict[str, Sequence] | None, budget_s: float) -> dict:
+def stored(settings: Settings, process: str, knobs: Mapping[str, Sequence] | None, budget_s: float) -> dict:
     """The settings of a job as the store keeps them. Raises ValueError for knobs that are not allowed, or not of
     use."""
     if process == COMPRESS:

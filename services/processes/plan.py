@@ -66,7 +66,7 @@ def _likely_form(settings: Settings) -> AtomForm | None:
     """The atoms of a scan that is like those the costs were measured on."""
     if settings.coder == "paper":
         return None
-    return AtomForm(min(ATOM_SIZES) if settings.atom_size == "auto" else settings.atom_size, TURNS)
+    return AtomForm(min(ATOM_SIZES) if settings.atom_size == "auto" else int(settings.atom_size), TURNS)
 
 
 def _rung(job: Job, costs: dict[str, StageCost]) -> dict:

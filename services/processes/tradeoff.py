@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -50,7 +50,7 @@ class Step:
         )
 
 
-def ladder(settings: Settings, knobs: dict[str, Sequence]) -> list[Step]:
+def ladder(settings: Settings, knobs: Mapping[str, Sequence]) -> list[Step]:
     """The presets, the chosen settings first, then the values of each knob, all knobs in turns: where a budget ends the
     ladder early, every knob has been tried. Settings that come twice are measured once."""
     chosen = Step("chosen", settings, settings.preset if settings == PRESETS[settings.preset] else None)
@@ -61,8 +61,10 @@ def ladder(settings: Settings, knobs: dict[str, Sequence]) -> list[Step]:
             if turn < len(values):
                 changed = replace(settings, **{name: values[turn]})
                 steps.append(Step(f"{name}={values[turn]}", changed, None, name))
-    seen: set = set()
-    return [s for s in steps if not (asdict_key(s.settings) in seen or seen.add(asdict_key(s.settings)))]
+    unique: dict[tuple, Step] = {}
+    for step in steps:
+        unique.setdefault(asdict_key(step.settings), step)
+    return list(unique.values())
 
 
 def asdict_key(settings: Settings) -> tuple:
@@ -94,7 +96,7 @@ def tradeoff(
     executor: Executor,
     progress: Progress,
     *,
-    knobs: dict[str, Sequence] | None = None,
+    knobs: Mapping[str, Sequence] | None = None,
     budget_s: float = BUDGET_S,
     render: bool = True,
     work: Path | None = None,
@@ -116,7 +118,7 @@ def measure_ladder(
     scan: Path,
     out: Path,
     settings: Settings,
-    knobs: dict[str, Sequence] | None = None,
+    knobs: Mapping[str, Sequence] | None = None,
     budget_s: float = BUDGET_S,
     render: bool = True,
     name: str | None = None,
@@ -128,8 +130,11 @@ def measure_ladder(
     begun = run.clock()
     folder = out / "packed"
     folder.mkdir(exist_ok=True)
-    points, skipped, last, photos = [], [], 0.0, None
-    steps = ladder(settings, default_knobs() if knobs is None else knobs)
+    points: list[dict] = []
+    skipped: list[dict] = []
+    last, photos = 0.0, None
+    tried: Mapping[str, Sequence] = default_knobs() if knobs is None else knobs
+    steps = ladder(settings, tried)
     for i, step in enumerate(steps):
         if points and run.clock() - begun + last > budget_s:
             skipped.append({"key": step.key, "command": step.command})

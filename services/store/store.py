@@ -467,7 +467,7 @@ class Store:
 
     def _insert_new(self, table: sa.Table, row: dict) -> bool:
         insert = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}[self.engine.dialect.name]
-        return self._write(insert(table).values(row).on_conflict_do_nothing()) == 1
+        return self._write(insert(table).values(row).on_conflict_do_nothing()) == 1  # type: ignore[attr-defined]
 
 
 _OWNED_SCANS = sa.select(

@@ -55,7 +55,8 @@ class PackedScene:
         """Atoms and weight codes of the splats start..stop, two (n, n_ranks) int32, zero beyond their n_atoms."""
         n_atoms = self.n_atoms[start:stop]
         if not self.header.n_dictionary:
-            return tuple(np.zeros((2, len(n_atoms), self.header.n_ranks), np.int32))
+            shape = (len(n_atoms), self.header.n_ranks)
+            return np.zeros(shape, np.int32), np.zeros(shape, np.int32)
         group = np.arange(self.header.n_splats)[start:stop] // GROUP
         return unpack_codes(
             self.header, self.arrays["codes"], self.arrays["group_word"][group], self.rows.entry[start:stop], n_atoms

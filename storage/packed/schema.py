@@ -32,14 +32,20 @@ DEFAULT_UP, DEFAULT_AHEAD = (0, 0, 1), (1, 0, 0)
 LONGEST_DIRECTION = 36  # so that 100 (up . normal)^2 of whole numbers stays within 32 bits
 
 
-_JSON_TYPES = {"int": int, "float": (int, float), "str": str, "bool": bool, "dict": dict}
+_JSON_TYPES: dict[str, tuple[type, ...]] = {
+    "int": (int,),
+    "float": (int, float),
+    "str": (str,),
+    "bool": (bool,),
+    "dict": (dict,),
+}
 
 
 def _typed(cls: type, data: dict, **parsed):
     """A dataclass of the `parsed` fields and, for the others, the plain values of `data`."""
     for wanted in fields(cls):
         if wanted.name not in parsed:
-            parsed[wanted.name] = _plain(data[wanted.name], wanted.type, wanted.name)
+            parsed[wanted.name] = _plain(data[wanted.name], str(wanted.type), wanted.name)
     return cls(**parsed)
 
 
@@ -47,7 +53,7 @@ def _plain(value, kind: str, name: str):
     """A value of one of the _JSON_TYPES; `kind` is the field's annotation."""
     if not isinstance(value, _JSON_TYPES[kind]) or isinstance(value, bool) != (kind == "bool"):
         raise TypeError(f"{name} is {value!r}, not of type {kind}")
-    return float(value) if kind == "float" else value
+    return float(value) if kind == "float" else value  # type: ignore[arg-type]
 
 
 def _list(value, n: int | None = None) -> list | tuple:

@@ -213,7 +213,7 @@ def _read_ahead(there: np.memmap, start: int, n: int) -> None:
     begin, end = (min(i, len(there)) * there[0].nbytes for i in (start, start + n))
     begin -= begin % mmap.PAGESIZE
     if begin < end and hasattr(mmap, "MADV_WILLNEED"):
-        there._mmap.madvise(mmap.MADV_WILLNEED, begin, end - begin)
+        there._mmap.madvise(mmap.MADV_WILLNEED, begin, end - begin)  # type: ignore[attr-defined]
 
 
 def _piece(folder: Path, name: str, start: int, stop: int) -> np.ndarray:
@@ -272,7 +272,8 @@ class Appender:
     def __init__(self, folder: Path, name: str, row_shape: tuple[int, ...], dtype: str, rows: int = BLOCK) -> None:
         self._folder, self._name, self._made_as = folder, name, _aside(name)
         self._layout = Layout((0, *row_shape), (rows, *row_shape), np.dtype(dtype))
-        self._waiting, self._n_waiting = [], 0
+        self._waiting: list = []
+        self._n_waiting = 0
         _describe(folder, self._made_as, self._layout)
 
     def append(self, rows: np.ndarray) -> None:

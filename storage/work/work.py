@@ -41,7 +41,7 @@ def write_parts(path: Path, **arrays: np.ndarray) -> None:
     """Arrays as one .npz, under its name only when it is whole."""
     path.parent.mkdir(exist_ok=True)
     with whole(path) as partial, open(partial, "wb") as stream:
-        np.savez(stream, **arrays)
+        np.savez(stream, **arrays)  # type: ignore[arg-type]
 
 
 def write_part(path: Path, array: np.ndarray) -> None:

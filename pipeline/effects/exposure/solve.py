@@ -41,7 +41,7 @@ def solve_fields(seen: Observations, n_photos: int, near: np.ndarray | None = No
     """
     fields, n_rounds = (np.zeros((n_photos, 3, N_TERMS)), ROUNDS) if near is None else (near.copy(), MORE_ROUNDS)
     srgb = srgb_of(np.clip(seen.light, 0, 1))
-    usable = ((srgb > DARKEST) & (srgb < BRIGHTEST)).all(axis=1)
+    usable = np.all((srgb > DARKEST) & (srgb < BRIGHTEST), axis=1)
     seen = seen.only(usable)
     basis = terms(seen.x, seen.y)
     groups = [np.flatnonzero(seen.photo == i) for i in range(n_photos)]

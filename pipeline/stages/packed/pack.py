@@ -155,7 +155,8 @@ def kinds_of(n_atoms: np.ndarray, extras: tuple[tuple[str, Path], ...], start: i
     if {"clipline", "ellipsoid"} <= flags.keys():
         clipline, ellipsoid = ([e.flag for e in EXTRAS].index(flag) for flag in ("clipline", "ellipsoid"))
         columns[clipline] = columns[clipline] & ~columns[ellipsoid]  # the disc that would have been cut is not drawn
-    return sum(digit * column.astype(np.int64) for digit, column in zip(KIND_DIGITS, [n_atoms, *columns], strict=True))
+    digits = zip(KIND_DIGITS, [n_atoms, *columns], strict=True)
+    return np.sum([digit * column.astype(np.int64) for digit, column in digits], axis=0)
 
 
 def batches_of(n_splats: int, codes: Path | None, extras: tuple[tuple[str, Path], ...]) -> tuple[Batch, ...]:

@@ -100,5 +100,6 @@ def _read_atoms(folder: Path) -> Atoms:
         found = turn_all(dictionary, size, turned, with_gram)
         return Atoms(found if with_gram else unshortened(turned, found))
     if arrays.exists(folder, "basis"):
-        return Atoms(ShortDictionary(dictionary, *(arrays.read(folder, n) for n in ("basis", "short", "rest"))))
+        basis, short, rest = (arrays.read(folder, name) for name in ("basis", "short", "rest"))
+        return Atoms(ShortDictionary(dictionary, basis, short, rest))
     return Atoms(unshortened(dictionary) if len(dictionary) > MOST_WITH_GRAM else ready_for("certified", dictionary))

@@ -69,8 +69,8 @@ class Prices:
             patches, self.max_atoms, 0.0, levels, min(LADDER) * self.tolerance
         )  # at others it ends on the way
         error, n_atoms = [], []
-        for share in LADDER:
-            taken = found.atoms_at(share * self.tolerance)
+        for rung in LADDER:
+            taken = found.atoms_at(rung * self.tolerance)
             error.append(float(weight @ (found.path[np.arange(len(taken)), taken] + rest)))
             n_atoms.append(float(weight @ taken))
         return {"n_splats": len(patches), "weight": float(weight.sum()), "error": error, "n_atoms": n_atoms}
