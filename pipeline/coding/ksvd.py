@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -111,12 +110,8 @@ def merge_moments(load: Callable[[int, slice], np.ndarray], n_blocks: int, shape
     merged = np.empty(shape)
     for start in range(0, shape[0], MERGED_ATOMS):
         atoms = slice(start, start + MERGED_ATOMS)
-        merged[atoms] = _tree_sum(partial(_of_atoms, load, atoms), 0, n_blocks)
+        merged[atoms] = _tree_sum(lambda block, atoms=atoms: load(block, atoms), 0, n_blocks)  # type: ignore[misc]
     return merged
-
-
-def _of_atoms(load: Callable[[int, slice], np.ndarray], atoms: slice, block: int) -> np.ndarray:
-    return load(block, atoms)
 
 
 def _tree_sum(load: Callable[[int], np.ndarray], start: int, stop: int) -> np.ndarray:

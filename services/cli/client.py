@@ -170,7 +170,7 @@ class Client:
     def _get(self, path: str, **request) -> dict:
         return document(self._ask("GET", path, **request))
 
-    def _ask(self, method: str, path: str, **request) -> httpx.Response:
+    def _ask(self, method: str, path: str, **request) -> httpx.Response:  # type: ignore[return]
         for attempt in itertools.count():
             try:
                 return self._once(method, path, **request)
