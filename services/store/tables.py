@@ -1,4 +1,8 @@
-"""The tables of the service's database, SQLite or PostgreSQL."""
+"""The tables of the service's database, SQLite or PostgreSQL.
+
+A change here needs a revision in services/store/migrations/versions, which brings older databases to it; a test holds
+the two against each other.
+"""
 
 from __future__ import annotations
 

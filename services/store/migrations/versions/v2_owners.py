@@ -1,5 +1,5 @@
 """What an owner is told of a scan stands with the owner, not with the content that two owners may share; tokens that
-expire and say when they were used; uploads that are part of another; a record of who did what."""
+expire and say when they were used; uploads that are part of another; a record of who did what; exports."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -37,3 +37,11 @@ def upgrade() -> None:
         sqlite_autoincrement=True,
     )
     op.create_index("audit_by_owner", "audit", ["owner", "id"])
+    if not sa.inspect(op.get_bind()).has_table("exports"):  # some databases had it before they had revisions
+        op.create_table(
+            "exports",
+            sa.Column("job", sa.String(32), sa.ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
+            sa.Column("format", sa.String(20), primary_key=True),
+            sa.Column("requested", sa.Float, nullable=False),
+            sa.Column("problem", sa.JSON),
+        )
