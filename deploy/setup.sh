@@ -4,6 +4,7 @@ set -eu
 cd "$(dirname "$0")/.."
 venv=${1:-.venv}
 stamp=$venv/.installed
+needs_temporary_mb=300 needs_venv_mb=1200 # measured: pip unpacks the largest wheels there; the packages themselves
 log() { printf 'setup: %s\n' "$*" >&2; }
 
 # Installs Debian packages where the user may; fails where not.
@@ -21,16 +22,24 @@ install_packages() {
         { log "$said"; return 1; }
 }
 
+# The packages are locked and have wheels for Python 3.11 to 3.13; a newer one would have to build some of them.
 find_python() {
     local candidate
-    for candidate in ${PYTHON:-} python3 python3.14 python3.13 python3.12 python3.11; do
-        if "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
+    for candidate in ${PYTHON:-} python3 python3.13 python3.12 python3.11; do
+        if "$candidate" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null; then
             echo "$candidate"
             return
         fi
     done
-    log "no Python 3.11 or newer found; install one, or name it: make PYTHON=/path/to/python3 ..."
+    log "Python 3.11, 3.12 or 3.13 is needed, found: $(python3 --version 2>&1 || true); name one: make PYTHON=/path/to/python3.13 ..."
     exit 1
+}
+
+# Fails, saying what to do, where a folder has less than so many MB free.
+check_room() {
+    local folder=$1 megabytes=$2 hint=$3 free
+    free=$(df -Pm "$folder" | awk 'NR == 2 {print $4}')
+    [ "$free" -ge "$megabytes" ] || { log "$folder has $free MB free, $megabytes are needed; $hint"; exit 1; }
 }
 
 make_venv() {
@@ -45,8 +54,11 @@ make_venv() {
     fi
 }
 
-locked=$(cat requirements.lock pyproject.toml | sha256sum)
+# What is installed names the folder that it was made in: a checkout that was moved or copied is set up anew.
+locked=$(cat requirements.lock pyproject.toml | sha256sum)$(pwd)
 if [ ! -f "$stamp" ] || [ "$(cat "$stamp")" != "$locked" ]; then
+    check_room "${TMPDIR:-/tmp}" "$needs_temporary_mb" "name another: TMPDIR=/path make ..."
+    check_room . "$needs_venv_mb" "that is what the packages in $venv take"
     make_venv
     log "installing the locked packages"
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
 import traceback
 import warnings
@@ -16,7 +17,7 @@ from pathlib import Path
 from services.cli.arguments import WrongArgument, add_preset, add_settings, add_view_knobs, settings_of
 from services.cli.exports import add_export
 from services.cli.service import add_service_verbs
-from storage.errors import SplatpressError
+from storage.errors import ResourceExhausted, SplatpressError
 from storage.version import VERSION
 
 OK, ARGUMENTS, INPUT_OUTPUT, INVALID_INPUT, INTERNAL, GATE_MISSED, INTERRUPTED = 0, 1, 2, 3, 4, 7, 130
@@ -38,12 +39,14 @@ def main(arguments: list[str] | None = None) -> int:
         return options.command(options)
     except SplatpressError as error:
         print(f"splatpress: {error.kind} error: {error}", file=sys.stderr)
+        _print_notes(error)
         return error.exit_code
     except WrongArgument as error:
         print(f"splatpress: {error}", file=sys.stderr)
         return ARGUMENTS
     except OSError as error:
         print(f"splatpress: {error}", file=sys.stderr)
+        _print_notes(error)
         return INPUT_OUTPUT
     except KeyboardInterrupt:
         print("splatpress: interrupted", file=sys.stderr)
@@ -56,6 +59,12 @@ def main(arguments: list[str] | None = None) -> int:
         traceback.print_exc()
         print("splatpress: internal error: please report the lines above", file=sys.stderr)
         return INTERNAL
+
+
+def _print_notes(error: Exception) -> None:
+    """What an error says besides, as that a packed file was kept."""
+    for note in getattr(error, "__notes__", ()):
+        print(f"splatpress: {note}", file=sys.stderr)
 
 
 def _asked(error: Exception) -> str:
@@ -73,6 +82,7 @@ def _compress(options: argparse.Namespace) -> int:
     settings = settings_of(options)
     scan, out = _scan_path(options.scan), Path(options.out)
     _refuse_to_overwrite(out, options.overwrite)
+    _look_first(scan, draws=not options.no_render)
     with _executor(options) as executor:
         report = compress(
             scan,
@@ -312,9 +322,12 @@ def _demo(options: argparse.Namespace) -> int:
 
     settings, out = settings_of(options), Path(options.out)
     _refuse_to_overwrite(out, options.overwrite)
-    with tempfile.TemporaryDirectory() as folder, _executor(options) as executor:
+    with tempfile.TemporaryDirectory(dir=_made(out.absolute().parent)) as folder:
         scan = write_motorcycle(Path(folder) / "motorcycle")
-        report = compress(scan, out, settings, executor, _progress(), render=not options.no_render)
+        _look_first(scan, draws=not options.no_render)
+        with _executor(options) as executor:
+            report = compress(scan, out, settings, executor, _progress(), render=not options.no_render)
+        shutil.move(scan, out / "scan")
     return _show_report(report, out, options)
 
 
@@ -337,6 +350,26 @@ def _scan_path(text: str) -> Path:
     if not path.exists():
         raise FileNotFoundError(f"{text}: no such file or folder")
     return path
+
+
+def _look_first(scan: Path, draws: bool) -> None:
+    """What takes a second is looked at before workers start: the scan's header, and OpenGL where pictures are wanted."""
+    from pipeline.readers import open_scan
+    from renderer.splats.context import gl_context
+
+    open_scan(scan)
+    if draws:
+        try:
+            gl_context().release()
+        except ResourceExhausted as error:
+            raise ResourceExhausted(
+                error.where, error.found, error.allowed, f"{error.hint}; or go without pictures: --no-render"
+            ) from error
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def _refuse_to_overwrite(out: Path, overwrite: bool) -> None:

@@ -101,9 +101,17 @@ def placed_whole(out: Path) -> Iterator[Path]:
 
 def put_in_place(made: Path, out: Path) -> None:
     """Let `out` be what was made; an older `out` goes only when the new one is whole."""
-    made.chmod(0o755)
+    made.chmod(0o777 & ~_umask())  # mkdtemp makes folders for their owner alone
     old = made.with_name(made.name + ".old")
     if out.exists():
         os.replace(out, old)
     os.replace(made, out)
     shutil.rmtree(old, ignore_errors=True)
+
+
+def _umask() -> int:
+    """What the process takes from the rights of new files. Reading it sets it for a moment: not beside threads that
+    make files."""
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return mask

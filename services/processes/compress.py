@@ -32,14 +32,26 @@ def compress(
 ) -> dict:
     """Compress a scan into `out`: NAME.splatpress, report.json, report.html and previews/. Returns the report.
 
-    `out` appears with all of it, or not at all. With `work` the outputs of the stages stay there and are used again;
-    else they are thrown away.
+    `out` appears with all of it, or not at all; only where the packed file is whole and its pictures or its report
+    fail, `out` appears with what there is, and the error says so in a note. With `work` the outputs of the stages stay
+    there and are used again; else they are thrown away.
     """
+    failed: Exception | None = None
+    report: dict = {}
     with placed_whole(out) as made:
         run = Run(work or made / "work", executor, progress)
-        report = make(run, scan, settings, made, render)
+        try:
+            report = make(run, scan, settings, made, render)
+        except Exception as error:
+            packed = next(made.glob(f"*{SUFFIX}"), None)
+            if packed is None:
+                raise
+            error.add_note(f"the packed file is whole and was kept: {out / packed.name}")
+            failed = error
         if work is None:
             shutil.rmtree(made / "work")
+    if failed is not None:
+        raise failed
     return report
 
 

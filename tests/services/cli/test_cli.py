@@ -7,6 +7,7 @@ import json
 import pytest
 
 from services.cli.main import main
+from storage.errors import ResourceExhausted
 from storage.packed.schema import MAX_ATOMS
 from tests.services.scans import photo_scan, point_scan
 
@@ -259,3 +260,20 @@ def test_cli__render_lights_a_file_that_was_not_made_for_it(compressed, tmp_path
     assert pictures[0] != pictures[1]
     with pytest.raises(SystemExit):
         main(["render", "x", "--orbit", "1", "--out", "y", "--light", "0,0,0"])
+
+
+def test_cli__what_takes_a_second_is_looked_at_before_workers_start(scan, tmp_path, capsys, monkeypatch):
+    def fails():
+        raise ResourceExhausted("OpenGL", "no headless context", "OpenGL 4.5 on EGL", "install libegl1")
+
+    def starts(options):
+        raise AssertionError("workers started")
+
+    monkeypatch.setattr("renderer.splats.context.gl_context", fails)
+    monkeypatch.setattr("services.cli.main._executor", starts)
+    code, _, err = run(capsys, "compress", scan, "--out", tmp_path / "o")
+    assert code == 2 and "install libegl1; or go without pictures: --no-render" in err
+    (tmp_path / "Wände 2.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n")
+    code, _, err = run(capsys, "compress", tmp_path / "Wände 2.ply", "--out", tmp_path / "o", "--no-render")
+    assert code == 3 and "Wände 2.ply" in err and len(err.splitlines()) == 1
+    assert not (tmp_path / "o").exists()

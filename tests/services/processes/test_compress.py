@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from pipeline.execution.calls import run_call
 from pipeline.execution.executors import DaskExecutor, SerialExecutor
 from pipeline.execution.task import run_task
 from pipeline.planning.settings import settings_for
+from services.flow.outputs import placed_whole
 from services.processes import compress as workflow
 from services.processes.compress import compress
 from services.processes.report import report
@@ -254,3 +256,28 @@ def test_workflow__the_report_keeps_the_plan(packed_serially):
     assert rows["depth_margin"]["measure"] is not None and rows["depth_margin"]["request"] == "auto"
     with PackedFile(out / "wavy plane.splatpress") as packed:
         assert set(packed.header.effects) == {name for name, row in rows.items() if row["enabled"]}
+
+
+def test_workflow__a_packed_file_that_is_whole_outlives_a_report_that_fails(scan, tmp_path, monkeypatch):
+    def fails(*arguments):
+        raise ResourceExhausted("OpenGL", "no headless context", "OpenGL 4.5", "install it")
+
+    monkeypatch.setattr("services.processes.compress.write_outputs", fails)
+    with pytest.raises(ResourceExhausted) as raised:
+        compress(scan, tmp_path / "out", SETTINGS, SerialExecutor(), Heard(), render=False)
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["wavy plane.splatpress"]
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    assert str(tmp_path / "out" / "wavy plane.splatpress") in raised.value.__notes__[0]
+    with PackedFile(tmp_path / "out" / "wavy plane.splatpress") as packed:
+        assert packed.header.n_splats
+
+
+@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o755), (0o077, 0o700), (0o002, 0o775)])
+def test_workflow__folders_follow_the_umask(tmp_path, mask, mode):
+    before = os.umask(mask)
+    try:
+        with placed_whole(tmp_path / "out") as made:
+            (made / "a").write_text("a")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "out").stat().st_mode & 0o777 == mode
