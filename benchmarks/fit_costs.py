@@ -28,7 +28,6 @@ from pipeline.planning.costs import (
     TASKS,
     Job,
     StageCost,
-    halvings,
     kilos_of,
     known_costs,
     known_probe_s,
@@ -57,10 +56,8 @@ def _fit(name: str, rows: list[dict]) -> StageCost:
     once, once_a_unit, once_a_kilo = _sum(
         np.maximum([f["once_s"] for f in found], 0) / passes, units, kilos if by_atoms else None
     )
-    a_unit, halved = np.array([f["tasks_s"] for f in found]) / (units * passes), np.array([halvings(n) for n in units])
-    in_memory = halved == 0 if name == "partition" else np.ones(len(units), bool)
-    task, task_a_kilo = _line(kilos, a_unit) if by_atoms else (np.median(a_unit[in_memory]), 0.0)
-    a_halving = 0.0 if in_memory.all() else np.median((a_unit - task)[~in_memory] / halved[~in_memory])
+    a_unit = np.array([f["tasks_s"] for f in found]) / (units * passes)
+    task, task_a_kilo = _line(kilos, a_unit) if by_atoms else (np.median(a_unit), 0.0)
     written = np.array([f["written"] for f in found]) / passes
     _, written_a_unit, written_a_kilo = (
         _sum(written, units, kilos) if by_atoms else (0.0, np.median(written / units), 0.0)
@@ -81,7 +78,6 @@ def _fit(name: str, rows: list[dict]) -> StageCost:
                 1e6 * task_a_kilo,
                 once_a_kilo,
                 written_a_kilo,
-                1e6 * max(0.0, a_halving),
             ),
         )
     )

@@ -13,7 +13,8 @@ from enum import StrEnum
 class Task(StrEnum):
     """What a task of a stage is; the cost of a task is that of its units (splats, training patches, pixels)."""
 
-    SCAN = "the scan"
+    SLICE = "about 262,144 points of the file"
+    PART = "1,048,576 points of the file, or a leaf of about as many"
     BLOCK = "a block of 16,384 splats"
     GROUP = "65,536 splats"
     SAMPLE = "one of at most 16 blocks"
@@ -53,12 +54,21 @@ _LEARNT_FROM = ("components", "coefficients")
 
 CATALOGUE = (
     StageEntry(
-        "ingest", "stages/points/ingest.py", Phase.POINTS, Task.SCAN,
+        "ingest", "stages/points/ingest.py", Phase.POINTS, Task.SLICE,
         "points and photographs as arrays; the 8 sharpest cameras of each point", share=2,
     ),
     StageEntry(
-        "partition", "stages/points/partition.py", Phase.POINTS, Task.SCAN,
-        "points in chunk order: median split, out of core", ("ingest",), share=1,
+        "grid-counts", "stages/points/grid_counts.py", Phase.POINTS, Task.PART,
+        "points counted per cell of a grid; cells merged to leaves of about a million points", ("ingest",),
+        when="more than 1,048,576 points",
+    ),
+    StageEntry(
+        "leaves", "stages/points/leaves.py", Phase.POINTS, Task.PART,
+        "the points of each leaf", ("ingest",), when="more than 1,048,576 points",
+    ),
+    StageEntry(
+        "partition", "stages/points/partition.py", Phase.POINTS, Task.PART,
+        "points in chunk order: median split, a leaf a task", ("ingest",), share=1,
     ),
     StageEntry(
         "neighbours", "stages/points/neighbours.py", Phase.POINTS, Task.BLOCK,

@@ -34,7 +34,8 @@ class Piece:
 class ScanSource:
     """An opened scan: the header has been read and checked, the points have not.
 
-    `pieces(max_points)` streams the points in file order, at most `max_points` a piece, and may be called again.
+    `pieces(max_points)` streams the points in file order, at most `max_points` a piece, and may be called again;
+    `read_slice(first, stop, max_points)` so streams a run of them, without reading those before it.
     `read_photo(i)` returns photo i as uint8 sRGB `(height, width, 3)`, of the size that `cameras[i]` states.
     """
 
@@ -42,6 +43,10 @@ class ScanSource:
     format: str  # "colmap" | "ply" | "las" | "e57"
     n_points: int
     pieces: Callable[[int], Iterator[Piece]]
+    read_slice: Callable[[int, int, int], Iterator[Piece]] | None = (
+        None  # points first..stop; None: only from the start
+    )
+    slice_rows: int = 1  # slices that begin at multiples of it read nothing twice
     unit: str = "unknown"  # "metre", "foot", "US survey foot", "unknown", ...
     cameras: tuple[Camera, ...] = ()
     read_photo: Callable[[int], np.ndarray] | None = None

@@ -2,8 +2,8 @@
 
 Paper: HPG 2021, section 3.5.1. Splits fall on the multiple of the unit nearest to the median, so every chunk but the
 last holds exactly CHUNK splats and the chunk of splat i is i // CHUNK. While a node is larger than a group (the
-splats of one culling test and one draw, 8192 in the paper's section 3.6) the unit is a whole group, so that groups
-are compact too.
+splats of one culling test and one draw, 8192 in the paper's section 3.6) the unit is 4^k groups, k as large as the node
+allows: so groups 4^k j to 4^k (j + 1) - 1 are one node for every j and k, and lie together.
 """
 
 from __future__ import annotations
@@ -15,8 +15,14 @@ from storage.packed.schema import CHUNK, GROUP
 
 
 def split_rank(n: int) -> int:
-    """How many of a node's `n` points, more than CHUNK, go left: the multiple of the unit nearest to n / 2."""
+    """How many of a node's `n` points, more than CHUNK, go left: the multiple of the unit nearest to n / 2.
+
+    >>> [split_rank(n * GROUP) // GROUP for n in (2, 4, 5, 8, 9, 147)]
+    [1, 2, 4, 4, 4, 64]
+    """
     unit = GROUP if n > GROUP else CHUNK
+    while unit >= GROUP and 4 * unit < n:
+        unit *= 4
     return round(n / 2 / unit) * unit
 
 

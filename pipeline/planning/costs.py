@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import heapq
 import json
-import math
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -20,7 +19,9 @@ from pipeline.coding.ksvd import BLOCK as TRAINING_BLOCK
 from pipeline.execution.executors import MOST_A_CALL, calls_of
 from pipeline.execution.task import CALL_S
 from pipeline.stages.packed.pack import TASK_SPLATS as PACK_BLOCK
-from pipeline.stages.points.partition import IN_MEMORY as MOST_HELD  # units that any stage has in memory at once
+from pipeline.stages.points.grid_counts import IN_MEMORY as MOST_HELD  # units that any stage has in memory at once
+from pipeline.stages.points.grid_counts import MOST_PARTS, PART
+from pipeline.stages.points.ingest import MOST_SLICES, SLICE
 from storage.packed.schema import ATOM_SIZES
 from storage.work.arrays import BLOCK
 
@@ -48,6 +49,7 @@ def _modelled() -> dict[str, Task]:
 
 
 TASKS = _modelled()
+BEYOND_MEMORY = {entry.name for entry in CATALOGUE if entry.task == Task.PART and entry.when}
 BY_ATOMS = {entry.name for entry in CATALOGUE if entry.by_atoms}  # whose costs go with the number of indices
 READS = {entry.name: entry.reads for entry in CATALOGUE} | {  # the training set reads its own share of patches
     "exposure": (PHOTOGRAPHS,),
@@ -70,7 +72,6 @@ class StageCost:
     task_us_a_unit_a_kilo: float = 0.0
     once_s_a_kilo: float = 0.0
     written_bytes_a_kilo: float = 0.0
-    task_us_a_unit_a_halving: float = 0.0  # of points beyond MOST_HELD, each time that they are halved on the disk
 
 
 @dataclass(frozen=True)
@@ -131,14 +132,14 @@ def plan_job(job: Job, costs: dict[str, StageCost]) -> list[StagePlan]:
         name: cost.written_bytes_a_unit * _units(name, job) + cost.written_bytes_a_kilo * kilos
         for name, cost in costs.items()
     }
-    return [_plan_stage(name, costs[name], job, kilos, written) for name in TASKS if name in costs]
+    called_for = (name for name in TASKS if name in costs and (name not in BEYOND_MEMORY or job.n_splats > MOST_HELD))
+    return [_plan_stage(name, costs[name], job, kilos, written) for name in called_for]
 
 
 def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dict[str, float]) -> StagePlan:
     passes = job.iterations if name == "ksvd-update" else 1
     units, n_tasks = _units(name, job), _n_tasks(name, job)
     task_s = 1e-6 * (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos) * units / max(1, n_tasks)
-    task_s += 1e-6 * cost.task_us_a_unit_a_halving * halvings(units) * units / max(1, n_tasks)
     task_s *= CROWDED if min(n_tasks, job.n_workers) > 1 else 1.0
     once_s = cost.once_s + 1e-6 * cost.once_us_a_unit * units + cost.once_s_a_kilo * kilos
     calls = calls_of(n_tasks, job.n_workers)
@@ -163,11 +164,6 @@ def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dic
     )
 
 
-def halvings(units: float) -> int:
-    """How often points are halved until a part of them fits into memory."""
-    return max(0, math.ceil(math.log2(max(1.0, units) / MOST_HELD)))
-
-
 def _units(name: str, job: Job) -> float:
     kind = TASKS[name]
     if kind == Task.PHOTO:
@@ -182,6 +178,8 @@ def _n_tasks(name: str, job: Job) -> int:
     if kind in (Task.PHOTO, Task.BY_PHOTO):
         return job.n_photographs
     rows = {
+        Task.SLICE: max(SLICE, job.n_splats // MOST_SLICES),
+        Task.PART: max(PART, job.n_splats // MOST_PARTS) if name in BEYOND_MEMORY else MOST_HELD,
         Task.BLOCK: BLOCK,
         Task.SAMPLE: BLOCK,
         Task.GROUP: PACK_BLOCK,
@@ -217,11 +215,11 @@ def first_limit(job: Job, plans: list[StagePlan], memory_bytes: float) -> tuple[
             "split the scan into jobs of a region each: the stage holds something of every splat",
         )
     total = sum(p.seconds for p in plans)
-    once = sum(p.once_s for p in plans) + sum(p.task_s for p in plans if TASKS[p.name] == Task.SCAN)
+    once = sum(p.once_s for p in plans)
     held_up = sum(
         p.dispatch_s for p in plans if p.dispatch_s > 0.9 * (p.seconds - p.once_s) and p.n_tasks > job.n_workers
     )
-    worst = max(plans, key=lambda p: p.once_s + (p.task_s if TASKS[p.name] == Task.SCAN else 0))
+    worst = max(plans, key=lambda p: p.once_s)
     if held_up > total / 3:
         return "the scheduler: calls end faster than it hands them out", f"larger calls: more than {MOST_A_CALL} tasks"
     if once > total / 2:

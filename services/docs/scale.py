@@ -35,14 +35,18 @@ work like that of the stages (`pipeline/planning/probe.py`) tells how fast a mac
 
 ## What is done about size
 
-- **Memory of a worker does not grow with the scan.** A task holds a block of 16,384 splats; points are put in order out of
-  core (`stages/partition.py`); sums of a dictionary are as large as the dictionary, lie in its principal components (64 to
+- **Reading and ordering are dealt out.** A task reads a slice of the file: rows of a binary PLY, points of a LAS, chunks of a
+  LAZ, packets of an E57, a COLMAP workspace with its visibility lists (`read_slice` of a scan). Points are counted per cell of a
+  grid, cells are merged to leaves of about a million points, every task deals out its part of the file to them, and every
+  leaf is split by itself (`pipeline/geometry/leaves.py`); the order is one, whatever the number of tasks. What is read from its start
+  alone is one task: a text PLY and what lies in a .zip.
+- **Memory of a worker does not grow with the scan.** A task holds a block of 16,384 splats, a slice or a leaf; a leaf that one
+  place fills with more than fits is split on disk (`stages/points/split_on_disk.py`); sums of a dictionary are as large as the dictionary, lie in its principal components (64 to
   1,024 values an atom, not 3,072), and are merged 4,096 atoms at a time, so that 65,536 atoms learn within 4 GiB.
 - **Learning does not grow with the scan**: its training set is a number, not a share, and only its rows are read.
 - **The scheduler is kept ahead** by calls of up to 8 tasks where a stage has many (`pipeline/execution/executors.py`). Nothing is
   scattered: a task opens what it reads; a process keeps the dictionary that it read last.
-- **What one process does alone** is what ends scaling first: reading the points of a scan and putting them in order are a
-  task each. Beyond that size a scan goes in as several jobs, a region each.
+- **What one process does alone** is what ends scaling first: results are gathered, and stages begun and ended, by one.
 """
 
 

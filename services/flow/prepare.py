@@ -13,7 +13,9 @@ from pipeline.effects.plan.request import parse_request
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
 from pipeline.stages.points.depth_maps import DepthMaps
+from pipeline.stages.points.grid_counts import IN_MEMORY, GridCounts
 from pipeline.stages.points.ingest import Ingest
+from pipeline.stages.points.leaves import DealtLeaves
 from pipeline.stages.points.measure_effects import MeasureEffects, measures_of
 from pipeline.stages.points.neighbours import Neighbourhoods, radius_of
 from pipeline.stages.points.partition import Partition
@@ -89,7 +91,13 @@ def splats_of(
 def points_of(run: Run, scan: Path, density: float = 1.0) -> tuple[StageRecord, StageRecord]:
     """Read the scan, and put its points in chunk order, or that share of them."""
     ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
-    return ingest, run.do(Partition(ingest.folder, density))
+    if density * ingest.summary["n_points"] <= IN_MEMORY:
+        return ingest, run.do(Partition(ingest.folder, density))
+    counts = run.do(GridCounts(ingest.folder, density))
+    if counts.summary["n_leaves"] == 1:
+        return ingest, run.do(Partition(ingest.folder, density))
+    dealt = run.do(DealtLeaves(ingest.folder, counts.folder, density))
+    return ingest, run.do(Partition(ingest.folder, density, counts.folder, dealt.folder))
 
 
 def splats_from(

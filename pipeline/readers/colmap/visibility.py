@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.execution.compiled import kernel
 from storage.errors import InvalidScan
 
-_HEADER_BYTES = 8
+HEADER_BYTES = 8
 _BLOCK_BYTES = 1 << 20
 
 
@@ -24,28 +24,31 @@ def check_visibility(stream: BinaryIO, n_bytes: int, n_points: int, where: str) 
 
     Raises: InvalidScan naming both numbers.
     """
-    header = stream.read(_HEADER_BYTES)
-    if len(header) < _HEADER_BYTES:
-        raise InvalidScan(where, f"{n_bytes} bytes", f"at least {_HEADER_BYTES}", "the file may be truncated")
+    header = stream.read(HEADER_BYTES)
+    if len(header) < HEADER_BYTES:
+        raise InvalidScan(where, f"{n_bytes} bytes", f"at least {HEADER_BYTES}", "the file may be truncated")
     (n_listed,) = struct.unpack("<Q", header)
     if n_listed != n_points:
         raise InvalidScan(f"{where}:count", f"{n_listed} points", f"{n_points}, as many as fused.ply has")
-    needed = _HEADER_BYTES + 4 * n_points
+    needed = HEADER_BYTES + 4 * n_points
     if n_bytes < needed or n_bytes % 4:
         allowed = f"{needed} or more and a multiple of 4"
         raise InvalidScan(where, f"{n_bytes} bytes for {n_points} points", allowed, "the file may be truncated")
 
 
 class VisibilityStream:
-    """Hands out the lists of the next n points, holding one block of the file at a time."""
+    """Hands out the lists of the next n points, holding one block of the file at a time; the list of point `n_taken` is at byte
+    `offset`."""
 
-    def __init__(self, stream: BinaryIO, n_cameras: int, where: str) -> None:
+    def __init__(
+        self, stream: BinaryIO, n_cameras: int, where: str, offset: int = HEADER_BYTES, n_taken: int = 0
+    ) -> None:
         self.stream, self.n_cameras, self.where = stream, n_cameras, where
         self.words = np.empty(0, "<u4")  # the block, with what was left of the one before
         self.next = 0  # word at which the next point's list begins
-        self.block_offset = _HEADER_BYTES  # of words[0] in the file
-        self.n_taken = 0
-        stream.seek(_HEADER_BYTES)
+        self.block_offset = offset  # of words[0] in the file
+        self.n_taken = n_taken
+        stream.seek(offset)
 
     @property
     def offset(self) -> int:

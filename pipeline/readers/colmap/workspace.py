@@ -18,6 +18,7 @@ import pycolmap
 
 from pipeline.readers.colmap.model import RegisteredPhoto, read_model
 from pipeline.readers.colmap.visibility import VisibilityStream, check_visibility
+from pipeline.readers.colmap.visibility_index import visibility_from
 from pipeline.readers.members import Folder, Members, open_archive
 from pipeline.readers.photos import decode_photo, photo_size
 from pipeline.readers.ply.ply import Vertices, open_vertices
@@ -111,6 +112,20 @@ def _pieces_seen(members: Members, vertices: Vertices, n_cameras: int, max_point
         visibility.finish()
 
 
+def _slice(
+    members: Folder, vertices: Vertices, n_cameras: int, is_seen: bool, first: int, stop: int, max_points: int
+) -> Iterator[Piece]:
+    pieces = vertices.slice(first, stop, max_points)
+    if not is_seen:
+        return pieces
+    rows = [min(max_points, stop - at) for at in range(first, stop, max_points)]
+    seen = visibility_from(members.label(_VISIBILITY), vertices.count, n_cameras, first, rows)
+    return (
+        replace(p, visible_count=counts, visible_camera=cameras)
+        for p, (counts, cameras) in zip(pieces, seen, strict=True)
+    )
+
+
 def _open_points(members: Members) -> Vertices:
     n_bytes, where = members.size(_POINTS), members.label(_POINTS)
     if n_bytes is None:
@@ -140,6 +155,7 @@ def open_colmap(path: str) -> ScanSource:
     cameras = _cameras(members, photos)
     is_seen = _has_visibility(members, vertices.count)
     warnings = list(vertices.warnings)
+    has_slices = isinstance(members, Folder) and vertices.has_slices  # what is packed is read from its start
     if not is_seen:
         warnings.append(f"{members.label(_VISIBILITY)}: missing; what each camera sees will come from a depth test")
     return ScanSource(
@@ -147,6 +163,7 @@ def open_colmap(path: str) -> ScanSource:
         format="colmap",
         n_points=vertices.count,
         pieces=partial(_pieces_seen, members, vertices, len(cameras)) if is_seen else vertices.pieces,
+        read_slice=partial(_slice, members, vertices, len(cameras), is_seen) if has_slices else None,
         cameras=cameras,
         read_photo=partial(_read_photo, members, photos),
         has_normals="normal" in vertices.columns,

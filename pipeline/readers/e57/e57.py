@@ -17,6 +17,7 @@ from pye57 import libe57
 
 from pipeline.readers.e57.images import read_images, read_photo
 from pipeline.readers.e57.nodes import Pose, number, open_image_file, read_pose
+from pipeline.readers.e57.packets import BitField, bit_fields, packets_of, read_points
 from pipeline.scan import Piece, ScanSource
 from storage.errors import InvalidScan, UnsupportedScan
 
@@ -190,13 +191,38 @@ def _pieces(
             names = _read_names(station, has_colors, has_intensity)
             points = file.root()["data3D"][i]["points"]
             for rows in _station_pieces(points, f"{path}:data3D[{i}]", station, names, max_points):
-                position = _position(rows, station)
-                yield Piece(
-                    position=position,
-                    color=_color(rows, station) if has_colors else None,
-                    intensity=_intensity(rows) if has_intensity else None,
-                    station=np.full(len(position), i, np.int32),
-                )
+                yield _piece(rows, i, station, has_colors, has_intensity)
+
+
+def _slice(
+    path: str,
+    stations: tuple[Station, ...],
+    fields: tuple[tuple[BitField, ...], ...],
+    has_colors: bool,
+    has_intensity: bool,
+    first: int,
+    stop: int,
+    max_points: int,
+) -> Iterator[Piece]:
+    """Points first..stop of all stations in a row, without those before them."""
+    packets, before = packets_of(path, tuple(map(len, fields))), 0
+    for i, station in enumerate(stations):
+        names = _read_names(station, has_colors, has_intensity)
+        for at in range(max(0, first - before), min(station.n_points, stop - before), max_points):
+            end = min(at + max_points, station.n_points, stop - before)
+            rows = read_points(path, packets[i], fields[i], names, at, end)
+            yield _piece(rows, i, station, has_colors, has_intensity)
+        before += station.n_points
+
+
+def _piece(rows: dict[str, np.ndarray], i: int, station: Station, has_colors: bool, has_intensity: bool) -> Piece:
+    position = _position(rows, station)
+    return Piece(
+        position=position,
+        color=_color(rows, station) if has_colors else None,
+        intensity=_intensity(rows) if has_intensity else None,
+        station=np.full(len(position), i, np.int32),
+    )
 
 
 # --- public ---
@@ -221,6 +247,7 @@ def open_e57(path: str) -> ScanSource:
     with open_image_file(path) as file:
         scans = file.root()["data3D"] if file.root().isDefined("data3D") else []
         stations = tuple(_read_station(scan, f"{path}:data3D[{i}]") for i, scan in enumerate(scans))
+        fields = tuple(bit_fields(libe57.StructureNode(scan["points"].prototype())) for scan in scans)
         images = read_images(file, path)
     has_colors = bool(stations) and all(s.has_colors for s in stations)
     has_intensity = bool(stations) and all(s.has_intensity for s in stations)
@@ -229,6 +256,7 @@ def open_e57(path: str) -> ScanSource:
         format="e57",
         n_points=sum(s.n_points for s in stations),
         pieces=partial(_pieces, path, stations, has_colors, has_intensity),
+        read_slice=partial(_slice, path, stations, fields, has_colors, has_intensity) if None not in fields else None,
         unit="metre",
         cameras=images.cameras,
         read_photo=partial(read_photo, path, images.blobs) if images.cameras else None,

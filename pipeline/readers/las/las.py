@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from functools import partial
 
 import laspy
+import lazrs
 import numpy as np
 from laspy.vlrs.known import GeoDoubleParamsVlr, GeoKeyDirectoryVlr, WktCoordinateSystemVlr
 
@@ -114,10 +115,17 @@ def _color(points: laspy.ScaleAwarePointRecord, top: int, path: str, first: int)
 
 
 def _pieces(path: str, n_points: int, top: int | None, has_intensity: bool, max_points: int) -> Iterator[Piece]:
-    first = 0
+    return _slice(path, n_points, top, has_intensity, 0, n_points, max_points)
+
+
+def _slice(
+    path: str, n_points: int, top: int | None, has_intensity: bool, first: int, stop: int, max_points: int
+) -> Iterator[Piece]:
     with _refusing(path), _open(path) as reader:
         scales, offsets = np.asarray(reader.header.scales), np.asarray(reader.header.offsets)
-        for points in reader.chunk_iterator(max_points):
+        if first:
+            reader.seek(first)
+        while first < stop and len(points := reader.read_points(min(max_points, stop - first))):
             raw = np.stack([np.asarray(points.X), np.asarray(points.Y), np.asarray(points.Z)], axis=1)
             yield Piece(
                 position=raw * scales + offsets,
@@ -125,8 +133,16 @@ def _pieces(path: str, n_points: int, top: int | None, has_intensity: bool, max_
                 intensity=np.asarray(points.intensity).astype(np.float32) if has_intensity else None,
             )
             first += len(points)
-    if first != n_points:
+    if first != stop:
         raise InvalidScan(f"{path}:point_count", f"{first} points read", f"{n_points}, as the header promises")
+
+
+def _chunk_rows(header: laspy.LasHeader) -> int:
+    """Points a chunk of a LAZ file, which is decoded from its start; 1 where nothing is, or chunks differ."""
+    if not header.are_points_compressed:
+        return 1
+    laz = lazrs.LazVlr(header.vlrs.get("LasZipVlr")[0].record_data)
+    return 1 if laz.uses_variable_size_chunks() else max(1, laz.chunk_size())
 
 
 def _bounds(header: laspy.LasHeader) -> tuple | None:
@@ -162,6 +178,7 @@ def open_las(path: str) -> ScanSource:
     with _refusing(path), _open(path) as reader:
         header = reader.header
         _check_header(path, header)
+        chunk_rows = _chunk_rows(header)  # before points are read: laspy takes the record out of the header then
         top, has_intensity = _probe(reader, _RGB), bool(_probe(reader, ("intensity",)))
         unit, bounds = _unit(header), _bounds(header)
     return ScanSource(
@@ -169,6 +186,8 @@ def open_las(path: str) -> ScanSource:
         format="las",
         n_points=int(header.point_count),
         pieces=partial(_pieces, path, int(header.point_count), top, has_intensity),
+        read_slice=partial(_slice, path, int(header.point_count), top, has_intensity),
+        slice_rows=chunk_rows,
         unit=unit,
         has_colors=bool(top),
         has_intensity=has_intensity,

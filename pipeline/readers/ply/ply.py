@@ -46,11 +46,26 @@ class Vertices:
     def count(self) -> int:
         return self.header.vertex.count
 
+    @property
+    def has_slices(self) -> bool:
+        """Whether rows can be read without those before them."""
+        return self.header.encoding != "ascii"
+
     def pieces(self, max_points: int) -> Iterator[Piece]:
         """The vertices in file order, at most `max_points` a piece."""
-        read_rows = _ascii_rows if self.header.encoding == "ascii" else _binary_rows
-        first = 0
-        for rows in read_rows(self, max_points):
+        read_rows = (
+            _ascii_rows(self, max_points)
+            if self.header.encoding == "ascii"
+            else _binary_rows(self, 0, self.count, max_points)
+        )
+        return self._pieces(0, read_rows)
+
+    def slice(self, first: int, stop: int, max_points: int) -> Iterator[Piece]:
+        """Vertices first..stop of a binary file, at most `max_points` a piece."""
+        return self._pieces(first, _binary_rows(self, first, stop, max_points))
+
+    def _pieces(self, first: int, read_rows: Iterator[dict[str, np.ndarray]]) -> Iterator[Piece]:
+        for rows in read_rows:
             yield _piece(self, rows, first)
             first += len(next(iter(rows.values())))
 
@@ -118,13 +133,13 @@ def _columns(vertex: Element) -> dict[str, tuple[str, ...]]:
 # --- vertices ---
 
 
-def _binary_rows(vertices: Vertices, max_points: int) -> Iterator[dict[str, np.ndarray]]:
+def _binary_rows(vertices: Vertices, begin: int, stop: int, max_points: int) -> Iterator[dict[str, np.ndarray]]:
     header, where = vertices.header, vertices.where
     start, dtype = _start_of_vertices(header), header.vertex.row_dtype(header.encoding)
     with vertices.opener() as stream:
-        stream.seek(start)
-        for first in range(0, vertices.count, max_points):
-            n = min(max_points, vertices.count - first)
+        stream.seek(start + begin * dtype.itemsize)
+        for first in range(begin, stop, max_points):
+            n = min(max_points, stop - first)
             block = stream.read(n * dtype.itemsize)
             if len(block) < n * dtype.itemsize:
                 end = start + first * dtype.itemsize + len(block)
@@ -238,6 +253,7 @@ def open_ply(path: str) -> ScanSource:
         format="ply",
         n_points=vertices.count,
         pieces=vertices.pieces,
+        read_slice=vertices.slice if vertices.has_slices else None,
         has_normals="normal" in vertices.columns,
         has_colors="color" in vertices.columns,
         has_intensity="intensity" in vertices.columns,

@@ -1,8 +1,9 @@
-"""Scan (reader) -> zarr: points in pieces, photographs decoded once."""
+"""Scan (reader) -> zarr: points in slices of the file, photographs decoded once."""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -18,15 +19,22 @@ from storage.errors import InvalidScan
 from storage.work import arrays
 
 PIECE = 1 << 16  # points a piece: 5 MB with everything that a point may carry
+SLICE = 1 << 18  # points a task
+MOST_SLICES = 1 << 13  # a larger scan has larger slices: files stay few
+SAMPLE = 1 << 18  # points of the sample, of the whole scan; at least LEAST_SAMPLE of each slice
+LEAST_SAMPLE = 64
 PHOTO_TILE = 512
 
 
 @dataclass(frozen=True)
 class Ingest:
-    """Task 0 streams the points, task 1 + i decodes photograph i.
+    """Task i stores slice i of the points, the tasks after them decode a photograph each. Of a file that can be read from its
+    start only, one task stores all slices. A row of the arrays is a point of the file, so that no task needs to know of others;
+    what is dropped has no finite position.
 
     Arrays: position (n, 3) float64 absolute; where the scan has them normal (n, 3) float32, color (n, 3) uint8,
-    intensity (n,) float32, station (n,) int32, candidate (n, N_CANDIDATES) uint16; photo_<i> (h, w, 3) uint8.
+    intensity (n,) float32, station (n,) int32, candidate (n, N_CANDIDATES) uint16; photo_<i> (h, w, 3) uint8;
+    sample (m, 3) float64: positions evenly spaced in the file, NaN where a slice has fewer.
     """
 
     scan_path: str
@@ -36,33 +44,47 @@ class Ingest:
 
     def init(self, folder: Path) -> int:
         source = _source(self.scan_path, self.fingerprint)
+        rows = slice_rows(source)
+        for name, dtype in _columns_of(source).items():
+            arrays.create(folder, name, (source.n_points, *dtype.shape), str(dtype.base), (rows, *dtype.shape))
+        n_sampled = _sampled_rows(source)
+        arrays.create(folder, "sample", (_n_slices(source) * n_sampled, 3), "float64", (n_sampled, 3))
         for i, camera in enumerate(source.cameras):
             shape = (camera.height_px, camera.width_px, 3)
             arrays.create(folder, f"photo_{i}", shape, "uint8", (PHOTO_TILE, PHOTO_TILE, 3))
-        return 1 + len(source.cameras)
+        return _n_point_tasks(source) + len(source.cameras)
 
     def run(self, folder: Path, index: int) -> dict:
         source = _source(self.scan_path, self.fingerprint)
-        if index == 0:
-            return _store_points(source, folder)
-        arrays.write_picture(folder, f"photo_{index - 1}", source.read_photo(index - 1))
-        return {}
+        if index >= (n := _n_point_tasks(source)):
+            arrays.write_picture(folder, f"photo_{index - n}", source.read_photo(index - n))
+            return {}
+        if source.read_slice is None:
+            slices = _regrouped(source.pieces(PIECE), _slice_ends(source))
+        else:
+            first, stop = arrays.block_range(index, source.n_points, slice_rows(source))
+            slices = iter([list(source.read_slice(first, stop, PIECE))])
+        return _merged([_store_slice(source, folder, index + i, pieces) for i, pieces in enumerate(slices)])
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         source = _source(self.scan_path, self.fingerprint)
-        points = results[0]
+        points = _merged(results[: _n_point_tasks(source)])
+        n_kept, n_read = points["n_splats"], points["n_read"]
+        if n_read != source.n_points:
+            raise InvalidScan(source.path, f"{n_read} points read", f"{source.n_points}, as its header promises")
+        if not n_kept:
+            raise InvalidScan(source.path, f"none of its {n_read} points has a finite position", "at least one point")
+        check_bounds(source.path, np.array(points["low"]), np.array(points["high"]))
         warnings = list(source.warnings)
-        if points["n_dropped"]:
-            warnings.append(
-                f"{points['n_dropped']} of {points['n_read']} points have a position that is not finite and were dropped"
-            )
-        warnings += black_points(source, points["n_splats"], **points["n_black"])
+        if n_kept < n_read:
+            warnings.append(f"{n_read - n_kept} of {n_read} points have a position that is not finite and were dropped")
+        warnings += black_points(source, n_kept, **points["n_black"])
         return {
             "format": source.format,
             "unit": source.unit,
-            "n_points": points["n_splats"],
-            "n_read": points["n_read"],
-            "n_dropped": points["n_dropped"],
+            "n_points": n_kept,
+            "n_read": n_read,
+            "n_dropped": n_read - n_kept,
             "low": points["low"],
             "high": points["high"],
             "intensity_range": points["intensity_range"],
@@ -79,50 +101,121 @@ def _source(scan_path: str, fingerprint: str) -> ScanSource:
     return open_scan(scan_path)
 
 
-def _store_points(source: ScanSource, folder: Path) -> dict:
-    writers: dict[str, arrays.Appender] = {}
-    n_read = n_kept = 0
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    intensities, black = [], {"n_color": 0, "n_intensity": 0}
-    for piece in source.pieces(PIECE):
-        finite = np.isfinite(piece.position).all(axis=1)
-        n_read += len(finite)
-        columns = _columns(piece, finite, source)
-        if not len(columns["position"]):
-            continue
-        n_kept += len(columns["position"])
-        of_piece = bounds(columns["position"])
-        low, high = np.minimum(low, of_piece[0]), np.maximum(high, of_piece[1])
-        for name, rows in columns.items():
-            if name not in writers:
-                writers[name] = arrays.Appender(folder, name, rows.shape[1:], str(rows.dtype))
-            writers[name].append(rows)
+def slice_rows(source: ScanSource) -> int:
+    """Points a slice: the same however many workers there are, and whole runs of what the reader decodes at once."""
+    wanted = max(SLICE, -(-source.n_points // MOST_SLICES))
+    return max(1, round(wanted / source.slice_rows)) * source.slice_rows
+
+
+def _n_slices(source: ScanSource) -> int:
+    return arrays.n_blocks(source.n_points, slice_rows(source))
+
+
+def _n_point_tasks(source: ScanSource) -> int:
+    return 1 if source.read_slice is None else _n_slices(source)
+
+
+def _sampled_rows(source: ScanSource) -> int:
+    return min(slice_rows(source), max(LEAST_SAMPLE, SAMPLE // _n_slices(source)))
+
+
+def _columns_of(source: ScanSource) -> dict[str, np.dtype]:
+    has = {
+        "normal": source.has_normals,
+        "color": source.has_colors,
+        "intensity": source.has_intensity,
+        "station": bool(source.stations),
+        "candidate": source.has_visibility,
+    }
+    kinds = {
+        "position": ("f8", (3,)),
+        "normal": ("f4", (3,)),
+        "color": ("u1", (3,)),
+        "intensity": ("f4", ()),
+        "station": ("i4", ()),
+        "candidate": ("u2", (N_CANDIDATES,)),
+    }
+    return {name: np.dtype(kind) for name, kind in kinds.items() if has.get(name, True)}
+
+
+def _slice_ends(source: ScanSource) -> Iterator[int]:
+    return (
+        min(source.n_points, stop)
+        for stop in range(slice_rows(source), source.n_points + slice_rows(source), slice_rows(source))
+    )
+
+
+def _regrouped(pieces: Iterator[Piece], ends: Iterator[int]) -> Iterator[list[Piece]]:
+    """The pieces up to each end, cut where they cross one."""
+    held, at, end = [], 0, next(ends)
+    for piece in pieces:
+        while at + len(piece.position) >= end:
+            first, piece = _cut(piece, end - at)
+            yield [*held, first]
+            held, at, end = [], end, next(ends, np.inf)
+        at += len(piece.position)
+        held.append(piece)
+
+
+def _cut(piece: Piece, n: int) -> tuple[Piece, Piece]:
+    """The first n points of a piece, and the others."""
+    n_seen = 0 if piece.visible_count is None else int(piece.visible_count[:n].sum())
+    columns = {
+        name: (value, n_seen if name == "visible_camera" else n)
+        for name, value in vars(piece).items()
+        if value is not None
+    }
+    return Piece(**{k: v[:m] for k, (v, m) in columns.items()}), Piece(**{k: v[m:] for k, (v, m) in columns.items()})
+
+
+def _store_slice(source: ScanSource, folder: Path, index: int, pieces: list[Piece]) -> dict:
+    """Write the points of slice `index`; what there is to know of them."""
+    start, stop = arrays.block_range(index, source.n_points, slice_rows(source))
+    rows = {name: np.empty((stop - start, *dtype.shape), dtype.base) for name, dtype in _columns_of(source).items()}
+    at, n_colorless = 0, 0
+    for piece in pieces:
+        end, columns = at + len(piece.position), _columns(piece, source)
+        if columns.keys() != rows.keys():
+            raise InvalidScan(
+                source.path,
+                f"only some of the points have {', '.join(sorted(columns.keys() ^ rows.keys()))}",
+                "all points or none",
+            )
+        for name, values in columns.items():
+            rows[name][at:end] = values
         if piece.colorless is not None:
-            black["n_color"] += int(piece.colorless[finite].sum())
-        if "intensity" in columns:
-            black["n_intensity"] += int((~np.isfinite(columns["intensity"])).sum())
-            known = columns["intensity"][np.isfinite(columns["intensity"])].astype(np.float64)
-            if len(known):
-                intensities.append(np.quantile(known, (0.01, 0.99)))
-    for name, writer in writers.items():
-        if writer.close() != n_kept:
-            raise InvalidScan(source.path, f"only some of the points have {name}", "all points or none")
-    if not n_kept:
-        raise InvalidScan(source.path, f"none of its {n_read} points has a finite position", "at least one point")
-    check_bounds(source.path, low, high)
+            n_colorless += int(piece.colorless[np.isfinite(piece.position).all(axis=1)].sum())
+        at = end
+    assert at == stop - start, (at, start, stop)
+    finite = np.isfinite(rows["position"]).all(axis=1)
+    rows["position"][~finite] = np.nan
+    for name, values in rows.items():
+        arrays.write(folder, name, start, values)
+    position = rows["position"] if finite.all() else rows["position"][finite]
+    _store_sample(source, folder, index, position)
+    corners = np.array(bounds(position)).tolist() if len(position) else [None, None]
+    intensity = rows["intensity"][finite].astype(np.float64) if "intensity" in rows else np.empty(0)
+    known = intensity[np.isfinite(intensity)]
     return {
-        "n_splats": n_kept,
-        "n_read": n_read,
-        "n_dropped": n_read - n_kept,
-        "n_black": black,
-        "low": low.tolist(),
-        "high": high.tolist(),
-        "intensity_range": _intensity_range(intensities),
+        "n_splats": int(finite.sum()),
+        "n_read": len(finite),
+        "low": corners[0],
+        "high": corners[1],
+        "n_black": {"n_color": n_colorless, "n_intensity": len(intensity) - len(known)},
+        "intensity_range": np.quantile(known, (0.01, 0.99)).tolist() if len(known) else None,
     }
 
 
-def _columns(piece: Piece, keep: np.ndarray, source: ScanSource) -> dict[str, np.ndarray]:
-    """The rows of a piece that are kept, by array name."""
+def _store_sample(source: ScanSource, folder: Path, index: int, position: np.ndarray) -> None:
+    n = _sampled_rows(source)
+    chosen = np.full((n, 3), np.nan)
+    rows = np.arange(min(n, len(position))) * max(1, len(position) // n)
+    chosen[: len(rows)] = position[rows]
+    arrays.write(folder, "sample", index * n, chosen)
+
+
+def _columns(piece: Piece, source: ScanSource) -> dict[str, np.ndarray]:
+    """The rows of a piece by array name."""
     columns = {
         "position": piece.position,
         "normal": piece.normal,
@@ -130,19 +223,24 @@ def _columns(piece: Piece, keep: np.ndarray, source: ScanSource) -> dict[str, np
         "intensity": piece.intensity,
         "station": piece.station,
     }
-    columns = {name: rows[keep] for name, rows in columns.items() if rows is not None}
+    columns = {name: rows for name, rows in columns.items() if rows is not None}
     if piece.visible_count is not None:
-        seen_by = piece.visible_camera[np.repeat(keep, piece.visible_count)]
         columns["candidate"] = rank_candidates(
-            columns["position"], columns.get("normal"), piece.visible_count[keep], seen_by, source.cameras
+            piece.position, piece.normal, piece.visible_count, piece.visible_camera, source.cameras
         )
-        assert columns["candidate"].shape[1] == N_CANDIDATES
     return columns
 
 
-def _intensity_range(quantiles: list[np.ndarray]) -> list[float] | None:
-    """What black and white stand for: the widest 1 % and 99 % of any piece."""
-    if not quantiles:
-        return None  # no point has one, or none that is finite
-    spread = np.array(quantiles, np.float64)
-    return [float(spread[:, 0].min()), float(spread[:, 1].max())]
+def _merged(slices: list[dict]) -> dict:
+    """What there is to know of several slices."""
+    ranges = [s["intensity_range"] for s in slices if s["intensity_range"] is not None]
+    low, high = ([s[name] for s in slices if s[name] is not None] for name in ("low", "high"))
+    return {
+        "n_splats": sum(s["n_splats"] for s in slices),
+        "n_read": sum(s["n_read"] for s in slices),
+        "low": np.min(low, axis=0).tolist() if low else None,
+        "high": np.max(high, axis=0).tolist() if high else None,
+        "n_black": {name: sum(s["n_black"][name] for s in slices) for name in ("n_color", "n_intensity")},
+        # What black and white stand for: the widest 1 % and 99 % of any slice; None where no point has one that is finite.
+        "intensity_range": [min(low for low, _ in ranges), max(high for _, high in ranges)] if ranges else None,
+    }

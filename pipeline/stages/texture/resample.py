@@ -19,7 +19,7 @@ from storage.work import arrays, work
 @dataclass(frozen=True)
 class Resample:
     """A task a block. Arrays: texel (n, PATCH_DIM) uint8, average (n, 3) float32 in 255ths, energy (n,) float32, point
-    (n,) uint32 as the partition's."""
+    (n,) int64 as the partition's."""
 
     ingest: Path
     partition: Path
@@ -35,7 +35,7 @@ class Resample:
         arrays.create(folder, "texel", (n, PATCH_DIM), "uint8")
         arrays.create(folder, "average", (n, 3), "float32")
         arrays.create(folder, "energy", (n,), "float32")
-        arrays.create(folder, "point", (n,), "uint32")
+        arrays.create(folder, "point", (n,), "int64")
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:

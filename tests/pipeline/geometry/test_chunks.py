@@ -51,11 +51,24 @@ def test_chunks__equal_points_stay_as_they_are(position):
 @settings(deadline=None, derandomize=True, max_examples=300)
 @given(st.integers(CHUNK + 1, 10 * GROUP))
 def test_chunks__split_is_the_multiple_nearest_to_the_median(n):
-    rank, unit = split_rank(n), GROUP if n > GROUP else CHUNK
+    rank, unit = split_rank(n), max(u for u in (CHUNK, GROUP, 4 * GROUP) if u < n)
     assert 0 < rank < n
     assert rank % unit == 0
     nearest = min(range(unit, n, unit), key=lambda r: abs(r - n / 2))
     assert abs(rank - n / 2) == abs(nearest - n / 2)
+
+
+@settings(deadline=None, derandomize=True, max_examples=300)
+@given(st.integers(1, 3000), st.integers(0, 5))
+def test_chunks__aligned_powers_of_four_groups_are_nodes(n_groups, k):
+    """Each node holds groups 4^k j to 4^k (j + 1) - 1 whole, is held by them, or has nothing of them."""
+    pending = [(0, n_groups * GROUP - 77)]
+    while pending:
+        start, n = pending.pop()
+        first, last = start // GROUP // 4**k, (start + n - 1) // GROUP // 4**k
+        assert start % (4**k * GROUP) == 0 or first == last
+        if n > GROUP:
+            pending += [(start, split_rank(n)), (start + split_rank(n), n - split_rank(n))]
 
 
 @settings(deadline=None, derandomize=True, max_examples=60)

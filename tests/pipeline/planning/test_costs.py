@@ -59,7 +59,8 @@ def test_makespan__more_workers_never_take_longer():
 
 def test_plan__splats_twice_as_many_cost_twice_where_nothing_is_fixed():
     small, large = (plan_job(Job(n * BLOCK, 1, 1, 0.0, training_splats=1), FLAT) for n in (64, 128))
-    block = [(a, b) for a, b in zip(small, large) if TASKS[a.name] == Task.BLOCK]
+    by_name = {plan.name: plan for plan in large}
+    block = [(a, by_name[a.name]) for a in small if TASKS[a.name] == Task.BLOCK]
     assert block and all(b.seconds == pytest.approx(2 * a.seconds, rel=0.01) for a, b in block)
     assert all(b.written_bytes == 2 * a.written_bytes and b.n_tasks == 2 * a.n_tasks for a, b in block)
 
@@ -98,7 +99,7 @@ def test_probe__tells_a_machine_by_a_fraction_of_a_second():
     [
         ({}, 1, "nothing"),
         ({"memory_bytes": 5e9}, 1, "memory"),
-        ({}, 5000, "what one process does alone"),
+        ({"once_us_a_unit": 1.0}, 5000, "what one process does alone"),
         ({"task_us_a_unit": 0.001}, 1000, "the scheduler"),
     ],
 )
@@ -110,7 +111,7 @@ def test_plan__says_what_breaks_first(change, workers, words):
 
 def test_plan__no_worker_holds_more_of_a_large_scan_than_of_one_that_fits():
     costs = {name: replace(cost, memory_bytes_a_unit=100.0) for name, cost in FLAT.items()}
-    fits, large = ({p.name: p.worker_bytes for p in plan_job(Job(n, 4, 10), costs)} for n in (MOST_HELD, 10**10))
+    fits, large = ({p.name: p.worker_bytes for p in plan_job(Job(n, 4, 10), costs)} for n in (2 * MOST_HELD, 10**10))
     assert large == fits and large["partition"] == FLAT["partition"].memory_bytes + 100.0 * MOST_HELD
 
 
@@ -152,13 +153,13 @@ def test_calls_of__equal_tasks_end_together(n_tasks, n_workers):
     assert max(free) <= -(-n_tasks // n_workers) and len(calls_of(n_tasks, n_workers)) < 0.6 * n_tasks
 
 
-def test_plan__points_beyond_memory_cost_more_each_time_they_are_halved_on_disk():
-    costs = FLAT | {"partition": replace(FLAT["partition"], task_us_a_unit_a_halving=2.0)}
-    seconds = {
-        n: next(p.task_s for p in plan_job(Job(n, 2), costs) if p.name == "partition")
-        for n in (MOST_HELD, 4 * MOST_HELD, 5 * MOST_HELD)
-    }
-    assert [1e6 * s / n for n, s in seconds.items()] == pytest.approx([10.0, 14.0, 16.0])
+def test_plan__points_beyond_memory_are_counted_and_dealt_out_by_tasks():
+    fits, large = ({p.name: p for p in plan_job(Job(n, 4), FLAT)} for n in (MOST_HELD, 20 * MOST_HELD))
+    assert large.keys() - fits.keys() == {"grid-counts", "leaves"}
+    assert fits["partition"].n_tasks == 1 and large["partition"].n_tasks == large["leaves"].n_tasks == 20
+    assert large["ingest"].n_tasks == 80
+    most = {p.name: p.n_tasks for p in plan_job(Job(10**11, 4), FLAT)}
+    assert most["leaves"] <= 4097 and most["ingest"] <= 8193
 
 
 def test_plan__long_tasks_go_one_a_call_and_short_ones_by_the_handful():

@@ -58,7 +58,7 @@ def test_training__neither_the_choice_nor_its_order_turns_with_the_chunks(tmp_pa
         "texel": rng.integers(0, 256, (n, 3072)).astype(np.uint8),
         "average": rng.integers(0, 256, (n, 3)).astype(np.float32),
         "energy": rng.uniform(0, 60, n).astype(np.float32),
-        "point": np.arange(n, dtype=np.uint32),
+        "point": np.arange(n),
     }
 
     def chosen(order: np.ndarray, seed: int = 0) -> np.ndarray:
