@@ -16,19 +16,12 @@ from pathlib import Path
 
 from services.cli.arguments import WrongArgument, add_preset, add_settings, add_view_knobs, settings_of
 from services.cli.exports import add_export
+from services.cli.parser import ARGUMENTS, Parser
 from services.cli.service import add_service_verbs
 from storage.errors import ResourceExhausted, SplatpressError
 from storage.version import VERSION
 
-OK, ARGUMENTS, INPUT_OUTPUT, INVALID_INPUT, INTERNAL, GATE_MISSED, INTERRUPTED = 0, 1, 2, 3, 4, 7, 130
-
-
-class _Parser(argparse.ArgumentParser):
-    """argparse, but wrong arguments exit with 1."""
-
-    def error(self, message: str):
-        self.print_usage(sys.stderr)
-        self.exit(ARGUMENTS, f"{self.prog}: {message}\n")
+OK, INPUT_OUTPUT, INVALID_INPUT, INTERNAL, GATE_MISSED, INTERRUPTED = 0, 2, 3, 4, 7, 130
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -473,9 +466,9 @@ def _direction(text: str) -> tuple[float, float, float]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="splatpress", description="Turns textured scans into small packed files that a GPU renders.")
+    parser = Parser(prog="splatpress", description="Turns textured scans into small packed files that a GPU renders.")
     parser.add_argument("--version", action="version", version=f"splatpress {VERSION}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
     _add_compress(commands)
     inspect = commands.add_parser("inspect", help="what a scan or a packed file is, and what is wrong with it")
     inspect.add_argument("path", metavar="SCAN-or-PACKED")

@@ -18,10 +18,11 @@ from storage.packed.packed import PackedFile
 
 def report(packed: Path, scan: Path, out: Path, executor: Executor, progress: Progress, *, render: bool = True) -> dict:
     """Measure a packed file against the scan's photographs, and write previews and report into `out`."""
-    out.mkdir(parents=True, exist_ok=True)
-    with PackedFile(packed) as opened, tempfile.TemporaryDirectory(prefix=".work.", dir=out) as work:
-        run = Run(Path(work), executor, progress)
+    with PackedFile(packed) as opened:
         header = opened.header
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".work.", dir=out) as work:
+        run = Run(Path(work), executor, progress)
         quality, numerics = {}, {}
         ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
         if not ingest_fits(ingest.folder, [c.name for c in header.cameras]):

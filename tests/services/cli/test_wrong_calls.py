@@ -1,0 +1,90 @@
+"""Wrong calls: one line that names what was found and what is allowed, and the exit code that README promises."""
+
+import pytest
+
+from services.cli.main import main
+from services.cli.parser import GROUPS
+from tests.services.scans import photo_scan, point_scan
+
+CALLS = [
+    ("", 1, "COMMAND"),
+    ("comprss {scan} --out {tmp}/o", 1, "did you mean 'compress'?"),
+    ("compress", 1, "SCAN, --out"),
+    ("compress {scan}", 1, "--out"),
+    ("compress --presett draft {scan} --out {tmp}/o", 1, "did you mean --preset?"),
+    ("compress {scan} --out {tmp}/o --preset fast", 1, "draft, balanced, high, archive"),
+    ("compress {scan} --out {tmp}/o --dictionary-bits 7", 1, "dictionary_bits is 7; allowed"),
+    ("compress {scan} --out {tmp}/o --weight-bits much", 1, "weight_bits"),
+    ("compress {scan} --out {tmp}/o --target-psnr-db nan", 1, "target_psnr_db"),
+    ("compress {scan} --out {tmp}/o --density 0", 1, "density"),
+    ("compress {scan} --out {tmp}/o --density 1.5", 1, "density"),
+    ("compress {scan} --out {tmp}/o --radius -1", 1, "radius"),
+    ("compress {scan} --out {tmp}/o --effects glow=on", 1, "glow"),
+    ("compress {scan} --out {tmp}/o --workers none", 1, "--workers"),
+    ("compress {scan} --out {tmp}/o --executor gpu", 1, "'dask', 'serial'"),
+    ("compress {scan} {points} --out {tmp}/o", 1, "unrecognized arguments"),
+    ("compress {tmp}/nothing.ply --out {tmp}/o", 2, "nothing.ply"),
+    ("compress {scan} --out {full}", 1, "--overwrite"),
+    ("compress {empty} --out {tmp}/o --no-render", 3, "empty.ply"),
+    ("compress {text} --out {tmp}/o --no-render", 5, "notes.doc"),
+    ("inspect", 1, "SCAN"),
+    ("inspect {tmp}/nothing", 2, "nothing"),
+    ("inspect {empty}", 3, "empty.ply"),
+    ("inspect {text}", 5, "notes.doc"),
+    ("check {tmp}/nothing", 2, "nothing"),
+    ("check {empty}", 3, "empty.ply"),
+    ("render", 1, "PACKED"),
+    ("render {empty} --orbit 2 --out {tmp}/o", 3, "empty.ply"),
+    ("render {tmp}/nothing --orbit 2 --out {tmp}/o", 2, "nothing"),
+    ("render {empty} --orbit 2", 1, "--out"),
+    ("render {empty} --orbit none --out {tmp}/o", 1, "--orbit"),
+    ("render {empty} --orbit 2 --size big --out {tmp}/o", 1, "--size"),
+    ("plan", 1, "--splats"),
+    ("plan --splats lots", 1, "--splats"),
+    ("tradeoff {scan} --out {tmp}/o --knob denisty=1", 1, "denisty"),
+    ("tradeoff {scan} --out {tmp}/o --budget soon", 1, "90s, 10min or 2h"),
+    ("evaluate {scan} --out {tmp}/o --rows d8w5", 1, "d8w5"),
+    ("evaluate {tmp}/nothing --out {tmp}/o", 2, "nothing"),
+    ("estimate {tmp}/nothing", 2, "nothing"),
+    ("effects {tmp}/nothing", 2, "nothing"),
+    ("report {empty} --scan {scan} --out {tmp}/o", 3, "empty.ply"),
+    ("regress {tmp}/nothing.toml", 2, "nothing.toml"),
+]
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("falsche Aufrufe")
+    (folder / "full").mkdir()
+    (folder / "full" / "a").write_text("a")
+    (folder / "empty.ply").write_bytes(b"")
+    (folder / "notes.doc").write_text("notes")
+    return {
+        "scan": photo_scan(folder / "scan", n_side=40),
+        "points": point_scan(folder / "points.ply"),
+        "full": folder / "full",
+        "empty": folder / "empty.ply",
+        "text": folder / "notes.doc",
+        "tmp": folder,
+    }
+
+
+@pytest.mark.parametrize(("call", "code", "words"), CALLS, ids=[call or "nothing" for call, _, _ in CALLS])
+def test_cli__a_wrong_call_has_its_exit_code_and_one_line(places, capsys, call, code, words):
+    arguments = [part.format(**places) for part in call.split()]
+    try:
+        found = main(arguments)
+    except SystemExit as stop:
+        found = stop.code
+    out, said = capsys.readouterr()
+    said = said or out  # what `check` finds is its output
+    assert found == code, said
+    assert len(said.splitlines()) == 1 and words in said
+    assert not (places["tmp"] / "o").exists()
+
+
+def test_cli__help_has_every_command_in_a_group(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    said = capsys.readouterr().out
+    assert "others:" not in said and all(f"{title}:" in said for title in GROUPS)
