@@ -17,6 +17,8 @@ class Task(StrEnum):
     PART = "1,048,576 points of the file, or a leaf of about as many"
     BLOCK = "a block of 16,384 splats"
     GROUP = "65,536 splats"
+    VOLUME = "the volume"
+    SLICES = "some slices of a volume"
     SAMPLE = "one of at most 16 blocks"
     PHOTO = "a photograph"
     BY_PHOTO = "the splats of a photograph"
@@ -56,6 +58,18 @@ CATALOGUE = (
     StageEntry(
         "ingest", "stages/points/ingest.py", Phase.POINTS, Task.SLICE,
         "points and photographs as arrays; the 8 sharpest cameras of each point", share=2,
+    ),
+    StageEntry(
+        "voxels", "stages/volumes/voxels.py", Phase.POINTS, Task.VOLUME,
+        "the voxels of a volume as an array in slices", share=1, when="a volume",
+    ),
+    StageEntry(
+        "iso-values", "stages/volumes/iso_values.py", Phase.POINTS, Task.SLICES,
+        "which iso values a volume proposes", ("voxels",), when="a volume without `--iso`; `iso`",
+    ),
+    StageEntry(
+        "iso-surface", "stages/volumes/iso_surface.py", Phase.POINTS, Task.SLICES,
+        "the points of iso-surfaces, in place of the ingest's", ("voxels",), share=4, when="a volume",
     ),
     StageEntry(
         "grid-counts", "stages/points/grid_counts.py", Phase.POINTS, Task.PART,

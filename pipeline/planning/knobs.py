@@ -31,6 +31,7 @@ class Knob:
     ladder: tuple = ()  # what `splatpress tradeoff` tries of it, unless told otherwise, the most telling first
     canonical: Callable[[str], str] | None = None  # of a list in one text: the one text for what it asks, or ValueError
     words: str = ""  # what such a list allows
+    metavar: str = "NAME=CHOICE"  # of a part of it, on a command line
 
     @property
     def allowed(self) -> str:
@@ -103,6 +104,18 @@ def _canonical_request(text: str) -> str:
     from pipeline.effects.plan.request import canonical_request  # finds all effects, which `inspect` can do without
 
     return canonical_request(text)
+
+
+def _canonical_isos(text: str) -> str:
+    from pipeline.volumes.request import canonical_isos
+
+    return canonical_isos(text)
+
+
+def _canonical_spacing(text: str) -> str:
+    from pipeline.volumes.request import canonical_spacing
+
+    return canonical_spacing(text)
 
 
 KNOBS = (
@@ -265,6 +278,81 @@ KNOBS = (
         low=0.0,
         optional=True,
         above_low=True,
+    ),
+    Knob(
+        "iso",
+        str,
+        "of a volume: the values at which its surfaces lie, each perhaps with a colour; by default the one that its voxels "
+        "pass most steeply, which `splatpress iso` prints with others",
+        "more values: more surfaces",
+        "points, bytes and time, in proportion to the surfaces' area",
+        "iso-surface",
+        canonical=_canonical_isos,
+        words="VALUE or VALUE=#RRGGBB, joined by commas",
+        metavar="VALUE[=#RRGGBB]",
+    ),
+    Knob(
+        "cell",
+        float,
+        "distance of neighbouring points of an iso-surface, in the volume's unit; by default a cell has the volume of a voxel, "
+        "of the finest spacing cubed",
+        "smaller: splats closer to each other and smaller",
+        "points as 1 / cell^2, and time as 1 / cell^3",
+        "iso-surface",
+        low=0.0,
+        optional=True,
+        above_low=True,
+    ),
+    Knob(
+        "resampling",
+        str,
+        "how values between voxels are found: trilinear, or by a radial kernel of three lobes held between the 8 voxels about a point",
+        "radial: an eighth of the error on signals that the voxels can hold",
+        "radial: eight times the time of the stage iso-surface",
+        "iso-surface",
+        choices=("trilinear", "radial"),
+    ),
+    Knob(
+        "border",
+        str,
+        "surfaces that reach the end of a volume: open there, or closed as if its lowest value lay around",
+        "closed: an outside without holes",
+        "closed: faces that nothing in the volume shows",
+        "iso-surface",
+        choices=("open", "closed"),
+    ),
+    Knob(
+        "spacing",
+        str,
+        "of a volume's voxels along its three axes, the fastest in the file first, in place of what the file says",
+        "shapes that are right where a file says no spacing, or a wrong one",
+        "nothing",
+        "voxels",
+        canonical=_canonical_spacing,
+        words="I,J,K, three lengths above 0",
+        metavar="I,J,K",
+    ),
+    Knob(
+        "component",
+        int,
+        "which number of a voxel is taken where a volume has several",
+        "a volume of vectors or colours, which is refused without",
+        "nothing",
+        "voxels",
+        low=0,
+        high=2**31 - 1,
+        optional=True,
+    ),
+    Knob(
+        "time",
+        int,
+        "which time of a volume of several is taken",
+        "a volume of several times, which is refused without",
+        "nothing",
+        "voxels",
+        low=0,
+        high=2**31 - 1,
+        optional=True,
     ),
     Knob(
         "seed",

@@ -28,6 +28,13 @@ class Settings:
     density: float = 1.0
     radius: float | None = None
     view_distance: float | None = None
+    iso: str = ""  # of a volume, as pipeline.volumes.request writes it; "" leaves the value to the volume
+    cell: float | None = None
+    resampling: str = "trilinear"
+    border: str = "open"
+    spacing: str = ""
+    component: int | None = None
+    time: int | None = None
     seed: int = 0
     effects: str = ""  # what is asked of effects, as pipeline.effects.plan.request writes it; "" leaves all to the scan
 

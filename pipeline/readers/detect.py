@@ -20,9 +20,9 @@ _READERS = {
     ".e57": ("e57.e57", "open_e57"),
 }
 _HANDLED = "a COLMAP dense workspace (folder or .zip), .ply, .las, .laz, .e57"
-_VOLUMES = (".nrrd", ".nhdr", ".nii", ".mha", ".mhd", ".vti", ".slc", ".tif", ".tiff")
+_VOLUMES = (".mha", ".mhd", ".vti", ".slc", ".dcm")
 _HINTS = {
-    **dict.fromkeys(_VOLUMES, "volumes are not handled yet"),
+    **dict.fromkeys(_VOLUMES, "write the volume as .nrrd or .nii"),
     **dict.fromkeys((".pcd", ".pts", ".ptx", ".xyz", ".txt"), "convert it to .ply or .e57"),
     **dict.fromkeys((".obj", ".stl", ".glb", ".gltf"), "meshes are not handled; sample points into a .ply"),
 }

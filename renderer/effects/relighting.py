@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from renderer.effects import ShaderPart
+from storage.packed.schema import Header
 
 PART = ShaderPart("LIT", ("attribute",))
 
@@ -24,6 +25,7 @@ class Light:
     diffuse: float = 0.0
 
 
+USUAL_LAMP = (-0.4, 0.7, 1.0)  # over the viewer's left shoulder
 AS_PHOTOGRAPHED = Light()  # a scene that can be lit and is not looks as without
 
 
@@ -31,3 +33,13 @@ def lamp(right: float, up: float, towards_viewer: float) -> Light:
     """A distant lamp in that direction, as bright as the photographs where a surface faces it."""
     direction = np.array([right, -up, -towards_viewer], float)
     return Light(tuple((direction / np.linalg.norm(direction)).tolist()), ambient=0.3, diffuse=0.7)
+
+
+def usual_light(header: Header) -> Light:
+    """How a scene looks unless a viewer says otherwise: under a lamp where its colours have no light in them."""
+    return lamp(*USUAL_LAMP) if has_own_lamp(header) else AS_PHOTOGRAPHED
+
+
+def has_own_lamp(header: Header) -> bool:
+    """Whether colours have no light in them, as those of iso-surfaces."""
+    return bool(header.effects.get("relighting", {}).get("lamp"))

@@ -3,7 +3,9 @@
 The run record is a dict that the stages leave behind. Every key may be missing or None, as all are where a packed file
 is all there is:
 
-    scan      {name, format, n_points, unit, n_cameras, warnings: [text]}
+    scan      {name, format, n_points, unit, n_cameras, warnings: [text]}, of a volume with volume {shape, dtype, spacing,
+              origin, directions, frame, unit, low, high, cell, method, border, surfaces: [{iso, color, n_points, n_added,
+              n_off, n_flat, mean_off_cells}]}, see pipeline/stages/volumes/iso_surface.py
     quality   {texture_psnr_db, visible_psnr_db, resampling_psnr_db,
                geometry: {mean_position_error (in the scan's unit), mean_position_error_in_radii,
                           mean_normal_error_degrees}}

@@ -18,7 +18,7 @@ import moderngl
 import numpy as np
 
 from renderer.effects import defines_of
-from renderer.effects.relighting import AS_PHOTOGRAPHED, Light
+from renderer.effects.relighting import AS_PHOTOGRAPHED, Light, usual_light
 from renderer.splats.baseline import PhotoSplats
 from renderer.splats.context import gl_context
 from renderer.splats.programs import Programs, set_uniforms
@@ -70,14 +70,19 @@ class Renderer:
         self._targets: Targets | None = None
 
     def render(
-        self, gpu_scene: GpuScene, view: Camera, max_atoms: int = MAX_ATOMS, light: Light = AS_PHOTOGRAPHED
+        self, gpu_scene: GpuScene, view: Camera, max_atoms: int = MAX_ATOMS, light: Light | None = None
     ) -> Picture:
         """The scene from `view`, each splat with at most `max_atoms` of its atoms; lit where its effects say that it
-        can be.
+        can be, by default as it was photographed, or by a lamp where its colours have no light in them.
 
         Raises: InvalidScan for a view that is not finite, ResourceExhausted for one too large.
         """
-        return self._drawn(gpu_scene, view, lambda frame: self._draw_attributes(frame, gpu_scene, max_atoms), light)
+        return self._drawn(
+            gpu_scene,
+            view,
+            lambda frame: self._draw_attributes(frame, gpu_scene, max_atoms),
+            light or usual_light(gpu_scene.scene.header),
+        )
 
     def render_baseline(self, photos: PhotoSplats, view: Camera) -> Picture:
         """The same splats from `view`, textured from the photographs themselves: what compression is compared with."""

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from renderer.effects.relighting import has_own_lamp
 from storage.packed.packed import PackedScene
 from storage.packed.schema import Camera, Header
 
@@ -37,7 +38,8 @@ def orbit_views(scene: PackedScene, n: int, size: tuple[int, int]) -> list[Camer
 
     The first one stands where the photographs were taken from, if there are any.
     """
-    low, high = trimmed_box(scene)
+    has_strays = not has_own_lamp(scene.header)  # surfaces of a volume have none: all of them is to be seen
+    low, high = trimmed_box(scene, TRIMMED_SHARE if has_strays else 0.0)
     middle = (low + high) / 2 + scene.header.origin
     up = up_direction(scene.header)
     start = _start_direction(scene.header, middle, up)
@@ -53,14 +55,14 @@ def orbit_views(scene: PackedScene, n: int, size: tuple[int, int]) -> list[Camer
     return views
 
 
-def trimmed_box(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
+def trimmed_box(scene: PackedScene, share: float = TRIMMED_SHARE) -> tuple[np.ndarray, np.ndarray]:
     """Low and high corner (3,) against the origin of what most chunks lie in.
 
-    The middle 1 - 2 TRIMMED_SHARE of the chunk centres, stretched to what that would be the middle of were they even.
+    The middle 1 - 2 `share` of the chunk centres, stretched to what that would be the middle of were they even.
     """
     centre = scene.arrays["box_low"] + scene.arrays["box_size"].astype(np.float64) / 2
-    low, high = np.quantile(centre, [TRIMMED_SHARE, 1 - TRIMMED_SHARE], axis=0)
-    half = (high - low) / 2 / (1 - 2 * TRIMMED_SHARE)
+    low, high = np.quantile(centre, [share, 1 - share], axis=0)
+    half = (high - low) / 2 / (1 - 2 * share)
     return (low + high) / 2 - half, (low + high) / 2 + half
 
 

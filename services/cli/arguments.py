@@ -70,5 +70,5 @@ def settings_of(options: argparse.Namespace) -> Settings:
 
 def _metavar(knob: Knob) -> str:
     if knob.canonical:
-        return "NAME=CHOICE"
+        return knob.metavar
     return "|".join(str(c) for c in knob.choices) if knob.choices else "N" if knob.kind is int else "X"

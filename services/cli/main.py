@@ -18,6 +18,7 @@ from services.cli.arguments import WrongArgument, add_preset, add_settings, add_
 from services.cli.exports import add_export
 from services.cli.parser import ARGUMENTS, Parser
 from services.cli.service import add_service_verbs
+from services.cli.volumes import add_iso
 from storage.errors import ResourceExhausted, SplatpressError
 from storage.version import VERSION
 
@@ -511,6 +512,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_estimate(commands)
     _add_tradeoff(commands)
     add_export(commands)
+    add_iso(commands, _add_executor)
     add_service_verbs(commands)
     return parser
 
@@ -551,7 +553,9 @@ def _add_plan(commands) -> None:
 
 def _add_compress(commands) -> None:
     compress = commands.add_parser("compress", help="a scan into a packed file, previews and a report")
-    compress.add_argument("scan", metavar="SCAN", help="COLMAP workspace (folder or .zip), .ply, .las, .laz, .e57")
+    compress.add_argument(
+        "scan", metavar="SCAN", help="COLMAP workspace (folder or .zip), .ply, .las, .laz, .e57; a volume, see iso"
+    )
     _add_output(compress)
     add_settings(compress)
     _add_running(compress)

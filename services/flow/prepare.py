@@ -9,7 +9,7 @@ from pathlib import Path
 from pipeline.effects.block import Sources
 from pipeline.effects.plan.plan import EffectPlan, measured_effects, plan_effects
 from pipeline.effects.plan.registry import effects
-from pipeline.effects.plan.request import parse_request
+from pipeline.effects.plan.request import AUTO, ON, parse_request
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
 from pipeline.stages.points.depth_maps import DepthMaps
@@ -20,7 +20,10 @@ from pipeline.stages.points.measure_effects import MeasureEffects, measures_of
 from pipeline.stages.points.neighbours import Neighbourhoods, radius_of
 from pipeline.stages.points.partition import Partition
 from pipeline.stages.points.splats import Splats
+from pipeline.volumes.open import is_volume
+from pipeline.volumes.request import SurfaceRequest
 from services.flow.run import Run
+from services.flow.volumes import refuse_surfaces, surface_points
 
 
 @dataclass(frozen=True)
@@ -54,10 +57,17 @@ def fingerprint(scan: Path) -> str:
 
 
 def prepare(
-    run: Run, scan: Path, radius: float | None, request: str = "", held_out: tuple[int, ...] = (), density: float = 1.0
+    run: Run,
+    scan: Path,
+    radius: float | None,
+    request: str = "",
+    held_out: tuple[int, ...] = (),
+    density: float = 1.0,
+    surface: SurfaceRequest = SurfaceRequest(),
 ) -> Prepared:
-    """The scan as splats, and with the effects that they call for; the photographs `held_out` texture none."""
-    return with_effects(run, splats_of(run, scan, radius, held_out, density), request)
+    """The scan as splats, and with the effects that they call for; the photographs `held_out` texture none, and
+    `surface` is what is asked of a volume."""
+    return with_effects(run, splats_of(run, scan, radius, held_out, density, surface), request)
 
 
 def with_effects(run: Run, prepared: Prepared, request: str) -> Prepared:
@@ -82,15 +92,26 @@ def _with_ellipsoids(run: Run, prepared: Prepared, ellipsoids: Path) -> Prepared
 
 
 def splats_of(
-    run: Run, scan: Path, radius: float | None, held_out: tuple[int, ...] = (), density: float = 1.0
+    run: Run,
+    scan: Path,
+    radius: float | None,
+    held_out: tuple[int, ...] = (),
+    density: float = 1.0,
+    surface: SurfaceRequest = SurfaceRequest(),
 ) -> Prepared:
     """Read the scan, put its points in chunk order, and make splats of them."""
-    return splats_from(run, *points_of(run, scan, density), str(scan), radius, held_out)
+    return splats_from(run, *points_of(run, scan, density, surface), str(scan), radius, held_out)
 
 
-def points_of(run: Run, scan: Path, density: float = 1.0) -> tuple[StageRecord, StageRecord]:
-    """Read the scan, and put its points in chunk order, or that share of them."""
-    ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
+def points_of(
+    run: Run, scan: Path, density: float = 1.0, surface: SurfaceRequest = SurfaceRequest()
+) -> tuple[StageRecord, StageRecord]:
+    """Read the scan or the surfaces of a volume, and put its points in chunk order, or that share of them."""
+    if is_volume(scan):
+        ingest = surface_points(run, scan, surface)
+    else:
+        refuse_surfaces(scan, surface)
+        ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
     if density * ingest.summary["n_points"] <= IN_MEMORY:
         return ingest, run.do(Partition(ingest.folder, density))
     counts = run.do(GridCounts(ingest.folder, density))
@@ -131,6 +152,8 @@ def splats_from(
 def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[EffectPlan, dict[str, Path]]:
     """Measure the scan for every effect that the request leaves open, and plan; and what the surveys of effects
     made."""
+    if sources.scan.get("is_albedo") and request["relighting"] == AUTO:
+        request = request | {"relighting": ON}  # colours without light in them show no shape
     names = measured_effects(request)
     if not names:
         return plan_effects({}, request, sources.n_splats), {}

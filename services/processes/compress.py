@@ -17,6 +17,7 @@ from services.flow.pack import pack, packed_gpu_bytes
 from services.flow.prepare import Prepared, is_textured, prepare
 from services.flow.run import Run
 from services.flow.textures import Coded
+from services.flow.volumes import surface_request
 from storage.packed.packed import SUFFIX, PackedFile
 
 
@@ -60,7 +61,9 @@ def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = Tru
     Returns the report."""
     name = name or (scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem)
     path = out / (name + SUFFIX)
-    prepared = prepare(run, scan, settings.radius, settings.effects, density=settings.density)
+    prepared = prepare(
+        run, scan, settings.radius, settings.effects, density=settings.density, surface=surface_request(settings)
+    )
     coded = code(run, prepared, settings) if is_textured(prepared) else None
     packed = pack(run, prepared, coded, settings, name, path)
     if settings.budget_bytes is not None:
@@ -117,7 +120,8 @@ def _scan_record(prepared: Prepared) -> dict:
     n_blind = prepared.splats.summary["n_without_camera"]
     if scan["cameras"] and n_blind:
         warnings.append(f"{n_blind} of {scan['n_points']} splats are seen by no camera and have the scan's colour")
-    return {"unit": scan["unit"], "n_points": scan["n_read"], "n_cameras": len(scan["cameras"]), "warnings": warnings}
+    found = {"unit": scan["unit"], "n_points": scan["n_read"], "n_cameras": len(scan["cameras"]), "warnings": warnings}
+    return found | ({"volume": scan["volume"]} if "volume" in scan else {})
 
 
 def _numerics(prepared: Prepared, coded: Coded | None) -> dict:

@@ -18,6 +18,7 @@ from services.flow.code import code
 from services.flow.pack import pack
 from services.flow.prepare import is_textured, plan_scan, prepare, splats_of
 from services.flow.run import Run
+from services.flow.volumes import surface_request
 from storage.packed.packed import SUFFIX
 
 
@@ -28,7 +29,7 @@ def effects_of(
     with _run(executor, progress, work) as run:
         return plan_scan(
             run,
-            splats_of(run, scan, settings.radius, density=settings.density).sources,
+            splats_of(run, scan, settings.radius, density=settings.density, surface=surface_request(settings)).sources,
             parse_request(settings.effects),
         )[0].to_json()
 
@@ -53,7 +54,9 @@ def worth_of_effects(
             name = list(requests)[len(variants)]
             before = len(run.records)
             asked = replace(settings, effects=canonical_request(requests[name]))
-            prepared = prepare(run, scan, asked.radius, asked.effects, density=asked.density)
+            prepared = prepare(
+                run, scan, asked.radius, asked.effects, density=asked.density, surface=surface_request(asked)
+            )
             coded = code(run, prepared, asked) if is_textured(prepared) else None
             path = Path(folder) / f"{len(variants)}{SUFFIX}"
             pack(run, prepared, coded, asked, scan.stem, path)

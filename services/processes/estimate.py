@@ -34,6 +34,7 @@ from services.flow.prepare import Prepared, is_textured, prepare
 from services.flow.run import Run
 from services.flow.stage_lock import stage_lock
 from services.flow.textures import PATCHES_AN_ATOM, Coded, index_bits
+from services.flow.volumes import surface_request
 from services.processes.estimate_gaps import Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
 from storage.packed.packed import SUFFIX, PackedFile
 from storage.packed.schema import ATOM_SIZES, EXTRAS
@@ -103,7 +104,9 @@ def _one_at_a_time(folder: Path, do: Callable[[], StageRecord]) -> StageRecord:
 
 
 def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
-    prepared = prepare(run, scan, settings.radius, settings.effects, density=settings.density)
+    prepared = prepare(
+        run, scan, settings.radius, settings.effects, density=settings.density, surface=surface_request(settings)
+    )
     ran: dict[Path, tuple[Stage, StageRecord]] = {}
 
     def noted(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:

@@ -23,6 +23,7 @@ from services.flow.pack import pack
 from services.flow.prepare import Prepared, is_textured, prepare
 from services.flow.run import Run
 from services.flow.textures import encode
+from services.flow.volumes import surface_request
 from services.processes.evaluated_rows import (
     CODED_ROWS,
     PHOTO_ROWS,
@@ -88,7 +89,9 @@ def _measure(
     hold_out: int | None,
     render: bool,
 ) -> dict:
-    prepared = prepare(run, scan, settings.radius, settings.effects, density=settings.density)
+    prepared = prepare(
+        run, scan, settings.radius, settings.effects, density=settings.density, surface=surface_request(settings)
+    )
     if not is_textured(prepared):
         raise InvalidScan(
             str(scan),

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import asdict
 from pathlib import Path
 
+from pipeline.execution.stage import Executor, Progress
 from pipeline.readers import inspect_scan
-from pipeline.readers.check import check_scan
+from pipeline.readers.check import Finding, check_scan
+from pipeline.volumes.inspect import check_volume, inspect_volume
+from pipeline.volumes.open import HANDLED, is_volume
+from pipeline.volumes.volume import Choice
+from storage.errors import InvalidScan, UnsupportedScan
 from storage.packed.seal import is_packed_file
 
 
 def inspect(path: Path) -> dict:
     """A JSON-able account of a scan or a packed file."""
+    if is_volume(path):
+        return inspect_volume(str(path))
     return inspect_packed(path) if is_packed_file(path) else inspect_scan(str(path))
 
 
@@ -27,9 +35,34 @@ def inspect_packed(path: Path) -> dict:
 
 def check(path: Path) -> dict:
     """A JSON-able account of what is wrong with a scan; `ok` unless a finding is an error."""
-    findings = check_scan(str(path))
+    findings = _check_volume(path) if is_volume(path) else check_scan(str(path))
     return {
         "path": str(path),
         "ok": all(f.severity != "error" for f in findings),
         "findings": [asdict(f) for f in findings],
     }
+
+
+def _check_volume(path: Path) -> list[Finding]:
+    try:
+        warnings, notes = check_volume(str(path))
+    except InvalidScan as error:
+        return [Finding("error", str(error))]
+    return [*(Finding("warning", text) for text in warnings), *(Finding("note", text) for text in notes)]
+
+
+def iso_values(path: Path, choice: Choice, executor: Executor, progress: Progress, work: Path | None = None) -> dict:
+    """A JSON-able account: `volume`, and what stage iso-values finds.
+
+    Raises: UnsupportedScan for what is no volume, and what opening one raises.
+    """
+    from services.flow.run import Run  # stages take a second to import, and headers do without
+    from services.flow.volumes import iso_values_of
+
+    if not is_volume(path):
+        raise UnsupportedScan(str(path), "no volume", HANDLED)
+    with tempfile.TemporaryDirectory(prefix="splatpress-iso-") as scratch:
+        if work:
+            work.mkdir(parents=True, exist_ok=True)
+        voxels, values = iso_values_of(Run(work or Path(scratch), executor, progress), path, choice)
+        return {"volume": voxels.summary, **values.summary}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from renderer.effects.relighting import AS_PHOTOGRAPHED, Light
+from renderer.effects.relighting import Light
 from renderer.evaluate.previews import safe_names
 from renderer.pictures import save_picture
 from renderer.splats.renderer import Renderer
@@ -48,7 +48,7 @@ def render_views(
     for view, name in zip(views, safe_names([v.name for v in views])):
         paths.append(out / f"{name}.png")
         paths[-1].parent.mkdir(parents=True, exist_ok=True)
-        save_picture(paths[-1], renderer.render(gpu_scene, view, max_atoms, light or AS_PHOTOGRAPHED).rgb)
+        save_picture(paths[-1], renderer.render(gpu_scene, view, max_atoms, light).rgb)
     return paths
 
 

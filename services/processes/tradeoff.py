@@ -22,6 +22,7 @@ from services.flow.outputs import placed_whole
 from services.flow.pack import pack
 from services.flow.prepare import is_textured, prepare
 from services.flow.run import Run
+from services.flow.volumes import surface_request
 from services.processes.kinds import BUDGET_S
 from storage.errors import InvalidScan
 from storage.packed.packed import SUFFIX, PackedFile
@@ -166,7 +167,14 @@ def measure_ladder(
 def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
     """A point of the ladder, and the folder of the photographs that textured it."""
     first = len(run.records)
-    prepared = prepare(run, scan, step.settings.radius, step.settings.effects, density=step.settings.density)
+    prepared = prepare(
+        run,
+        scan,
+        step.settings.radius,
+        step.settings.effects,
+        density=step.settings.density,
+        surface=surface_request(step.settings),
+    )
     if not is_textured(prepared):
         raise InvalidScan(
             str(scan),

@@ -19,10 +19,10 @@ def test_open_scan__refuses_other_formats_naming_the_suffix_and_what_is_handled(
     assert error.value.exit_code == 5
 
 
-def test_open_scan__says_that_volumes_are_not_handled_yet(tmp_path):
-    (tmp_path / "a.nrrd").write_bytes(b"NRRD0004")
-    with pytest.raises(UnsupportedScan, match="volumes are not handled yet"):
-        open_scan(tmp_path / "a.nrrd")
+def test_open_scan__says_which_volumes_it_does_not_handle(tmp_path):
+    (tmp_path / "a.mha").write_bytes(b"ObjectType")
+    with pytest.raises(UnsupportedScan, match="write the volume as .nrrd or .nii"):
+        open_scan(tmp_path / "a.mha")
 
 
 def test_open_scan__a_missing_path_is_file_not_found(tmp_path):

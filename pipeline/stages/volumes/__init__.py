@@ -1,0 +1,1 @@
+"""Stages from a volume to the points of its surfaces."""

@@ -1,0 +1,174 @@
+"""Voxels -> the points of iso-surfaces, as the ingest of a scan has them: with normals, and a colour each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.geometry.chunks import bounds
+from pipeline.numerics.limits import check_bounds
+from pipeline.stages.volumes.voxels import slab
+from pipeline.volumes.field import SUPPORT
+from pipeline.volumes.lattice import HALO, Lattice, auto_size, lattice_of
+from pipeline.volumes.request import CLOSED, Iso
+from pipeline.volumes.surface import sampled, surface_in
+from storage.errors import InvalidScan
+from storage.work import arrays, work
+
+SAMPLE = 1 << 18  # positions of the sample, as the ingest's
+CLOSE_CELLS = 0.01  # off a surface by more than so much of a cell: counted as left away from it
+
+
+@dataclass(frozen=True)
+class IsoSurface:
+    """A task some slices of the HCP grid, with the slices about them as halos.
+
+    Arrays: position (n, 3) float64 in the volume's frame, normal (n, 3) float32 towards lower values, zero where the volume tells
+    none, color (n, 3) uint8; sample (m, 3) float64: every so many-th position. By task, by iso value, by slice, row and column of the grid.
+
+    Raises: InvalidScan where no iso value makes a point, or cells are too many.
+    """
+
+    voxels: Path
+    isos: tuple[Iso, ...]
+    cell: float | None = None
+    method: str = "trilinear"
+    border: str = "open"
+    is_proposed: bool = False  # nobody asked for the iso value: the volume proposed it
+    name = "iso-surface"
+
+    def init(self, folder: Path) -> int:
+        _, lattice = self._lattice()
+        return -(-lattice.counts[2] // self._slices(lattice))
+
+    def run(self, folder: Path, index: int) -> dict:
+        pad, lattice = self._lattice()
+        n = self._slices(lattice)
+        begin, end = index * n, min((index + 1) * n, lattice.counts[2])
+        k0, k1 = lattice.voxel_slices(max(0, begin - HALO), min(lattice.counts[2], end + HALO), SUPPORT)
+        voxels = slab(self.voxels, k0, k1, pad)
+        values, first = sampled(voxels, k0, lattice, begin, end, self.method)
+        found = [
+            surface_in(voxels, k0, values, first, lattice, begin, end, iso.value, self.method) for iso in self.isos
+        ]
+        position = lattice.in_frame(np.concatenate([s.position for s in found]))
+        gradient = np.concatenate([s.gradient for s in found]) @ lattice.turn.T
+        length = np.linalg.norm(gradient, axis=1, keepdims=True)
+        normal = -np.divide(gradient, length, out=np.zeros_like(gradient), where=length > 0)
+        color = np.concatenate(
+            [np.tile(np.array(iso.color, np.uint8), (len(s.key), 1)) for iso, s in zip(self.isos, found)]
+        )
+        rows = {"position": position, "normal": normal.astype(np.float32), "color": color}
+        work.write_parts(work.parts(folder) / f"{index:06d}.npz", **rows)
+        low, high = (b.tolist() for b in bounds(position)) if len(position) else (None, None)
+        off = [s.off[np.isfinite(s.off)] / lattice.size for s in found]
+        return {
+            "n_splats": len(position),
+            "low": low,
+            "high": high,
+            "n_points": [len(s.key) for s in found],
+            "n_added": [s.n_added for s in found],
+            "n_off": [int((~(s.off <= CLOSE_CELLS * lattice.size)).sum()) for s in found],
+            "n_flat": [int((~np.isfinite(s.off)).sum()) for s in found],
+            "off": [float(o[o <= CLOSE_CELLS].sum()) for o in off],
+        }
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        volume = work.summary(self.voxels)
+        _, lattice = self._lattice()
+        n_points = sum(r["n_splats"] for r in results)
+        if not n_points:
+            asked = ", ".join(f"{iso.value:g}" for iso in self.isos)
+            raise InvalidScan(
+                f"iso {asked}",
+                f"no surface in {volume['path']}",
+                f"values pass from {volume['low']:g} to {volume['high']:g}",
+            )
+        self._gather(folder, len(results), n_points)
+        some = [r for r in results if r["n_splats"]]
+        low, high = np.min([r["low"] for r in some], axis=0), np.max([r["high"] for r in some], axis=0)
+        check_bounds(volume["path"], low, high)
+        surfaces = [self._surface(i, results) for i in range(len(self.isos))]
+        warnings = [*volume["warnings"], *self._warnings(surfaces, volume)]
+        if self.is_proposed:
+            warnings.append(f"no iso value was given: {self.isos[0].value:g} is what the volume proposes first")
+        return {
+            "format": volume["format"],
+            "unit": volume["unit"],
+            "n_points": n_points,
+            "n_read": n_points,
+            "n_dropped": 0,
+            "low": low.tolist(),
+            "high": high.tolist(),
+            "intensity_range": None,
+            "cameras": [],
+            "stations": [],
+            "has_visibility": False,
+            "has_colors": True,
+            "is_albedo": True,  # colours have no light in them: they look like something under a lamp only
+            "warnings": warnings,
+            "volume": {
+                name: volume[name]
+                for name in ("shape", "dtype", "spacing", "origin", "directions", "frame", "unit", "low", "high")
+            }
+            | {"cell": lattice.size, "method": self.method, "border": self.border, "surfaces": surfaces},
+        }
+
+    def _surface(self, i: int, results: list[dict]) -> dict:
+        total = {name: sum(r[name][i] for r in results) for name in ("n_points", "n_added", "n_off", "n_flat", "off")}
+        n_on = total["n_points"] - total["n_off"]
+        mean = total.pop("off") / n_on if n_on else None
+        return {"iso": self.isos[i].value, "color": list(self.isos[i].color), **total, "mean_off_cells": mean}
+
+    def _warnings(self, surfaces: list[dict], volume: dict) -> list[str]:
+        found = []
+        for surface in surfaces:
+            value, n = surface["iso"], surface["n_points"]
+            if not n:
+                found.append(
+                    f"iso {value:g}: no voxel passes it; values go from {volume['low']:g} to {volume['high']:g}"
+                )
+                continue
+            if surface["n_off"]:
+                found.append(
+                    f"iso {value:g}: {surface['n_off']:,} of {n:,} points lie more than {CLOSE_CELLS:g} of a cell off it, "
+                    "where it is thinner than a cell or the volume is flat"
+                )
+            if surface["n_added"]:
+                found.append(
+                    f"iso {value:g}: {surface['n_added']:,} of {n:,} points stand for parts thinner than a cell"
+                )
+        return found
+
+    def _gather(self, folder: Path, n_tasks: int, n_points: int) -> None:
+        """The parts of all tasks, one behind the other."""
+        writers = {
+            "position": arrays.Appender(folder, "position", (3,), "float64"),
+            "normal": arrays.Appender(folder, "normal", (3,), "float32"),
+            "color": arrays.Appender(folder, "color", (3,), "uint8"),
+            "sample": arrays.Appender(folder, "sample", (3,), "float64"),
+        }
+        step, at = max(1, n_points // SAMPLE), 0
+        for index in range(n_tasks):
+            with np.load(work.parts(folder) / f"{index:06d}.npz") as part:
+                for name in ("position", "normal", "color"):
+                    writers[name].append(part[name])
+                writers["sample"].append(part["position"][-at % step :: step])
+                at += len(part["position"])
+        for writer in writers.values():
+            writer.close()
+
+    def _lattice(self) -> tuple[float | None, Lattice]:
+        """The grid; and the value outside the volume, where surfaces are to be closed there."""
+        volume = work.summary(self.voxels)
+        shape, directions, origin = volume["shape"], np.array(volume["directions"]), np.array(volume["origin"])
+        size = self.cell or auto_size(tuple(volume["spacing"]))
+        if self.border != CLOSED:
+            return None, lattice_of(tuple(shape), directions, origin, size)
+        return volume["low"], lattice_of(tuple(n + 2 for n in shape), directions, origin - directions.sum(axis=1), size)
+
+    def _slices(self, lattice: Lattice) -> int:
+        n_i, n_j, _ = work.summary(self.voxels)["shape"]
+        return lattice.slices_a_task(n_i * n_j)

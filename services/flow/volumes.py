@@ -1,0 +1,74 @@
+"""From a volume to the points of its iso-surfaces: what an ingest is to a scan."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from pipeline.execution.stage import StageRecord
+from pipeline.planning.settings import Settings
+from pipeline.stages.volumes.iso_surface import IsoSurface
+from pipeline.stages.volumes.iso_values import IsoValues
+from pipeline.stages.volumes.voxels import Voxels
+from pipeline.volumes.open import open_volume
+from pipeline.volumes.request import PALETTE, Iso, SurfaceRequest, parse_isos, parse_spacing
+from pipeline.volumes.volume import Choice
+from services.flow.run import Run
+from storage.errors import InvalidScan, UnsupportedScan
+
+
+def surface_request(settings: Settings) -> SurfaceRequest:
+    """What settings say of a volume."""
+    choice = Choice(settings.component, settings.time, parse_spacing(settings.spacing))
+    return SurfaceRequest(parse_isos(settings.iso), settings.cell, settings.resampling, settings.border, choice)
+
+
+def voxels_of(run: Run, path: Path, choice: Choice) -> StageRecord:
+    """Read the volume."""
+    return run.do(Voxels(str(path.resolve()), _fingerprint(path, choice), choice))
+
+
+def iso_values_of(run: Run, path: Path, choice: Choice) -> tuple[StageRecord, StageRecord]:
+    """Read the volume, and see which iso values it proposes."""
+    voxels = voxels_of(run, path, choice)
+    return voxels, run.do(IsoValues(voxels.folder))
+
+
+def surface_points(run: Run, path: Path, asked: SurfaceRequest) -> StageRecord:
+    """The points of the surfaces asked for, or of the one that the volume proposes first.
+
+    Raises: InvalidScan where it proposes none.
+    """
+    if asked.isos:
+        voxels, isos = voxels_of(run, path, asked.choice), asked.isos
+    else:
+        voxels, values = iso_values_of(run, path, asked.choice)
+        proposals = values.summary["proposals"]
+        if not proposals:
+            found = (
+                f"all voxels are {voxels.summary['low']:g}"
+                if voxels.summary["low"] == voxels.summary["high"]
+                else "no value that voxels pass steeply"
+            )
+            raise InvalidScan(str(path), found, "values that differ", "give one with --iso")
+        isos = (Iso(proposals[0]["iso"], PALETTE[0]),)
+    return run.do(IsoSurface(voxels.folder, isos, asked.cell, asked.method, asked.border, not asked.isos))
+
+
+def refuse_surfaces(scan: Path, asked: SurfaceRequest) -> None:
+    """Raises UnsupportedScan where surfaces of a volume are asked of points."""
+    if asked != SurfaceRequest():
+        raise UnsupportedScan(
+            str(scan),
+            "points, with settings of a volume",
+            "iso, cell, resampling, border, spacing, component and time for volumes only",
+        )
+
+
+def _fingerprint(path: Path, choice: Choice) -> str:
+    """A hash of the sizes and times of all the files that a volume is read from."""
+    state = hashlib.sha256()
+    for file in map(Path, open_volume(path, choice).files):
+        stat = file.stat()
+        state.update(f"{file.name}\0{stat.st_size}\0{stat.st_mtime_ns}\n".encode())
+    return state.hexdigest()
