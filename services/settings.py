@@ -18,6 +18,7 @@ class ServiceSettings:
     database: str = ""  # SQLAlchemy's URL; empty: SQLite in the data folder
     host: str = "127.0.0.1"
     port: int = 8000
+    require_tokens: bool = False  # on loopback too, as behind a proxy; a request that came by one needs a token anyway
     scheduler: str = ""  # of Dask; empty: the runner starts workers of its own
     workers: int = 0  # that it starts; 0: one a core
     dashboard_url: str = ""  # shown on the job page
@@ -49,7 +50,7 @@ class ServiceSettings:
 
     @property
     def needs_tokens(self) -> bool:
-        return self.host not in LOOPBACK
+        return self.require_tokens or self.host not in LOOPBACK
 
     def __post_init__(self) -> None:
         """The data folder becomes absolute here, once: children and workers run in folders of their own."""

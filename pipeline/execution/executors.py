@@ -8,6 +8,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import wait
+from contextlib import suppress
 from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
@@ -92,7 +93,7 @@ class DaskExecutor:
                     n_workers=self._n_workers,
                     threads_per_worker=1,
                     processes=True,
-                    dashboard_address=":0",
+                    dashboard_address="127.0.0.1:0",  # whoever reaches it reads what runs here
                     silence_logs="ERROR",
                 )
         self._client = Client(self._cluster or self._scheduler, set_as_default=False)
@@ -111,6 +112,9 @@ class DaskExecutor:
         return self._client
 
     def __exit__(self, *_) -> None:
+        if self._on_lost is not None:  # else the scheduler tells this client that it went, which it complains of
+            with suppress(Exception):
+                self._client.unsubscribe_topic("all")
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()

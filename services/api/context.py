@@ -12,6 +12,8 @@ from services.settings import LOOPBACK, ServiceSettings
 from services.store.store import Store
 
 LOCAL_OWNER = "local"
+# What proxies add: who asks through one stands somewhere else, wherever this process listens
+_FORWARDED = {"forwarded", "via", "x-forwarded-for", "x-forwarded-host", "x-forwarded-proto", "x-real-ip"}
 
 
 def settings_of(request: Request) -> ServiceSettings:
@@ -34,7 +36,7 @@ def owner_of(request: Request) -> str:
         if owner is None:
             raise _unauthorised("the token is not known")
         return owner
-    if settings_of(request).needs_tokens:
+    if settings_of(request).needs_tokens or _FORWARDED & set(request.headers.keys()):
         raise _unauthorised("no token")
     if not _is_loopback(request.url.hostname or ""):
         raise Problem(403, "foreign-host", "without a token, only requests to a loopback name are answered")

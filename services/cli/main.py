@@ -49,6 +49,12 @@ def main(arguments: list[str] | None = None) -> int:
         if type(error).__module__.startswith("httpx"):
             print(f"splatpress: no answer from {_asked(error)}: {error}", file=sys.stderr)
             return INPUT_OUTPUT
+        if type(error).__module__.startswith("sqlalchemy"):
+            from services.problems import is_of_database
+
+            if is_of_database(error):
+                print(f"splatpress: resource error: the database does not answer: {error.orig}", file=sys.stderr)
+                return INPUT_OUTPUT
         # Whatever else comes here is ours to mend, and must not look like wrong arguments.
         traceback.print_exc()
         print("splatpress: internal error: please report the lines above", file=sys.stderr)

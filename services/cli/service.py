@@ -27,6 +27,9 @@ def add_service_verbs(commands) -> None:
         verb.add_argument("--data", type=Path, metavar="DIR", help="default: splatpress-data")
         verb.add_argument("--host", help="default: 127.0.0.1; any other address asks for tokens")
         verb.add_argument("--port", type=int)
+        verb.add_argument(
+            "--require-tokens", action="store_true", default=None, help="on loopback too, as behind a proxy"
+        )
         verb.add_argument("--workers", type=int, metavar="N", help="default: one a core")
         verb.add_argument(
             "--scheduler", metavar="tcp://...", help="a running Dask scheduler, instead of workers of its own"
@@ -95,7 +98,7 @@ def _verb(commands, name: str, text: str, function) -> argparse.ArgumentParser:
 def _settings(options: argparse.Namespace):
     from services.settings import settings_from
 
-    names = ("data", "host", "port", "workers", "scheduler")
+    names = ("data", "host", "port", "workers", "scheduler", "require_tokens")
     try:
         return settings_from(None, **{name: getattr(options, name, None) for name in names})
     except ValueError as error:
@@ -109,7 +112,8 @@ def _serve(options: argparse.Namespace) -> int:
 
 
 def _api(options: argparse.Namespace) -> int:
-    from services.cli.serve import end_with_stdin, run_api
+    from services.cli.serve import run_api
+    from services.cli.supervise import end_with_stdin
 
     if options.end_with_stdin:
         end_with_stdin()
@@ -118,7 +122,7 @@ def _api(options: argparse.Namespace) -> int:
 
 
 def _runner(options: argparse.Namespace) -> int:
-    from services.cli.serve import end_with_stdin
+    from services.cli.supervise import end_with_stdin
     from services.jobs.runner import run_forever
 
     if options.end_with_stdin:

@@ -54,6 +54,8 @@ def run_forever(settings: ServiceSettings, stop: threading.Event | None = None) 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     make_data_folder(settings.data)
+    # It ends by os._exit, see below: what its helper process then says of semaphores, which it cleans up, is no news
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (os.environ.get("PYTHONWARNINGS"), "ignore:resource_tracker")))
     with ExitStack() as stack:
         if not _alone(stack, settings.data, stop):
             return

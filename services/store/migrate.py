@@ -13,13 +13,18 @@ from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
+from storage.errors import SplatpressError
+
 FIRST = "1"
 _LOCK_KEY = 0x73706C6174  # of PostgreSQL's advisory lock
 _FOLDER = Path(__file__).parent / "migrations"
 
 
-class NewerDatabase(RuntimeError):
+class NewerDatabase(SplatpressError):
     """A database that a newer version of the program has changed."""
+
+    kind = "resource"
+    exit_code = 2
 
 
 def migrate(engine: sa.Engine) -> None:
@@ -32,9 +37,7 @@ def migrate(engine: sa.Engine) -> None:
         known = {script.revision for script in ScriptDirectory.from_config(config).walk_revisions()}
         found = MigrationContext.configure(connection).get_current_revision()
         if found is not None and found not in known:
-            raise NewerDatabase(
-                f"the database is at revision {found}; allowed: up to {max(known, key=int)}; use a newer splatpress"
-            )
+            raise NewerDatabase("the database", f"revision {found}", f"up to {newest()}", "use a newer splatpress")
         if found is None and sa.inspect(connection).has_table("jobs"):
             command.stamp(config, FIRST)
         if found != newest():

@@ -91,7 +91,7 @@ def test_migrate__a_database_of_a_newer_program_is_refused_and_left_alone(url):
     with store.engine.begin() as connection:
         connection.execute(sa.text("UPDATE alembic_version SET version_num = '999'"))
     store.close()
-    with pytest.raises(NewerDatabase, match=f"revision 999; allowed: up to {newest()}"):
+    with pytest.raises(NewerDatabase, match=f"revision 999; allowed: up to {newest()}; use a newer"):
         Store(url)
 
 
