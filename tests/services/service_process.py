@@ -141,7 +141,9 @@ def service(data: Path, workers: int = 2, log: Path | None = None, **settings: s
                 left.kill()
             except psutil.Error:
                 pass
-    assert "*** Aborted" not in log.read_text()
+    assert not [
+        words for words in ("*** Aborted", "Fatal Python error", "leaked semaphore") if words in log.read_text()
+    ]
 
 
 class ApiProcess:

@@ -60,6 +60,7 @@ def test_service__a_job_over_http_packs_the_bytes_of_compress_and_makes_every_ar
     job = served.client.submit(uploaded, preset="draft", options=OPTIONS)
     ended = served.client.watch(job["jobID"], events.append)
     assert ended["status"] == "successful" and ended["progress"] == 100 and ended["expires_at"] > ended["finished"]
+    assert "CRITICAL" not in served.log.read_text() and "Traceback" not in served.log.read_text()
     assert packed(served, job["jobID"], tmp_path) == expected
     names = {a["name"] for a in served.client.artifacts(job["jobID"])}
     assert {
