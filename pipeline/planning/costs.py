@@ -41,7 +41,7 @@ def _modelled() -> dict[str, Task]:
     """What a task is, by stage, in the order of the catalogue."""
     tasks: dict[str, Task] = {}
     for entry in CATALOGUE:
-        if entry.phase != Phase.EVALUATION:
+        if entry.phase != Phase.EVALUATION and entry.task not in (Task.VOLUME, Task.SLICES):  # those go with voxels
             tasks[entry.name] = entry.task
         if entry.name == "ingest":
             tasks[PHOTOGRAPHS] = Task.PHOTO
