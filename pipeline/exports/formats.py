@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-POINTS, GAUSSIANS = "points", "Gaussians"
+POINTS, GAUSSIANS, PAGE = "points", "Gaussians", "splats"
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,7 @@ FORMATS: dict[str, Format] = {
     "3dgs-ply": Format(".3dgs.ply", GAUSSIANS, "application/octet-stream", "one a splat, as 3DGS trainers write them"),
     "spz": Format(".spz", GAUSSIANS, "application/octet-stream", "the same, small"),
     "sog": Format(".sog", GAUSSIANS, "application/zip", "the same, smaller, for SuperSplat and PlayCanvas"),
+    "html": Format(".html", PAGE, "text/html", "the viewer and the file in one page, which opens offline"),
     "glb": Format(
         ".glb", GAUSSIANS, "model/gltf-binary", "glTF with KHR_gaussian_splatting; points to programs without it"
     ),

@@ -18,7 +18,7 @@ from services.store.store import LIVE
 router = APIRouter(tags=["artifacts"])
 # A report is a page of ours that names things a stranger chose: it may run its plots, and reach nothing else.
 _PAGE = (
-    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
+    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' blob:; style-src 'unsafe-inline'; "
     "img-src 'self' data:; frame-ancestors 'self'"
 )
 

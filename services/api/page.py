@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Response
 from fastapi.responses import FileResponse
 
 from services.api.context import Owner, Settings
 from services.jobs.heartbeat import dashboard
 from services.problems import Problem
+from services.web.viewer_page import PAGE, POLICY, viewer_file
 
 router = APIRouter(include_in_schema=False)
 _FOLDER = Path(__file__).parent.parent / "web"
@@ -24,6 +25,21 @@ def get_page() -> FileResponse:
 @router.get("/docs")
 def get_docs() -> FileResponse:
     return FileResponse(_FOLDER / "docs.html")
+
+
+@router.get("/view")
+def get_viewer() -> Response:
+    """The viewer; its address says which artifact it is to show."""
+    contents, media_type = viewer_file(PAGE)
+    return Response(contents, media_type=media_type, headers={"content-security-policy": POLICY})
+
+
+@router.get("/web/viewer/{name}")
+def get_viewer_file(name: str) -> Response:
+    found = viewer_file(name)
+    if found is None:
+        raise Problem(404, "not-found", f"no file {name!r}")
+    return Response(found[0], media_type=found[1])
 
 
 @router.get("/web/{name}")

@@ -15,7 +15,7 @@ import warnings
 from pathlib import Path
 
 from services.cli.arguments import WrongArgument, add_preset, add_settings, add_view_knobs, settings_of
-from services.cli.exports import add_export
+from services.cli.packed_files import add_export, add_view
 from services.cli.parser import ARGUMENTS, Parser
 from services.cli.service import add_service_verbs
 from services.cli.volumes import add_iso
@@ -517,6 +517,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_evaluate(commands)
     _add_estimate(commands)
     _add_tradeoff(commands)
+    add_view(commands)
     add_export(commands)
     add_iso(commands, _add_executor)
     add_service_verbs(commands)

@@ -1,4 +1,4 @@
-"""A packed file as what others open: points or Gaussians. Each format says what it loses."""
+"""A packed file as what others open: points, Gaussians or a page. Each format says what it loses."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.exports import glb, las, ply, sog, spz
 from pipeline.exports.cloud import GRID, Cloud, cloud_of, samples_of
-from pipeline.exports.formats import FORMATS, GAUSSIANS, POINTS
+from pipeline.exports.formats import FORMATS, GAUSSIANS, PAGE, POINTS
 from pipeline.exports.gaussians import Gaussians, gaussians_of, to_y_up, turned
 from renderer.splats.views import up_direction
+from services.web.viewer_page import one_page
 from storage.errors import UnsupportedScan
 from storage.packed.packed import PackedFile, PackedScene
 from storage.packed.schema import Header
@@ -48,6 +49,8 @@ def export(packed: Path, format: str, out: Path, textured: bool = False) -> Expo
             ", ".join(name for name, known in FORMATS.items() if known.kind == POINTS),
         )
     with PackedFile(packed) as opened:
+        if chosen.kind == PAGE:
+            return _page(packed, opened.header, format, out)
         scene = opened.load()
     cloud = cloud_of(scene)
     lost = _lost_by_all(scene, cloud, chosen.kind, textured)
@@ -57,6 +60,16 @@ def export(packed: Path, format: str, out: Path, textured: bool = False) -> Expo
     with whole(out, suffix=chosen.suffix) as partial:
         lost += _WRITERS[format](partial, cloud if chosen.kind == POINTS else gaussians_of(cloud), scene.header)
     return Exported(format, out, out.stat().st_size, len(cloud), lost)
+
+
+def _page(packed: Path, header: Header, format: str, out: Path) -> Exported:
+    """All of the file, as it is."""
+    name = header.scan.get("name")
+    data = one_page(packed.read_bytes(), name if isinstance(name, str) else packed.stem)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with whole(out) as partial:
+        partial.write_bytes(data)
+    return Exported(format, out, len(data), header.n_splats, ())
 
 
 def _lost_by_all(scene: PackedScene, cloud: Cloud, kind: str, textured: bool) -> tuple[str, ...]:

@@ -245,6 +245,7 @@ async function listArtifacts(id) {
     if (token) link.onclick = guard(async () => Object.assign(document.createElement("a"), { href: await objectUrl(a.href), download: a.name }).click());
     const item = element("li", "");
     item.append(link, `, ${bytes(a.bytes)}`);
+    if (a.name.endsWith(".splatpress")) item.append(" ", element("a", "Look at it", { href: `/view?content=${encodeURIComponent(a.href)}`, className: "look" }));
     return item;
   }));
   if (artifacts.some((a) => a.name === "report.json")) await showReport(id, artifacts);

@@ -342,6 +342,9 @@ def test_service__the_page_uploads_runs_and_shows_a_job(served, scan, tmp_path):
         assert page.look("!document.getElementById('dashboard').hidden")
         page.picture(tmp_path / "page.png")
         assert page.complaints == []
+        page.look("document.querySelector('a.look').click()")
+        page.until("window.viewer && viewer.complete && viewer.splats > 0")
+        assert page.look("document.getElementById('problem').textContent") == "" and page.complaints == []
         page.open(served.url + "/docs")
         page.until("/POST \\/v1\\/jobs/.test(document.body.innerText)")
     finally:

@@ -1,9 +1,10 @@
-"""The command line's verb `export`: a packed file as what others open."""
+"""The command line's verbs `export` and `view`: a packed file as what others open, and in the browser."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import socket
 from dataclasses import asdict
 from pathlib import Path
 
@@ -52,4 +53,34 @@ def _export(options: argparse.Namespace) -> int:
         print(f"{made.path}  {made.n_elements:,} {FORMATS[options.to].kind}, {made.n_bytes:,} bytes")
         for text in made.lost:
             print(f"loses {text}")
+    return OK
+
+
+def add_view(commands) -> None:
+    view = commands.add_parser("view", help="look at a packed file in the browser; Ctrl-C ends it")
+    view.add_argument("packed", metavar="PACKED")
+    view.add_argument("--port", type=int, default=0, help="on 127.0.0.1; default: one that is free")
+    view.add_argument("--no-open", action="store_true", help="only print the page's address")
+    view.set_defaults(command=_view)
+
+
+def _view(options: argparse.Namespace) -> int:
+    import webbrowser
+
+    import uvicorn
+
+    from services.web.viewing import viewer_app
+    from storage.packed.packed import PackedFile
+
+    packed = Path(options.packed)
+    if not packed.exists():
+        raise FileNotFoundError(f"{packed}: no such file or folder")
+    with PackedFile(packed):  # what is damaged is said here
+        pass
+    with socket.create_server(("127.0.0.1", options.port)) as listener:
+        url = f"http://127.0.0.1:{listener.getsockname()[1]}/"
+        print(url, flush=True)
+        if not options.no_open:
+            webbrowser.open(url)
+        uvicorn.Server(uvicorn.Config(viewer_app(packed), log_level="warning")).run(sockets=[listener])
     return OK

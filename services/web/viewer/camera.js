@@ -1,0 +1,135 @@
+// Where one looks from: an eye against the scan's origin, rows right, down and forward, how far the point lies that one turns about, and a lens.
+
+import { upOf } from "./packed.js";
+import { add, cross, dot, looking, scaled, squared, turned, unit } from "./vectors.js";
+
+const FIELD = (45 * Math.PI) / 180, HEIGHT = (20 * Math.PI) / 180, TRIMMED = 0.1; // as renderer/splats/views.py
+const PLAIN_LENS = { width: 1, height: 1, fx: 0.5 / Math.tan(FIELD / 2), fy: 0.5 / Math.tan(FIELD / 2), cx: 0.5, cy: 0.5 };
+const CLOSEST_TO_UP = 0.02; // radians that turning keeps from looking straight up or down
+
+export class Camera {
+  constructor(scene) {
+    this.header = scene.header;
+    this.up = upOf(scene.header);
+    const { low, high } = trimmedBox(scene);
+    this.middle = low.map((x, i) => (x + high[i]) / 2);
+    this.size = Math.max(Math.hypot(...high.map((x, i) => x - low[i])) / 2, scene.header.radius);
+    this.nearest = 4 * scene.header.radius;
+    this.home();
+  }
+
+  /** The view that `splatpress render --orbit` begins with. */
+  home() {
+    const { cameras, origin, ahead } = this.header;
+    let towards = ahead;
+    if (cameras.length) {
+      const mean = [0, 1, 2].map((i) => cameras.reduce((sum, c) => sum + c.centre[i], 0) / cameras.length - origin[i] - this.middle[i]);
+      const level = add(mean, this.up, -dot(mean, this.up));
+      if (Math.hypot(...level) > 1e-6 * Math.hypot(...mean)) towards = level;
+    }
+    this.distance = this.size / Math.sin(FIELD / 2);
+    const out = add(scaled(unit(towards), Math.cos(HEIGHT)), this.up, Math.sin(HEIGHT));
+    this.eye = add(this.middle, out, this.distance);
+    this.rows = looking(scaled(out, -1), this.up);
+    this.lens = PLAIN_LENS;
+  }
+
+  /** Where a photograph was taken. */
+  stand(photo) {
+    this.eye = photo.centre.map((x, i) => x - this.header.origin[i]);
+    this.rows = squared(photo.rotation);
+    this.distance = Math.max(dot(add(this.middle, this.eye, -1), this.rows[2]), this.nearest);
+    this.lens = { width: photo.width_px, height: photo.height_px, fx: photo.fx_px, fy: photo.fy_px, cx: photo.cx_px, cy: photo.cy_px };
+  }
+
+  /** What the renderer takes, for a picture of that size: all that the lens sees, and more to two sides where the shape differs. */
+  view(width, height) {
+    const { lens } = this, s = Math.min(width / lens.width, height / lens.height);
+    return { rotation: this.rows, eye: this.eye, width, height, fx: lens.fx * s, fy: lens.fy * s,
+      cx: width / 2 + (lens.cx - lens.width / 2) * s, cy: height / 2 + (lens.cy - lens.height / 2) * s };
+  }
+
+  get pivot() {
+    return add(this.eye, this.rows[2], this.distance);
+  }
+
+  /** Around the point that one turns about; radians to the right and down. */
+  orbit(right, down) {
+    const pivot = this.pivot;
+    this.turn(right, down);
+    this.eye = add(pivot, this.rows[2], -this.distance);
+  }
+
+  /** Where one stands. */
+  turn(right, down) {
+    const pitch = Math.acos(Math.min(1, Math.max(-1, dot(this.rows[2], this.up))));
+    const room = down > 0 ? Math.max(0, Math.PI - CLOSEST_TO_UP - pitch) : -Math.max(0, pitch - CLOSEST_TO_UP);
+    const tilt = Math.abs(down) < Math.abs(room) ? down : room;
+    const level = this.rows.map((row) => turned(row, this.up, -right));
+    this.rows = squared(level.map((row) => turned(row, level[0], -tilt)));
+  }
+
+  /** Sideways in px of a picture `height` px high, so that what one turns about stays under the pointer. */
+  pan(right, down, view) {
+    const step = this.distance / view.fx;
+    this.eye = add(add(this.eye, this.rows[0], -right * step), this.rows[1], -down * step);
+  }
+
+  /** Nearer by that factor. */
+  dolly(factor) {
+    const closer = Math.max(this.distance * factor, this.nearest);
+    this.eye = add(this.eye, this.rows[2], this.distance - closer);
+    this.distance = closer;
+  }
+
+  /** By shares of the distance: to the right, up, ahead. */
+  fly(right, up, ahead) {
+    this.eye = add(add(add(this.eye, this.rows[0], right * this.distance), this.up, up * this.distance), this.rows[2], ahead * this.distance);
+  }
+
+  /** Turn about that point from now on, without moving. */
+  about(point) {
+    this.distance = Math.max(dot(add(point, this.eye, -1), this.rows[2]), this.nearest);
+  }
+
+  /** Px of a point in a view; null behind the eye. */
+  project(point, { rotation, eye, fx, fy, cx, cy }) {
+    const [x, y, z] = rotation.map((row) => dot(row, add(point, eye, -1)));
+    return z > 0 ? [(fx * x) / z + cx, (fy * y) / z + cy] : null;
+  }
+
+  // --- in an address: the eye in the scan's own numbers, forward and right, the distance
+
+  toText() {
+    const decimals = Math.max(0, Math.ceil(-Math.log10(this.header.radius)) + 1);
+    const eye = this.eye.map((x, i) => (x + this.header.origin[i]).toFixed(Math.min(decimals, 12)));
+    return [...eye, ...[...this.rows[2], ...this.rows[0]].map((x) => x.toFixed(4)), this.distance.toPrecision(4)].map((x) => String(x)).join(",");
+  }
+
+  /** Whether it was an address's. */
+  fromText(text) {
+    const numbers = text.split(",").map(Number);
+    if (numbers.length !== 10 || !numbers.every(Number.isFinite)) return false;
+    const forward = numbers.slice(3, 6), right = numbers.slice(6, 9);
+    if (Math.hypot(...cross(forward, right)) < 0.5) return false;
+    this.eye = numbers.slice(0, 3).map((x, i) => x - this.header.origin[i]);
+    this.rows = squared([right, null, forward]);
+    this.distance = Math.max(numbers[9], this.nearest);
+    this.lens = PLAIN_LENS;
+    return true;
+  }
+}
+
+// What most chunks lie in; mirrors trimmed_box of renderer/splats/views.py.
+function trimmedBox({ arrays: { box_low, box_size }, packed: { nChunks } }) {
+  const ends = [0, 1, 2].map((axis) => {
+    const middles = Float64Array.from({ length: nChunks }, (_, i) => box_low[3 * i + axis] + box_size[3 * i + axis] / 2).sort();
+    const at = (share) => {
+      const place = share * (nChunks - 1), i = Math.floor(place), next = middles[Math.min(i + 1, nChunks - 1)];
+      return middles[i] + (place - i) * (next - middles[i]);
+    };
+    const low = at(TRIMMED), high = at(1 - TRIMMED), half = (high - low) / 2 / (1 - 2 * TRIMMED);
+    return [(low + high) / 2 - half, (low + high) / 2 + half];
+  });
+  return { low: ends.map(([low]) => low), high: ends.map(([, high]) => high) };
+}

@@ -1,0 +1,103 @@
+// The arrays of a packed file, as docs/FORMAT.md has them; mirrors storage/packed. What follows a change of the format is here and in tables.js.
+
+import { readDirectory, readMembers, text, viewOf } from "./zip.js";
+import { decompress } from "./zstd.js";
+
+export const VERSIONS = [5];
+export const CHUNK = 128;
+export const CHUNKS_PER_GROUP = 64;
+export const GROUP = CHUNK * CHUNKS_PER_GROUP;
+export const MIP_SIZES = [32, 16, 8, 4, 2, 1];
+const MOST_CHUNK_BYTES = 1 << 24;
+const TYPES = {
+  box_low: Float32Array, box_size: Float32Array, color_low: Int16Array, color_word: Uint32Array, colors: Uint32Array, group_word: Uint32Array,
+  codes: Uint32Array, weight_levels: Float32Array, atom_scale: Float32Array, clipline_word: Uint32Array, cliplines: Uint32Array,
+  ellipsoid_word: Uint32Array, ellipsoids: Uint32Array, camera: Uint16Array,
+}; // all others are bytes
+
+/** An opened packed file: its header, and arrays when they are asked for. */
+export class Packed {
+  static async open(source) {
+    const members = await readDirectory(source);
+    const root = members.get("zarr.json");
+    if (!root) throw new Error("a zip without a header");
+    let header = null;
+    await readMembers(source, [root], (_, bytes) => { header = JSON.parse(text(bytes)).attributes; });
+    return new Packed(source, members, header);
+  }
+
+  constructor(source, members, header) {
+    if (header.format !== "splatpress" || !VERSIONS.includes(header.version))
+      throw new Error(`a file of version ${header.version}; this viewer draws version ${VERSIONS.join(", ")}`);
+    Object.assign(this, { source, members, header });
+    header.effects ??= {};
+    this.nChunks = Math.ceil(header.n_splats / CHUNK);
+    this.nGroups = Math.ceil(header.n_splats / GROUP);
+    this.counts = new Map();
+    for (const name of members.keys()) {
+      const array = name.slice(0, name.indexOf("/"));
+      if (name.includes("/c/")) this.counts.set(array, (this.counts.get(array) || 0) + 1);
+    }
+  }
+
+  has(name) {
+    return this.counts.has(name);
+  }
+
+  /** The zarr chunks of an array, along its first axis. */
+  chunksOf(name) {
+    return Array.from({ length: this.counts.get(name) || 0 }, (_, i) => ({ array: name, index: i, ...this.members.get(this.memberOf(name, i)) }));
+  }
+
+  memberOf(name, index) {
+    for (let tail = ""; tail.length < 8; tail += "/0") if (this.members.has(`${name}/c/${index}${tail}`)) return `${name}/c/${index}${tail}`;
+    throw new Error(`the file lacks chunk ${index} of ${name}`);
+  }
+
+  /** Ask for chunks of `chunksOf`; `onChunk(array, index, values)` hears each. */
+  async read(chunks, onChunk, signal) {
+    const byMember = new Map(chunks.map((chunk) => [chunk.name, chunk]));
+    await readMembers(this.source, chunks, (name, bytes) => {
+      const { array, index } = byMember.get(name);
+      onChunk(array, index, valuesOf(array, bytes));
+    }, signal);
+  }
+
+  /** Whole arrays by name; their last chunks may be longer than they are. */
+  async readWhole(names, signal) {
+    const parts = Object.fromEntries(names.map((name) => [name, []]));
+    await this.read(names.flatMap((name) => this.chunksOf(name)), (array, index, values) => { parts[array][index] = values; }, signal);
+    return Object.fromEntries(names.map((name) => [name, joined(parts[name])]));
+  }
+}
+
+function valuesOf(array, bytes) {
+  const size = promised(bytes);
+  if (!(size >= 0 && size <= MOST_CHUNK_BYTES)) throw new Error(`a chunk of ${array} of ${size} bytes`);
+  const raw = decompress(bytes, size);
+  const Type = TYPES[array] || (array === "normal" || array.startsWith("atoms_") ? Int8Array : Uint8Array);
+  if (raw.length % Type.BYTES_PER_ELEMENT) throw new Error(`a chunk of ${array} of ${raw.length} bytes`);
+  return new Type(raw.buffer);
+}
+
+// What a zstd frame says that its contents are (RFC 8878, 3.1.1.1).
+function promised(bytes) {
+  const view = viewOf(bytes), kind = bytes[4] >> 6, single = (bytes[4] >> 5) & 1;
+  const at = 5 + (single ? 0 : 1) + [0, 1, 2, 4][bytes[4] & 3];
+  return kind === 0 ? bytes[at] : kind === 1 ? view.getUint16(at, true) + 256 : view.getUint32(at, true);
+}
+
+function joined(parts) {
+  if (parts.length === 1) return parts[0];
+  const all = new parts[0].constructor(parts.reduce((n, part) => n + part.length, 0));
+  let at = 0;
+  for (const part of parts) all.set(part, at), (at += part.length);
+  return all;
+}
+
+/** Unit vector that is up: the file's direction, turned to where the tops of most photographs point. */
+export function upOf({ up, cameras }) {
+  const length = Math.hypot(...up);
+  const tops = cameras.reduce((sum, camera) => sum - up[0] * camera.rotation[1][0] - up[1] * camera.rotation[1][1] - up[2] * camera.rotation[1][2], 0);
+  return up.map((x) => (tops < 0 ? -x : x) / length);
+}

@@ -1,0 +1,279 @@
+// The passes of renderer/splats/renderer.py on WebGL 2: depth pushed back by the margin, weighted colours within it, division. Shaders are
+// those of the product, as GLSL ES (renderer/splats/gles.py).
+
+import { GROUP } from "./packed.js";
+
+const UNITS = ["splats", "boxes", "running_counts", "groups", "codes", "cliplines", "weights", "ellipsoids", "colors", "atlas", "sums", "normals"];
+const NEAR_IN_RADII = 0.01;
+const SPARE_PX = 1;
+const AS_PHOTOGRAPHED = { towards: [0, 0, -1], ambient: 1, diffuse: 0 };
+const DEPTH_SHADER = `precision highp float; precision highp sampler2D;
+uniform sampler2D depths; uniform ivec2 at; out vec4 found;
+void main() { found = vec4(texelFetch(depths, at, 0).r, 0.0, 0.0, 1.0); }`;
+
+export class Renderer {
+  constructor(canvas, shaders, { ownDepth = false } = {}) {
+    const gl = canvas.getContext("webgl2", { antialias: false, alpha: true, depth: false, powerPreference: "high-performance" });
+    if (!gl) throw new Error("this browser, or its graphics driver, has no WebGL 2");
+    if (!gl.getExtension("EXT_color_buffer_float")) throw new Error("this graphics driver cannot draw into floats");
+    Object.assign(this, { gl, canvas, shaders, programs: new Map(), targets: null });
+    this.clip = ownDepth ? null : gl.getExtension("EXT_clip_control");
+    this.clip?.clipControlEXT(this.clip.LOWER_LEFT_EXT, this.clip.ZERO_TO_ONE_EXT);
+    this.multi = gl.getExtension("WEBGL_multi_draw");
+    this.canBlendWide = !!gl.getExtension("EXT_float_blend");
+    this.view = gl.createBuffer();
+    this.scene = gl.createBuffer();
+    this.empty = gl.createVertexArray();
+    gl.activeTexture(gl.TEXTURE0 + UNITS.length); // where textures are made and filled
+  }
+
+  /** Draw `scene` from `view` ({ rotation rows, eye against the origin, fx, fy, cx, cy, width, height }) into the renderer's targets. */
+  render(scene, view, { maxAtoms = 16, light = null } = {}) {
+    const { gl } = this, { header } = scene;
+    const drawn = light ? new Set([...scene.drawn, "relighting", "normal_smoothing"]) : scene.drawn;
+    this.use(scene, view, drawn);
+    const groups = visibleGroups(scene, view).filter((group) => scene.isShown(group));
+    gl.bindVertexArray(this.empty);
+    this.drawDepth(scene, groups, drawn);
+    this.drawColors(scene, groups, drawn, maxAtoms, light || AS_PHOTOGRAPHED);
+    this.resolve(drawn, light || AS_PHOTOGRAPHED);
+    this.shown = { scene, view, splats: groups.reduce((n, g) => n + Math.min(GROUP, header.n_splats - g * GROUP), 0) };
+    return this.shown.splats;
+  }
+
+  use(scene, view, drawn) {
+    const { gl } = this, wide = scene.drawn.has("accumulation") && this.canBlendWide;
+    this.targets = this.targetsOf(view.width, view.height, wide, drawn.has("normal_smoothing"));
+    gl.viewport(0, 0, view.width, view.height);
+    for (const [i, [buffer, data]] of [[this.view, viewBlock(view, scene.header)], [this.scene, scene.uniformBlock()]].entries()) {
+      gl.bindBuffer(gl.UNIFORM_BUFFER, buffer);
+      gl.bufferData(gl.UNIFORM_BUFFER, data, gl.DYNAMIC_DRAW);
+      gl.bindBufferBase(gl.UNIFORM_BUFFER, i, buffer);
+    }
+    for (const [name, words] of Object.entries(scene.textures)) this.bind(name, words.texture);
+    if (scene.atlas) this.bind("atlas", scene.atlas);
+  }
+
+  bind(name, texture) {
+    this.gl.activeTexture(this.gl.TEXTURE0 + UNITS.indexOf(name));
+    this.gl.bindTexture(this.gl.TEXTURE_2D, texture);
+    this.gl.activeTexture(this.gl.TEXTURE0 + UNITS.length);
+  }
+
+  drawDepth(scene, groups, drawn) {
+    const { gl } = this, { batches } = scene.header;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.depth);
+    gl.disable(gl.BLEND);
+    gl.enable(gl.DEPTH_TEST);
+    gl.depthMask(true);
+    gl.depthFunc(gl.GREATER);
+    gl.clearBufferfv(gl.DEPTH, 0, [0]);
+    if (scene.nLeading) {
+      const program = this.program("visibility", { LEADING: scene.nLeading < batches.length, ...scene.defines });
+      this.drawGroups(scene, program, groups, null, { n_leading: scene.nLeading });
+    }
+    for (let batch = scene.nLeading; batch < batches.length; ++batch)
+      this.drawBatch(scene, groups, batch, "visibility", this.definesOf("visibility", drawn, batches[batch]), {});
+  }
+
+  drawColors(scene, groups, drawn, maxAtoms, light) {
+    const { gl } = this, { batches, n_turns } = scene.header;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.sums);
+    gl.depthMask(false);
+    gl.depthFunc(gl.GEQUAL);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE);
+    for (let i = 0; i < this.targets.colors.length; ++i) gl.clearBufferfv(gl.COLOR, i, [0, 0, 0, 0]);
+    const coded = groups.filter((group) => scene.isCoded(group)), flat = groups.filter((group) => !scene.isCoded(group));
+    batches.forEach((batch, i) => {
+      for (const [some, atoms] of [[coded, Math.min(batch.n_atoms, maxAtoms)], [flat, 0]]) {
+        const ofAtoms = atoms ? drawn : new Set([...drawn].filter((name) => name !== "mip_levels" && name !== "level_blending"));
+        const defines = { N_ATOMS: atoms, ...this.definesOf("attribute", ofAtoms, batch), TURNED: n_turns > 1 && atoms > 0 };
+        if (some.length) this.drawBatch(scene, some, i, "attribute", defines, light);
+      }
+    });
+  }
+
+  drawBatch(scene, groups, batch, pass, defines, light) {
+    const { batches } = scene.header, leads = batch === 0 && scene.nLeading === 1;
+    const program = this.program(pass, { ...defines, ...scene.defines, BY_BATCH: !leads, LEADING: leads && batches.length > 1 });
+    this.drawGroups(scene, program, groups, leads ? null : batch, { batch, n_leading: 1, atoms_stored: batches[batch].n_atoms }, light);
+  }
+
+  // Three vertices a splat: those of one batch of each group, or of all (`batch` null).
+  drawGroups(scene, program, groups, batch, numbers, light = {}) {
+    const { gl, multi } = this, firsts = [], counts = [];
+    for (const group of groups) {
+      const n = batch === null ? Math.min(GROUP, scene.header.n_splats - group * GROUP) : scene.counts[group][batch];
+      if (n) firsts.push(3 * GROUP * group), counts.push(3 * n);
+    }
+    if (!firsts.length) return;
+    this.start(program, numbers, light);
+    if (multi) multi.multiDrawArraysWEBGL(gl.TRIANGLES, Int32Array.from(firsts), 0, Int32Array.from(counts), 0, firsts.length);
+    else firsts.forEach((first, i) => gl.drawArrays(gl.TRIANGLES, first, counts[i]));
+  }
+
+  start({ program, uniforms }, numbers, light) {
+    const { gl } = this;
+    gl.useProgram(program);
+    for (const [name, value] of Object.entries(numbers)) if (uniforms[name]) gl.uniform1ui(uniforms[name], value);
+    if (uniforms.towards_light) {
+      gl.uniform3fv(uniforms.towards_light, light.towards);
+      gl.uniform1f(uniforms.ambient, light.ambient);
+      gl.uniform1f(uniforms.diffuse, light.diffuse);
+    }
+  }
+
+  resolve(drawn, light) {
+    const { gl, targets } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, targets.picture);
+    gl.disable(gl.BLEND);
+    gl.disable(gl.DEPTH_TEST);
+    targets.colors.forEach((texture, i) => this.bind(["sums", "normals"][i], texture));
+    this.start(this.program("resolve", this.definesOf("resolve", drawn, null)), {}, light);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  /** The picture onto the canvas, of any size; rows of pictures run downwards. */
+  present() {
+    const { gl, canvas, targets: { width, height, picture } } = this;
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, picture);
+    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
+    gl.blitFramebuffer(0, 0, width, height, 0, canvas.height, canvas.width, 0, gl.COLOR_BUFFER_BIT, width === canvas.width ? gl.NEAREST : gl.LINEAR);
+  }
+
+  /** Until all is drawn: browsers hand commands on, and `finish` does not wait for them. */
+  wait() {
+    const { gl } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.picture);
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+  }
+
+  /** The picture as RGBA bytes, top row first; alpha is 0 where nothing is seen. */
+  pixels() {
+    const { gl, targets: { width, height, picture } } = this, bytes = new Uint8Array(4 * width * height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, picture);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+    return bytes;
+  }
+
+  /** The point of the surface at a pixel of the last picture, against the origin; null where there is none. */
+  pointAt(x, y) {
+    const { gl, targets, shown: { scene, view } } = this, [column, row] = [Math.floor(x), Math.floor(y)];
+    if (column < 0 || row < 0 || column >= targets.width || row >= targets.height) return null;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.probe ??= this.target([[1, 1, gl.R32F]]).framebuffer);
+    gl.viewport(0, 0, 1, 1);
+    gl.disable(gl.BLEND);
+    gl.disable(gl.DEPTH_TEST);
+    this.bind("sums", targets.depthTexture);
+    const { program, uniforms } = this.program("depth", {});
+    gl.useProgram(program);
+    gl.uniform2i(uniforms.at, column, row);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    const found = new Float32Array(4);
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, found);
+    if (!(found[0] > 0)) return null;
+    const { header } = scene, ray = [(column + 0.5 - view.cx) / view.fx, (row + 0.5 - view.cy) / view.fy, 1];
+    const pushed = (NEAR_IN_RADII * header.radius) / found[0];
+    const z = (pushed - header.depth_margin / Math.hypot(...ray)) / (1 + 1e-5); // what the depth pass has added
+    return view.eye.map((e, i) => e + z * (view.rotation[0][i] * ray[0] + view.rotation[1][i] * ray[1] + view.rotation[2][i]));
+  }
+
+  // --- programs and targets
+
+  definesOf(pass, drawn, batch) {
+    const defines = {};
+    for (const [name, { define, passes, flag }] of Object.entries(this.shaders.parts))
+      if (passes.includes(pass)) defines[define] = flag ? !!batch?.[flag] : drawn.has(name);
+    return defines;
+  }
+
+  program(pass, defines) {
+    const on = Object.entries({ ...defines, OWN_DEPTH: !this.clip && pass !== "resolve" && pass !== "depth" }).filter(([, value]) => value);
+    const key = pass + on.map(([name, value]) => ` ${name}=${Number(value)}`).join("");
+    if (!this.programs.has(key)) this.programs.set(key, this.compiled(pass, on.map(([name, value]) => `#define ${name} ${Number(value)}\n`).join("")));
+    return this.programs.get(key);
+  }
+
+  compiled(pass, defines) {
+    const { gl, shaders: { version, sources } } = this, program = gl.createProgram();
+    const texts = pass === "depth" ? [sources["resolve.vert"], DEPTH_SHADER] : [sources[pass + ".vert"], sources[pass + ".frag"]];
+    const parts = texts.map((source, i) => {
+      const shader = gl.createShader([gl.VERTEX_SHADER, gl.FRAGMENT_SHADER][i]);
+      gl.shaderSource(shader, `${version}\n${defines}${source}`);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+      return shader;
+    });
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS))
+      throw new Error(`the shaders of pass ${pass} do not work here: ${[...parts.map((p) => gl.getShaderInfoLog(p)), gl.getProgramInfoLog(program)].join(" ")}`);
+    gl.useProgram(program);
+    const uniforms = {};
+    for (let i = 0; i < gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS); ++i) {
+      const { name } = gl.getActiveUniform(program, i);
+      uniforms[name] = gl.getUniformLocation(program, name);
+      if (UNITS.includes(name)) gl.uniform1i(uniforms[name], UNITS.indexOf(name));
+      if (name === "depths") gl.uniform1i(uniforms[name], UNITS.indexOf("sums"));
+    }
+    for (const [i, name] of ["View", "Scene"].entries()) {
+      const block = gl.getUniformBlockIndex(program, name);
+      if (block !== gl.INVALID_INDEX) gl.uniformBlockBinding(program, block, i);
+    }
+    return { program, uniforms };
+  }
+
+  targetsOf(width, height, wide, smooth) {
+    const { gl, targets: kept } = this;
+    if (kept && kept.width === width && kept.height === height && kept.wide === wide && kept.smooth === smooth) return kept;
+    kept?.resources.forEach(({ texture, framebuffer }) => { gl.deleteTexture(texture); gl.deleteFramebuffer(framebuffer); });
+    const depth = this.target([[width, height, gl.DEPTH_COMPONENT32F]]);
+    const colors = [[width, height, wide ? gl.RGBA32F : gl.RGBA16F], ...(smooth ? [[width, height, gl.RGBA16F]] : [])];
+    const sums = this.target(colors, depth.textures[0]), picture = this.target([[width, height, gl.RGBA8]]);
+    const resources = [depth, sums, picture].flatMap(({ textures, framebuffer }) => [...textures.map((texture) => ({ texture })), { framebuffer }]);
+    return { width, height, wide, smooth, resources, depth: depth.framebuffer, depthTexture: depth.textures[0], sums: sums.framebuffer,
+      colors: sums.textures, picture: picture.framebuffer };
+  }
+
+  target(sizes, depth = null) {
+    const { gl } = this, framebuffer = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+    const textures = sizes.map(([width, height, format], i) => {
+      const texture = gl.createTexture(), isDepth = format === gl.DEPTH_COMPONENT32F;
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.texStorage2D(gl.TEXTURE_2D, 1, format, width, height);
+      for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, side, gl.NEAREST);
+      gl.framebufferTexture2D(gl.FRAMEBUFFER, isDepth ? gl.DEPTH_ATTACHMENT : gl.COLOR_ATTACHMENT0 + i, gl.TEXTURE_2D, texture, 0);
+      return texture;
+    });
+    if (depth) gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.TEXTURE_2D, depth, 0);
+    if (textures.length > 1) gl.drawBuffers(textures.map((_, i) => gl.COLOR_ATTACHMENT0 + i));
+    return { framebuffer, textures };
+  }
+}
+
+// The uniform block `View` of shaders/view.glsl; mirrors renderer/splats/projection.py.
+function viewBlock({ rotation, eye, fx, fy, cx, cy, width, height }, { radius, depth_margin }) {
+  const block = new Float32Array(28), high = eye.map(Math.fround);
+  rotation.forEach((row, i) => block.set(row, 4 * i));
+  block.set(high, 12);
+  block.set(eye.map((e, i) => e - high[i]), 16);
+  block.set([fx, fy, cx, cy, width, height, NEAR_IN_RADII * radius, depth_margin], 20);
+  return block;
+}
+
+/** Groups whose boxes reach into a view, as shaders/cull.comp.glsl tells them. */
+export function visibleGroups(scene, { rotation, eye, fx, fy, cx, cy, width, height }) {
+  const planes = [[0, 0, 1], [fx, 0, cx + SPARE_PX], [-fx, 0, width - cx + SPARE_PX], [0, fy, cy + SPARE_PX], [0, -fy, height - cy + SPARE_PX]]
+    .map((plane) => [0, 1, 2].map((i) => plane[0] * rotation[0][i] + plane[1] * rotation[1][i] + plane[2] * rotation[2][i]));
+  const groups = [], boxes = scene.groupBoxes;
+  for (let group = 0, at = 0; group < scene.packed.nGroups; ++group, at += 6) {
+    const inside = planes.every((inward) => {
+      let reach = 0;
+      for (let i = 0; i < 3; ++i) reach += inward[i] * (boxes[at + (inward[i] > 0 ? 3 : 0) + i] - eye[i]);
+      return reach >= 0;
+    });
+    if (inside) groups.push(group);
+  }
+  return groups;
+}

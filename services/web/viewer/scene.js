@@ -1,0 +1,196 @@
+// A packed scene in GPU memory while it arrives: tables first, then geometry and colours, then atoms and codes. Groups are drawn from when
+// their geometry is there, with their colours alone until their codes are. Mirrors renderer/splats/scene.py.
+
+import { GROUP, MIP_SIZES } from "./packed.js";
+import { atlasBand, atlasLayout, splatWords, tablesOf } from "./tables.js";
+
+const LINE = 2048; // texels to a line of a texture, as renderer/splats/gles.py has it
+const SPLATS_PER_CHUNK = 65536, GROUPS_PER_CHUNK = SPLATS_PER_CHUNK / GROUP, WORDS_PER_CHUNK = 65536;
+const BATCH_BYTES = 1 << 21; // of chunks that are asked for together
+const ABSENT = 0, FLAT = 1, CODED = 2;
+
+/** A texture of 32-bit words, or of pairs of them, that `load` of the shaders reads. */
+class Words {
+  constructor(gl, n, pairs = false) {
+    const height = Math.max(1, Math.ceil(n / LINE)), most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+    if (height > most) throw new Error(`this file needs textures of ${height} lines; this device has ${most}`);
+    Object.assign(this, { gl, pairs, texture: gl.createTexture(), bytes: height * LINE * (pairs ? 8 : 4) });
+    gl.bindTexture(gl.TEXTURE_2D, this.texture);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, pairs ? gl.RG32UI : gl.R32UI, LINE, height);
+    for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, side, gl.NEAREST);
+  }
+
+  /** `words` from the texel `first` on, a whole number of lines. */
+  put(first, words) {
+    const { gl } = this, perLine = LINE * (this.pairs ? 2 : 1), lines = Math.ceil(words.length / perLine);
+    let padded = words;
+    if (words.length < lines * perLine) padded = new Uint32Array(lines * perLine), padded.set(words);
+    gl.bindTexture(gl.TEXTURE_2D, this.texture);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, first / LINE, LINE, lines, this.pairs ? gl.RG_INTEGER : gl.RED_INTEGER, gl.UNSIGNED_INT, padded);
+    return this;
+  }
+}
+
+export class Scene {
+  constructor(gl, packed) {
+    const { header } = packed;
+    Object.assign(this, { gl, packed, header, textures: {}, loaded: 0, waiting: new Map(), streams: {}, layout: atlasLayout(header), hasAtoms: false });
+    this.state = new Uint8Array(packed.nGroups);
+    this.drawn = new Set(Object.keys(header.effects));
+    this.drawn.delete("mip_levels");
+    if (!header.n_dictionary || header.coarsest_size === header.atom_size) this.drawn.delete("level_blending");
+    if (!this.drawn.has("relighting")) this.drawn.delete("normal_smoothing");
+    if (header.n_dictionary && header.coarsest_size < header.atom_size) this.drawn.add("mip_levels");
+    const first = header.batches.findIndex((batch) => batch.clipline || batch.ellipsoid);
+    this.nLeading = first < 0 ? header.batches.length : first;
+    this.defines = { COLOR_BOXES: header.color_step ? 1 : 0 };
+    this.geometryArrays = ["position", "normal", ...(header.color_step ? [] : ["color"])];
+    this.shapeArrays = ["colors", "ellipsoids", "cliplines"].filter((name) => packed.has(name));
+  }
+
+  get bytes() {
+    return Object.values(this.textures).reduce((sum, words) => sum + words.bytes, 0);
+  }
+
+  isShown(group) {
+    return this.state[group] !== ABSENT;
+  }
+
+  isCoded(group) {
+    return this.state[group] === CODED;
+  }
+
+  /** Load all of it. `nearest()` orders groups by the view, `onChange(stage)` is called when there is more to draw. */
+  async load(nearest, onChange, signal) {
+    await this.loadTables(signal);
+    onChange("tables");
+    const heard = (array, index, values) => { if (this.take(array, index, values)) onChange("geometry"); };
+    await this.inOrder(nearest, [...this.geometryArrays, ...this.shapeArrays], heard, signal);
+    if (this.header.n_dictionary) {
+      await this.loadAtoms(signal);
+      await this.inOrder(nearest, ["codes"], (array, index, values) => { if (this.take(array, index, values)) onChange("codes"); }, signal);
+    }
+    onChange("all");
+  }
+
+  async loadTables(signal) {
+    const { gl, packed, header } = this;
+    const names = ["batch_count", "box_low", "box_size", "box_bits", "color_low", "color_size", "color_word", "group_word", "clipline_word", "ellipsoid_word"];
+    this.arrays = await packed.readWhole(names.filter((name) => packed.has(name)), signal);
+    const { counts, boxes, running, groups, groupBoxes } = tablesOf(packed, this.arrays);
+    Object.assign(this, { counts, groupBoxes });
+    const table = (words) => new Words(gl, words.length).put(0, words);
+    Object.assign(this.textures, { boxes: table(boxes), running_counts: table(running), groups: table(groups) });
+    const pairs = !header.color_step, n = header.n_splats;
+    this.textures.splats = new Words(gl, pairs ? n : Math.ceil((n * 5) / 4) + 1, pairs);
+    for (const name of [...this.shapeArrays, ...(packed.has("codes") ? ["codes"] : [])]) {
+      const n = packed.chunksOf(name).length;
+      this.textures[name] = new Words(gl, n * WORDS_PER_CHUNK);
+      this.streams[name] = new Uint8Array(n);
+    }
+    this.geometry = new Uint8Array(Math.ceil(n / SPLATS_PER_CHUNK));
+  }
+
+  // Chunks of arrays in the order of the view. Streams go with the splats that they belong to.
+  async inOrder(nearest, names, heard, signal) {
+    const wanted = names.flatMap((name) => this.packed.chunksOf(name)), rank = new Map(nearest().map((group, i) => [group, i]));
+    const rankOf = ({ array, index }) => Math.min(...this.groupsOf(array, index).map((group) => rank.get(group)));
+    const queue = wanted.map((chunk) => ({ chunk, rank: rankOf(chunk) })).sort((a, b) => a.rank - b.rank).map(({ chunk }) => chunk);
+    while (queue.length) {
+      let bytes = 0, n = 0;
+      while (n < queue.length && (n === 0 || bytes + queue[n].stop - queue[n].start <= BATCH_BYTES)) bytes += queue[n].stop - queue[n++].start;
+      await this.packed.read(queue.splice(0, n), heard, signal);
+    }
+  }
+
+  // The groups whose splats a zarr chunk holds something of.
+  groupsOf(array, index) {
+    const { nGroups } = this.packed, groups = [];
+    if (!this.streams[array]) {
+      for (let g = index * GROUPS_PER_CHUNK; g < Math.min(nGroups, (index + 1) * GROUPS_PER_CHUNK); ++g) groups.push(g);
+      return groups;
+    }
+    for (let g = 0; g < nGroups; ++g) {
+      const [first, last] = this.chunksFor(array, g);
+      if (first <= index && index <= last) groups.push(g);
+    }
+    return groups.length ? groups : [nGroups - 1]; // the spare word may stand alone
+  }
+
+  // The first and last chunk of a stream that a group's words lie in.
+  chunksFor(stream, group) {
+    const [table, step] = { colors: ["color_word", GROUP / 128], codes: ["group_word", 1], cliplines: ["clipline_word", 1], ellipsoids: ["ellipsoid_word", 1] }[stream];
+    const words = this.arrays[table], n = this.streams[stream].length, end = step === 1 ? this.packed.nGroups : this.packed.nChunks;
+    const next = (group + 1) * step;
+    const first = Math.min(n - 1, Math.floor(words[group * step] / WORDS_PER_CHUNK));
+    return [first, next < end ? Math.max(first, Math.min(n - 1, Math.floor(words[next] / WORDS_PER_CHUNK))) : n - 1];
+  }
+
+  // Bring a chunk to the GPU; whether there is more to draw now.
+  take(array, index, values) {
+    if (this.streams[array]) {
+      this.textures[array].put(index * WORDS_PER_CHUNK, values);
+      this.streams[array][index] = 1;
+    } else {
+      const parts = this.waiting.get(index) || {};
+      this.waiting.set(index, { ...parts, [array]: values });
+      if (Object.keys(parts).length + 1 < this.geometryArrays.length) return false;
+      this.putSplats(index, this.waiting.get(index));
+      this.waiting.delete(index);
+    }
+    return this.groupsOf(array, index).filter((group) => this.advance(group)).length > 0;
+  }
+
+  putSplats(index, parts) {
+    const n = Math.min(SPLATS_PER_CHUNK, this.header.n_splats - index * SPLATS_PER_CHUNK);
+    this.textures.splats.put(index * (this.header.color_step ? (SPLATS_PER_CHUNK * 5) / 4 : SPLATS_PER_CHUNK), splatWords(n, parts));
+    this.geometry[index] = 1;
+  }
+
+  advance(group) {
+    const arrived = (stream) => {
+      const [first, last] = this.chunksFor(stream, group);
+      for (let i = first; i <= last; ++i) if (!this.streams[stream][i]) return false;
+      return true;
+    };
+    const was = this.state[group];
+    if (!this.geometry[Math.floor(group / GROUPS_PER_CHUNK)] || !this.shapeArrays.every(arrived)) return false;
+    this.state[group] = this.hasAtoms && arrived("codes") ? CODED : FLAT;
+    return this.state[group] !== was;
+  }
+
+  async loadAtoms(signal) {
+    const { gl, packed, header, layout } = this, sizes = MIP_SIZES.filter((s) => s <= header.atom_size && s >= header.coarsest_size);
+    const found = await packed.readWhole(["weight_levels", "atom_scale", ...sizes.map((s) => `atoms_${s}`)], signal);
+    const levels = header.n_ranks << header.weight_bits, floats = new Float32Array(levels + header.n_dictionary);
+    floats.set(found.weight_levels.subarray(0, levels));
+    floats.set(found.atom_scale.subarray(0, header.n_dictionary), levels);
+    this.textures.weights = new Words(gl, floats.length).put(0, new Uint32Array(floats.buffer));
+    if (Math.max(layout.width, layout.height) > gl.getParameter(gl.MAX_TEXTURE_SIZE)) throw new Error("a dictionary too large for this device");
+    this.atlas = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, this.atlas);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGB8_SNORM, layout.width, layout.height);
+    for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, side, gl.LINEAR);
+    for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    for (const size of sizes) {
+      const { rows, band } = atlasBand(found[`atoms_${size}`], size, header.n_dictionary, layout);
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, layout.bands[MIP_SIZES.indexOf(size)], layout.width, rows, gl.RGB, gl.BYTE, band);
+    }
+    this.hasAtoms = true;
+  }
+
+  /** Bytes of the uniform block `Scene` of shaders/view.glsl. */
+  uniformBlock() {
+    const { header, packed, layout } = this, block = new DataView(new ArrayBuffer(128));
+    const put = (kind, at, values) => values.forEach((value, i) => block[kind](at + 4 * i, value, true));
+    put("setInt32", 0, header.up);
+    put("setInt32", 16, header.ahead);
+    put("setFloat32", 32, [header.radius]);
+    put("setUint32", 36, [header.n_splats, header.batches.length, header.dictionary_bits, header.weight_bits, packed.nGroups, layout.width,
+      MIP_SIZES.indexOf(header.atom_size), ...layout.bands]);
+    put("setFloat32", 88, [1 / layout.width, 1 / layout.height]);
+    put("setUint32", 96, [MIP_SIZES.indexOf(header.coarsest_size), header.n_ranks]);
+    return block.buffer;
+  }
+}

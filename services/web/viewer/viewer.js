@@ -1,0 +1,218 @@
+// The viewer: loads a packed file, draws it as it arrives and while one moves through it.
+
+import { Camera } from "./camera.js";
+import { Controls } from "./controls.js";
+import { Measure } from "./measure.js";
+import { Packed } from "./packed.js";
+import { Renderer } from "./renderer.js";
+import { Scene } from "./scene.js";
+import { dot, unit } from "./vectors.js";
+
+const TARGET_MS = 50; // of a frame while one moves
+const COARSEST = 0.25; // of the resolution, while one moves
+const STILL_MS = 250; // after the last move, before a frame of full resolution
+const $ = (id) => document.getElementById(id);
+
+export class Viewer {
+  /** `shaders` is the document of renderer/splats/gles.py. */
+  constructor(shaders, options = {}) {
+    Object.assign(this, { canvas: $("canvas"), options, scale: 1, lamp: null, isMeasuring: false, wanted: false, times: {} });
+    this.renderer = new Renderer(this.canvas, shaders, options);
+    new ResizeObserver(() => this.draw()).observe(this.canvas);
+  }
+
+  async load(source) {
+    this.source = source;
+    this.started = performance.now();
+    const packed = await Packed.open(source);
+    this.scene = new Scene(this.renderer.gl, packed);
+    await this.scene.load(() => this.nearest(), (stage) => this.heard(stage));
+  }
+
+  heard(stage) {
+    if (stage === "tables") this.begin();
+    this.times[stage] ??= performance.now() - this.started;
+    this.complete = stage === "all";
+    this.draw();
+  }
+
+  begin() {
+    const { scene } = this, { header } = scene;
+    this.camera = new Camera(scene);
+    this.fromAddress();
+    addEventListener("hashchange", () => { if (this.fromAddress()) this.draw(); });
+    this.measure = new Measure($("overlay"), $("measured"), this.camera, header);
+    this.controls = new Controls(this.canvas, this.camera, {
+      moved: () => this.moved(), view: () => this.shownView(), tapped: (x, y, twice) => this.tapped(x, y, twice),
+    });
+    document.title = `${header.scan.name ?? "scan"} - splatpress`;
+    this.canvas.setAttribute("aria-label", `${header.scan.name ?? "A scan"}, ${header.n_splats.toLocaleString("en")} splats`);
+    $("photos").replaceChildren(new Option("photographs", ""), ...header.cameras.map((camera, i) => new Option(camera.name, i)));
+    $("photos").hidden = !header.cameras.length;
+    $("photos").onchange = () => { if ($("photos").value !== "") this.stand(Number($("photos").value)); };
+    $("home").onclick = () => { this.camera.home(); this.moved(); };
+    $("light").onclick = () => this.light(!this.lamp);
+    $("measure").onclick = () => this.toggleMeasuring();
+    $("save").onclick = () => this.save();
+    this.canvas.addEventListener("keydown", (event) => this.key(event));
+  }
+
+  // --- what one does
+
+  stand(photo) {
+    this.camera.stand(this.scene.header.cameras[photo]);
+    $("photos").value = photo;
+    this.moved();
+  }
+
+  key(event) {
+    const { cameras } = this.scene.header;
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key >= "0" && event.key <= "9") {
+      const photo = (Number(event.key) + 9) % 10;
+      if (photo < cameras.length) this.stand(photo);
+    } else if (event.code === "KeyF") $("home").click();
+    else if (event.code === "KeyL") $("light").click();
+    else if (event.code === "KeyM") $("measure").click();
+    else if (event.key === "Escape" && this.isMeasuring) this.toggleMeasuring();
+    else if (event.key === "Enter" && this.isMeasuring) this.tapped(this.canvas.clientWidth / 2, this.canvas.clientHeight / 2, false);
+    else return;
+    event.preventDefault();
+  }
+
+  tapped(x, y, twice) {
+    const point = this.pick(x, y);
+    if (!point) return;
+    if (this.isMeasuring && !twice) this.measure.add(point);
+    else if (twice) this.camera.about(point);
+    this.draw();
+  }
+
+  /** The point of the surface at CSS px of the canvas, against the origin; null where there is none. */
+  pick(x, y) {
+    this.frame(1);
+    const { width, height } = this.shownView();
+    return this.renderer.pointAt((x * width) / this.canvas.clientWidth, (y * height) / this.canvas.clientHeight);
+  }
+
+  toggleMeasuring() {
+    this.isMeasuring = !this.isMeasuring;
+    $("measure").setAttribute("aria-pressed", this.isMeasuring);
+    $("measured").hidden = $("cross").hidden = !this.isMeasuring;
+    if (!this.isMeasuring) this.measure.clear();
+    this.canvas.focus({ preventScroll: true });
+    this.draw();
+  }
+
+  /** A lamp from above, to the left of the viewer; or as photographed. */
+  light(on) {
+    this.lamp = on ? { towards: unit([-0.5, -0.6, -0.7]), ambient: 0.3, diffuse: 0.7 } : null;
+    $("light").setAttribute("aria-pressed", on);
+    this.draw();
+  }
+
+  save() {
+    this.frame(1);
+    const { width, height } = this.shownView(), pixels = new Uint8ClampedArray(this.renderer.pixels().buffer);
+    const canvas = Object.assign(document.createElement("canvas"), { width, height });
+    canvas.getContext("2d").putImageData(new ImageData(pixels, width, height), 0, 0);
+    canvas.toBlob((blob) => {
+      const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: "splatpress.png" });
+      link.click();
+      URL.revokeObjectURL(link.href);
+    });
+  }
+
+  // --- frames
+
+  moved() {
+    this.lastMove = performance.now();
+    if (this.controls?.isMoving === false) $("photos").value = "";
+    this.draw();
+    clearTimeout(this.settling);
+    this.settling = setTimeout(() => { this.draw(); this.toAddress(); }, STILL_MS);
+  }
+
+  draw() {
+    if (this.wanted || !this.camera) return;
+    this.wanted = true;
+    requestAnimationFrame((now) => {
+      this.wanted = false;
+      if (this.controls.step(now)) this.moved();
+      const moves = performance.now() - (this.lastMove ?? -Infinity) < STILL_MS;
+      this.frame(moves ? this.scale : 1);
+      if (moves) this.adapt();
+    });
+  }
+
+  // A frame's time follows its pixels and its splats; only the pixels are ours to change.
+  adapt() {
+    const wanted = this.scale * Math.sqrt(TARGET_MS / Math.max(1, this.frameMs));
+    this.scale = Math.min(1, Math.max(COARSEST, 0.5 * (this.scale + wanted)));
+  }
+
+  shownView() {
+    return this.renderer.shown?.view ?? this.camera.view(...this.size(1));
+  }
+
+  size(scale) {
+    const density = scale * (globalThis.devicePixelRatio || 1);
+    return [this.canvas.clientWidth, this.canvas.clientHeight].map((side) => Math.max(1, Math.round(side * density)));
+  }
+
+  frame(scale) {
+    const [width, height] = this.size(1), started = performance.now();
+    if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
+    const view = this.camera.view(...this.size(scale));
+    this.splats = this.renderer.render(this.scene, view, { light: this.lamp });
+    this.renderer.present();
+    this.renderer.wait();
+    this.frameMs = performance.now() - started;
+    this.measure.draw(view, this.canvas.clientWidth, this.canvas.clientHeight);
+    if (this.splats) this.times.picture ??= performance.now() - this.started, document.body.classList.add("begun");
+    this.say();
+  }
+
+  /** The pixels (RGBA, top row first) that a camera of the header's kind would see: what tests compare. */
+  picture({ width_px, height_px, fx_px, fy_px, cx_px, cy_px, rotation, centre }) {
+    const eye = centre.map((x, i) => x - this.scene.header.origin[i]);
+    this.renderer.render(this.scene, { rotation, eye, width: width_px, height: height_px, fx: fx_px, fy: fy_px, cx: cx_px, cy: cy_px }, { light: this.lamp });
+    return this.renderer.pixels();
+  }
+
+  // Groups in the order in which they are wanted: those in view, the nearest first.
+  nearest() {
+    const { groupBoxes: boxes, packed } = this.scene, { eye, rows } = this.camera;
+    const far = Array.from({ length: packed.nGroups }, (_, group) => {
+      const to = [0, 1, 2].map((i) => (boxes[6 * group + i] + boxes[6 * group + 3 + i]) / 2 - eye[i]), away = Math.hypot(...to);
+      return away * (dot(to, rows[2]) > 0.5 * away ? 1 : 10);
+    });
+    return far.map((_, group) => group).sort((a, b) => far[a] - far[b]);
+  }
+
+  // --- words
+
+  statistics() {
+    const { source, scene, renderer } = this, view = this.shownView();
+    return { splats: this.splats, allSplats: scene.header.n_splats, received: source.received, size: source.size, requests: source.requests,
+      frameMs: this.frameMs, gpuBytes: scene.bytes, pixels: view.width * view.height, complete: !!this.complete, times: this.times,
+      programs: [...renderer.programs.keys()], clipControl: !!renderer.clip };
+  }
+
+  say() {
+    const s = this.statistics(), count = (n) => (n >= 1e6 ? (n / 1e6).toFixed(2) + " M" : n.toLocaleString("en"));
+    $("statistics").textContent = `${count(s.splats)} of ${count(s.allSplats)} splats · ${(s.received / 1e6).toFixed(1)} of ${(s.size / 1e6).toFixed(1)} MB`
+      + ` · ${s.frameMs.toFixed(0)} ms`;
+    $("loading").hidden = s.complete;
+    $("loading").value = s.received / s.size;
+  }
+
+  toAddress() {
+    history.replaceState(null, "", `#c=${this.camera.toText()}`);
+  }
+
+  fromAddress() {
+    const found = /[#&]c=([^&]*)/.exec(location.hash);
+    return !!found && this.camera.fromText(found[1]);
+  }
+}

@@ -1,0 +1,253 @@
+"""The viewer in Chromium: its pictures against the product's own, its measuring, its keys, its requests."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from renderer.effects.relighting import AS_PHOTOGRAPHED, Light
+from renderer.splats.scene import GpuScene
+from renderer.splats.views import orbit_views, up_direction
+from storage.packed.schema import GROUP
+from tests.packed_files import write_arrays
+from tests.scenes import Dictionary, Settings, build_scene, camera_looking, coded, random_dictionary, sheet
+from tests.services.chromium import Page, chromium_path
+from tests.services.web.served import open_viewer, picture_of, serving, small
+
+pytestmark = pytest.mark.skipif(chromium_path() is None, reason="needs Chromium (apt-get install chromium)")
+UTM = (450000.25, 5400000.5, 100.0)
+SNAPPED_PX = 1 / 32  # how far SwiftShader, which draws here, moves a corner at most: it rounds to a sixteenth
+LAMP = Light((-0.5 / 1.1**0.5, -0.6 / 1.1**0.5, -0.7 / 1.1**0.5), 0.3, 0.7)  # of Viewer.light
+
+
+def scene_of(name: str):
+    rng = np.random.default_rng(3)
+    dictionary = random_dictionary(rng)
+    if name == "atoms":
+        return build_scene(sheet(rng, 400, **coded(rng, 400)), Settings(radius=0.1), dictionary)
+    if name == "groups":
+        n = GROUP + 300
+        line = np.tile([0.8, 0.6, 0.1], (n, 1))
+        line[rng.random(n) < 0.6] = np.nan
+        splats = sheet(rng, n, clipline=line, **coded(rng, n, max_atoms=3))
+        splats = replace(splats, position=splats.position + UTM)
+        cameras = tuple(replace(camera_looking(np.add(UTM, (x, -2, 0.3)), UTM), name=f"{x}.jpg") for x in (-0.4, 0.1))
+        return build_scene(splats, Settings(radius=0.03, origin=UTM, cameras=cameras), dictionary)
+    axes = np.tile(np.diag([0.12, 0.06, 0.03])[[0, 2, 1]], (500, 1, 1))
+    axes[rng.random(500) < 0.7] = np.nan
+    line = np.tile([0.8, 0.6, 0.1], (500, 1))
+    line[(rng.random(500) < 0.6) | ~np.isnan(axes[:, 0, 0])] = np.nan
+    means = dictionary.atoms.reshape(20, 16, 2, 16, 2, 3).mean(axis=(2, 4)).round().astype(np.int8)
+    turned = Dictionary(means, dictionary.scale, dictionary.weight_levels, n_turns=8)
+    splats = sheet(rng, 500, axes=axes, clipline=line, **coded(rng, 500, 160, max_atoms=16))
+    scene = build_scene(splats, Settings(radius=0.1, color_step=112), turned)
+    effects = dict.fromkeys(("level_blending", "relighting", "normal_smoothing", "accumulation"), {})
+    return replace(scene, header=replace(scene.header, effects=effects))
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    opened = Page(tmp_path_factory.mktemp("profile"))
+    small(opened)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture(autouse=True)
+def _without_complaints_of_others(page):
+    page.complaints.clear()
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    """Addresses and scenes by name."""
+    folder, running, found = tmp_path_factory.mktemp("files"), [], {}
+    for name in ("atoms", "everything", "groups"):
+        scene = scene_of(name)
+        running.append(serving(write_arrays(scene.header, scene.arrays, folder / f"{name}.splatpress")))
+        found[name] = running[-1].__enter__(), scene
+    yield found
+    for each in running:
+        each.__exit__(None, None, None)
+
+
+def psnr_db(squared: np.ndarray) -> float:
+    return 10 * np.log10(255**2 / max(float(squared.mean()), 1e-9))
+
+
+def assert_alike(page, renderer, scene, view, light=AS_PHOTOGRAPHED):
+    """50 dB where both see something, coverage within 0.001. Where corners are rounded decides about pixels on rims: so each pixel is
+    compared with the nearest of the product's picture and eight of it moved by what SwiftShader rounds, and the two pixels, or one of a
+    thousand, that differ most are left out: a rim's corners are rounded one by one."""
+    rgb, covered = picture_of(page, view)
+    gpu_scene, s = GpuScene(scene, renderer.context), SNAPPED_PX
+    moved = [
+        replace(view, cx_px=view.cx_px + x, cy_px=view.cy_px + y) for x in (-s, 0, s) for y in (-s, 0, s) if x or y
+    ]
+    pictures = [renderer.render(gpu_scene, each, light=light) for each in (view, *moved)]
+    gpu_scene.release()
+    both = covered & pictures[0].coverage
+    assert both.mean() > 0.05
+    error = [((picture.rgb.astype(float) - rgb) ** 2).mean(axis=-1)[both] for picture in pictures]
+    nearest = np.sort(np.min(error, axis=0))
+    assert psnr_db(nearest[: -max(2, len(nearest) // 1000)]) >= 50
+    assert psnr_db(error[0]) >= 30  # and where corners lie is no excuse for all
+    assert np.min([picture.coverage != covered for picture in pictures], axis=0).mean() <= 0.001
+
+
+VIEWS = {  # eye, size, focal length
+    "near": ((0.3, -1.2, 0.4), (200, 150), 180.0),
+    "oblique": ((1.5, -0.5, 0.2), (160, 160), 150.0),
+    "far": ((-0.5, -9.0, 2.0), (96, 128), 500.0),
+}
+
+
+@pytest.mark.parametrize("name", ["atoms", "everything", "groups"])
+def test_viewer__draws_what_render_does(page, served, renderer, name):
+    url, scene = served[name]
+    open_viewer(page, url)
+    for eye, size, focal in VIEWS.values():
+        origin = scene.header.origin
+        view = camera_looking(np.add(origin, eye), origin, size, (focal, focal))
+        assert_alike(page, renderer, scene, view)
+    assert page.complaints == []
+    found = json.loads(page.look("JSON.stringify(viewer.statistics())"))
+    assert found["complete"] and found["received"] >= found["size"] * 0.5 and found["requests"] <= 12
+    if name == "everything":
+        flags = {"ELLIPSOID", "CLIPLINE", "LEVELS", "BLENDED", "TURNED", "COLOR_BOXES", "LIT", "SMOOTH"}
+        assert {flag for flag in flags if f"{flag}=1" in " ".join(found["programs"])} == flags
+
+
+def test_viewer__writes_depth_itself_where_clip_space_cannot_end_at_zero(page, served, renderer):
+    url, scene = served["everything"]
+    open_viewer(page, url + "?own-depth")
+    assert not page.look("viewer.statistics().clipControl")
+    for eye, size, focal in VIEWS.values():
+        assert_alike(page, renderer, scene, camera_looking(eye, (0, 0, 0), size, (focal, focal)))
+    assert page.complaints == []
+
+
+def test_viewer__lights_from_the_side_that_is_chosen(page, served, renderer):
+    url, scene = served["everything"]
+    open_viewer(page, url)
+    page.look("document.getElementById('light').click()")
+    eye, size, focal = VIEWS["near"]
+    assert_alike(page, renderer, scene, camera_looking(eye, (0, 0, 0), size, (focal, focal)), LAMP)
+
+
+def test_viewer__begins_where_render_orbits(page, served):
+    url, scene = served["groups"]
+    open_viewer(page, url)
+    (expected,) = orbit_views(scene, 1, (400, 300))
+    found = json.loads(page.look("JSON.stringify({ up: viewer.camera.up, ...viewer.camera.view(400, 300) })"))
+    np.testing.assert_allclose(np.add(found["eye"], UTM), expected.centre, atol=1e-3)
+    np.testing.assert_allclose(found["rotation"], expected.rotation, atol=1e-4)
+    np.testing.assert_allclose(found["up"], up_direction(scene.header), atol=1e-9)
+    assert found["fx"] == pytest.approx(expected.fx_px)
+
+
+def on_sheet(scene, view: dict, x: float, y: float) -> np.ndarray:
+    """Where the ray of a pixel meets the sheet of `scene_of`, y = 0 against the origin."""
+    ray = np.array([(x - view["cx"]) / view["fx"], (y - view["cy"]) / view["fy"], 1]) @ np.array(view["rotation"])
+    eye = np.array(view["eye"])
+    return eye - ray * eye[1] / ray[1]
+
+
+def test_viewer__measures_a_scan_of_large_coordinates_to_a_radius(page, served):
+    url, scene = served["groups"]
+    open_viewer(page, url)
+    page.look("viewer.stand(0)")
+    width, height = page.look("viewer.canvas.clientWidth"), page.look("viewer.canvas.clientHeight")
+    view = json.loads(page.look("(viewer.frame(1), JSON.stringify(viewer.shownView()))"))
+    scale = view["width"] / width
+    places = [(width * x, height * y) for x, y in ((0.45, 0.5), (0.56, 0.44), (0.5, 0.55))]
+    picked = [np.array(json.loads(page.look(f"JSON.stringify(viewer.pick({x}, {y}))"))) for x, y in places]
+    for (x, y), point in zip(places, picked, strict=True):
+        assert np.linalg.norm(point - on_sheet(scene, view, x * scale, y * scale)) <= scene.header.radius
+    assert page.look("viewer.pick(1, 1)") is None  # the sky
+    page.look("document.getElementById('measure').click()")
+    for x, y in places[:2]:
+        page.look(f"viewer.tapped({x}, {y}, false)")
+    said = page.look("document.getElementById('measured').textContent")
+    shown = [[float(n) for n in re.findall(r"-?\d+\.?\d*", line)] for line in said.splitlines()]
+    np.testing.assert_allclose(shown[0], picked[0] + UTM, atol=2e-3)
+    expected = np.linalg.norm(picked[1] - picked[0])
+    assert shown[2][0] == pytest.approx(expected, rel=1e-4) and " m," in said
+    page.until("document.querySelectorAll('#overlay circle').length === 2")
+
+
+def test_viewer__measures_by_keyboard_alone(page, served):
+    open_viewer(page, served["groups"][0])
+    page.look("document.getElementById('canvas').focus()")
+    for key, code in (("1", "Digit1"), ("m", "KeyM"), ("Enter", "Enter")):
+        press(page, key, code)
+    press(page, "ArrowRight", "ArrowRight")
+    press(page, "Enter", "Enter")
+    said = page.look("document.getElementById('measured').textContent")
+    assert said.startswith("A: ") and "A to B: " in said
+    assert float(re.search(r"A to B: ([\d.e-]+)", said)[1]) > 0
+    press(page, "Escape", "Escape")
+    assert page.look("document.getElementById('measured').hidden")
+
+
+def press(page, key: str, code: str) -> None:
+    page.call("Input.dispatchKeyEvent", type="keyDown", key=key, code=code)
+    page.call("Input.dispatchKeyEvent", type="keyUp", key=key, code=code)
+
+
+def test_viewer__turns_by_mouse_and_touch_and_keeps_the_camera_in_the_address(page, served):
+    open_viewer(page, served["groups"][0])
+    before = np.array(json.loads(page.look("JSON.stringify(viewer.camera.eye)")))
+    for kind, x in (("mousePressed", 200), ("mouseMoved", 280), ("mouseReleased", 280)):
+        page.call("Input.dispatchMouseEvent", type=kind, x=x, y=150, button="left", buttons=1, clickCount=1)
+    turned = np.array(json.loads(page.look("JSON.stringify(viewer.camera.eye)")))
+    assert np.linalg.norm(turned - before) > 0.1 and np.linalg.norm(turned) == pytest.approx(
+        np.linalg.norm(before), rel=0.1
+    )
+    points = [{"x": 150, "y": 150, "id": 0}, {"x": 250, "y": 150, "id": 1}]
+    page.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=points)
+    page.call("Input.dispatchTouchEvent", type="touchMove", touchPoints=[points[0], {"x": 350, "y": 150, "id": 1}])
+    page.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    distance = page.look("viewer.camera.distance")
+    assert distance < 0.7 * np.linalg.norm(before)
+    address = page.until("location.hash.startsWith('#c=') && location.href")
+    eye = json.loads(page.look("JSON.stringify(viewer.camera.eye)"))
+    page.open("about:blank")
+    open_viewer(page, address)
+    np.testing.assert_allclose(json.loads(page.look("JSON.stringify(viewer.camera.eye)")), eye, atol=2e-3)
+    assert page.look("viewer.camera.distance") == pytest.approx(distance, rel=1e-3)
+
+
+def test_viewer__stands_where_photographs_were_taken(page, served, renderer):
+    url, scene = served["groups"]
+    open_viewer(page, url)
+    assert (
+        page.look("[...document.querySelectorAll('#photos option')].map((o) => o.text).join()")
+        == "photographs,-0.4.jpg,0.1.jpg"
+    )
+    page.look("(viewer.stand(1), null)")
+    camera = scene.header.cameras[1]
+    found = json.loads(page.look(f"JSON.stringify(viewer.camera.view({camera.width_px}, {camera.height_px}))"))
+    np.testing.assert_allclose(found["rotation"], camera.rotation, atol=1e-9)
+    np.testing.assert_allclose(
+        [found[name] for name in ("fx", "fy", "cx", "cy")], [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]
+    )
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(360, "light"), (1280, "dark")])
+def test_viewer__fits_phones_and_dark_rooms(page, served, width, scheme, tmp_path):
+    page.call("Emulation.setDeviceMetricsOverride", width=width, height=640, deviceScaleFactor=1, mobile=width < 500)
+    page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+    try:
+        open_viewer(page, served["atoms"][0])
+        inside = "[...document.querySelectorAll('#bar > *')].every((e) => { const r = e.getBoundingClientRect(); return r.left >= 0 && r.right <= innerWidth; })"
+        assert page.look(inside) and page.look("document.documentElement.scrollWidth") <= width
+        ground = page.look("getComputedStyle(document.body).backgroundColor")
+        assert (sum(map(int, re.findall(r"\d+", ground))) < 200) == (scheme == "dark")
+    finally:
+        small(page)
+        page.call("Emulation.setEmulatedMedia", features=[])
