@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pipeline.readers.attributes.looks import Look, Looks
 from storage.packed.schema import Camera
 
 __all__ = ["Camera", "Piece", "ScanSource"]
@@ -27,7 +28,9 @@ class Piece:
     intensity: np.ndarray | None = None  # (n,) float32 in the file's own range
     visible_count: np.ndarray | None = None  # (n,) int64: how many cameras see each point
     visible_camera: np.ndarray | None = None  # (sum(visible_count),) int32 positions in ScanSource.cameras
-    station: np.ndarray | None = None  # (n,) int32 positions in ScanSource.stations
+    station: np.ndarray | None = None  # (n,) int32 positions in ScanSource.stations; -1 for none
+    look: tuple[int, Look] | None = None  # what its values say of part i of the scan, where only a sample was looked at
+    mark: np.ndarray | None = None  # (n,) uint8: why a point is left out (readers.marks.NUMBER), 0 where it is not
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,9 @@ class ScanSource:
         None  # points first..stop; None: only from the start
     )
     slice_rows: int = 1  # slices that begin at multiples of it read nothing twice
+    # What was decided from a sample is checked against all points: the scan as the Looks of all pieces have it, None where
+    # that is as it is. None itself where nothing was decided from a sample.
+    settle: Callable[[Looks], ScanSource | None] | None = None
     unit: str = "unknown"  # "metre", "foot", "US survey foot", "unknown", ...
     cameras: tuple[Camera, ...] = ()
     read_photo: Callable[[int], np.ndarray] | None = None
@@ -57,5 +63,8 @@ class ScanSource:
     intensity_range: tuple[float, float] | None = None  # as the header declares it, if it does
     has_visibility: bool = False  # False with cameras: found by a depth test
     bounds: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None  # as the header declares it
+    position_step: float | None = None  # by which coordinates can differ at least; None: that of `position_type`
+    position_type: str = "float64"  # or "float32": what the file keeps coordinates as
     warnings: tuple[str, ...] = ()
+    unused: tuple[str, ...] = ()  # properties that the file has and that are not used
     details: dict = field(default_factory=dict)  # what `inspect` shows besides: versions, point formats, CRS

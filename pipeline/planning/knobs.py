@@ -10,6 +10,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from pipeline.readers.attributes.marks import WORDS as MARK_WORDS
+from pipeline.readers.attributes.marks import canonical_marks
+from pipeline.readers.attributes.options import STATION_WORDS, canonical_station
 from storage.packed.schema import ATOM_SIZES, MAX_ATOMS
 
 
@@ -363,6 +366,49 @@ KNOBS = (
         "training-set",
         low=0,
         high=2**63 - 1,
+    ),
+    Knob(
+        "marked_points",
+        str,
+        "what to do with points that the scan marks as not measured or not wanted, as withheld=keep",
+        "keep: points that somebody marked and that you want to see; leave-out: a scan without them",
+        "keep: what was not measured is drawn",
+        "ingest",
+        canonical=canonical_marks,
+        words=MARK_WORDS,
+    ),
+    Knob(
+        "station",
+        str,
+        "where the scanner stood that saw all points, where the scan does not say; normals that it does not bring look there",
+        "surfaces that face the right way in scans of one station",
+        "nothing",
+        "ingest",
+        canonical=canonical_station,
+        words=STATION_WORDS,
+        metavar="X,Y,Z",
+    ),
+    Knob(
+        "sparse_model",
+        str,
+        "the folder of the COLMAP model to use, as sparse/1; by default the one that fits fused.ply best",
+        "the model that you mean, where several fit",
+        "nothing",
+        "ingest",
+        canonical=str.strip,
+        words="a folder of the workspace",
+        metavar="FOLDER",
+    ),
+    Knob(
+        "height_scale",
+        float,
+        "what heights are multiplied by, where they are in another unit than the other coordinates, as 0.3048 for feet in metres",
+        "shapes that are right in such scans",
+        "nothing",
+        "ingest",
+        low=0.0,
+        high=1e6,
+        above_low=True,
     ),
     Knob(
         "effects",

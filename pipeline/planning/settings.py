@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from pipeline.planning.knobs import BY_NAME, KNOBS
+from pipeline.readers.attributes.options import ReadOptions
 from storage.packed.schema import MAX_ATOMS
 
 
@@ -36,7 +37,16 @@ class Settings:
     component: int | None = None
     time: int | None = None
     seed: int = 0
+    marked_points: str = ""  # what is asked of points that the scan marks, as readers.attributes.marks writes it
+    station: str = ""  # x,y,z of a scanner that saw all points; "" leaves stations to the scan
+    sparse_model: str = ""  # the folder of a workspace's model; "" leaves the choice to the points
+    height_scale: float = 1.0
     effects: str = ""  # what is asked of effects, as pipeline.effects.plan.request writes it; "" leaves all to the scan
+
+    @property
+    def reading(self) -> ReadOptions:
+        """What of it decides how a scan is read."""
+        return ReadOptions(self.marked_points, self.station, self.sparse_model, self.height_scale)
 
 
 PRESETS = {

@@ -1,4 +1,4 @@
-"""What is wrong with a scan, from its header and one pass over its points: what the ingest would drop or refuse."""
+"""What is wrong with a scan, from its header and one pass over its points: what the ingest would leave out or refuse."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.numerics.limits import SMALLEST_RADIUS, check_bounds
+from pipeline.readers.attributes.counts import PointCounts, over_all_points
+from pipeline.readers.attributes.looks import Looks
+from pipeline.readers.attributes.options import ReadOptions
 from pipeline.readers.detect import open_scan
-from pipeline.scan import Piece, ScanSource
-from storage.errors import InvalidScan
+from pipeline.scan import ScanSource
+from storage.errors import InvalidScan, ResourceExhausted
 
 PIECE = 1 << 16
 TOO_FEW = 4  # different positions: the splat radius is the distance to the fourth neighbour
@@ -26,104 +29,66 @@ class Finding:
     text: str
 
 
-@dataclass
-class _Counts:
-    n_points: int = 0
-    n_finite: int = 0
-    n_without_normal: int = 0
-    n_without_intensity: int = 0
-    n_without_color: int = 0
-    n_unseen: int = 0
-    different: np.ndarray | None = None  # (m, 3) positions, no more of them than tell that a radius can be had
-    low: np.ndarray | float = np.inf
-    high: np.ndarray | float = -np.inf
-
-    def add(self, piece: Piece) -> None:
-        finite = np.isfinite(piece.position).all(axis=1)
-        self.n_points += len(finite)
-        self.n_finite += int(finite.sum())
-        if finite.any():
-            self.low = np.minimum(self.low, piece.position[finite].min(axis=0))
-            self.high = np.maximum(self.high, piece.position[finite].max(axis=0))
-            if self.different is None or len(self.different) <= TOO_FEW:
-                known = (
-                    piece.position[finite]
-                    if self.different is None
-                    else np.concatenate([self.different, piece.position[finite]])
-                )
-                self.different = np.unique(known, axis=0)[: TOO_FEW + 1]
-        if piece.normal is not None:
-            length = np.abs(piece.normal[finite].astype(np.float64)).sum(axis=1)
-            self.n_without_normal += int((~np.isfinite(length) | (length == 0)).sum())
-        if piece.intensity is not None:
-            self.n_without_intensity += int((~np.isfinite(piece.intensity[finite])).sum())
-        if piece.colorless is not None:
-            self.n_without_color += int(piece.colorless[finite].sum())
-        if piece.visible_count is not None:
-            self.n_unseen += int((piece.visible_count[finite] == 0).sum())
+@dataclass(frozen=True)
+class _Seen:
+    counts: PointCounts
+    different: np.ndarray  # (m, 3) positions, no more of them than tell that a radius can be had
 
 
-def black_points(source: ScanSource, n: int, n_color: int, n_intensity: int) -> list[str]:
-    """Warnings of colours and intensities that are not finite, of n points that have a position."""
-    found = []
-    if n_color:
-        found.append(f"{n_color} of {n} points have a colour that is not finite and are drawn black")
-    if n_intensity == n and not source.has_colors:
-        found.append("no point has an intensity that is finite; splats are grey, shaded by their normals")
-    elif n_intensity and not source.has_colors:
-        found.append(f"{n_intensity} of {n} points have an intensity that is not finite and are drawn black")
-    return found
+def _pass_over(source: ScanSource, looks: Looks) -> _Seen:
+    counts, different = PointCounts(), np.zeros((0, 3))
+    for piece in source.pieces(PIECE):
+        looks.add(piece.look)
+        keep = counts.add(piece)
+        if keep.any() and len(different) <= TOO_FEW:
+            known = np.concatenate([different, piece.position[keep]])
+            different = np.unique(known, axis=0)[: TOO_FEW + 1]
+    return _Seen(counts, different)
 
 
-def check_scan(path: str) -> list[Finding]:
+def check_scan(path: str, options: ReadOptions = ReadOptions()) -> list[Finding]:
     """All findings, errors first. Photographs are not decoded.
 
     Raises: FileNotFoundError and UnsupportedScan as `open_scan`; what breaks a format is a finding.
     """
     try:
-        source = open_scan(path)
-        counts = _Counts()
-        for piece in source.pieces(PIECE):
-            counts.add(piece)
-        found = list(_findings(source, counts))
-    except InvalidScan as error:
+        source, seen = over_all_points(open_scan(path, options), _pass_over)
+        found = list(_findings(source, seen))
+    except (InvalidScan, ResourceExhausted) as error:
         return [Finding("error", str(error))]
     return sorted(found, key=lambda f: ("error", "warning", "note").index(f.severity))
 
 
-def _findings(source: ScanSource, counts: _Counts) -> Iterator[Finding]:
+def _findings(source: ScanSource, seen: _Seen) -> Iterator[Finding]:
+    counts = seen.counts
     for warning in source.warnings:
         yield Finding("warning", warning)
     n = counts.n_points
-    if not counts.n_finite:
-        yield Finding(
-            "error", f"{source.path}: none of its {n} points has a finite position; allowed: at least one point"
-        )
+    if not counts.n_kept:
+        text = f"{source.path}: none of its {n} points is left: {counts.left_out}; allowed: at least one point"
+        yield Finding("error", text)
         return
     try:
         check_bounds(source.path, counts.low, counts.high)
     except InvalidScan as error:
         yield Finding("error", str(error))
-    if counts.n_finite < n:
-        yield Finding(
-            "warning", f"{n - counts.n_finite} of {n} points have a position that is not finite and are dropped"
-        )
     if counts.n_without_normal:
-        yield Finding(
-            "warning",
-            f"{counts.n_without_normal} of {n} points have a normal that is zero or not finite; their neighbours tell it",
-        )
-    for warning in black_points(source, counts.n_finite, counts.n_without_color, counts.n_without_intensity):
+        what = f"{counts.n_without_normal} of {n} points have a normal that is zero or not finite"
+        yield Finding("warning", f"{what}; their neighbours tell it")
+    for warning in counts.warnings(source):
         yield Finding("warning", warning)
     if source.has_visibility and counts.n_unseen:
         yield Finding("note", f"{counts.n_unseen} of {n} points are seen by no camera and keep the scan's colour")
-    yield from _notes_on_extent(counts)
+    if source.unused:
+        yield Finding("note", f"properties that are there and not used: {', '.join(source.unused)}")
+    yield from _notes_on_extent(seen)
 
 
-def _notes_on_extent(counts: _Counts) -> Iterator[Finding]:
-    extent = counts.high - counts.low
-    if len(counts.different) <= TOO_FEW:
-        n = len(counts.different)
+def _notes_on_extent(seen: _Seen) -> Iterator[Finding]:
+    low, high = seen.counts.low, seen.counts.high
+    extent = high - low
+    if len(seen.different) <= TOO_FEW:
+        n = len(seen.different)
         what = "all points are one position" if n == 1 else f"the points have {n} different positions"
         yield Finding("warning", f"{what}: a splat radius cannot be told, give one with --radius")
         if n == 1:
@@ -131,9 +96,7 @@ def _notes_on_extent(counts: _Counts) -> Iterator[Finding]:
     elif extent.max() < SMALLEST_RADIUS:
         span = f"the points span {extent.max():g}"
         yield Finding("warning", f"{span}, less than the smallest splat radius of {SMALLEST_RADIUS:g}: scale the scan")
-    away = np.abs((counts.low + counts.high) / 2).max()
+    away = np.abs((low + high) / 2).max()
     if away > FAR_IN_EXTENTS * extent.max():
-        yield Finding(
-            "note",
-            f"the points lie {away:g} from zero and span {extent.max():g}; positions are kept against their middle",
-        )
+        found = f"the points lie {away:g} from zero and span {extent.max():g}"
+        yield Finding("note", f"{found}; positions are kept against their middle")

@@ -4,58 +4,71 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable
-from importlib import import_module
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from pipeline.scan import ScanSource
-from storage.errors import InvalidScan, UnsupportedScan
+import numpy as np
 
-# Modules are imported when first needed: each pulls in a library of its own, and inspect has to be quick.
-_READERS = {
-    ".zip": ("colmap.workspace", "open_colmap"),
-    ".ply": ("ply.ply", "open_ply"),
-    ".las": ("las.las", "open_las"),
-    ".laz": ("las.las", "open_las"),
-    ".e57": ("e57.e57", "open_e57"),
-}
-_HANDLED = "a COLMAP dense workspace (folder or .zip), .ply, .las, .laz, .e57"
-_VOLUMES = (".mha", ".mhd", ".vti", ".slc", ".dcm")
-_HINTS = {
-    **dict.fromkeys(_VOLUMES, "write the volume as .nrrd or .nii"),
-    **dict.fromkeys((".pcd", ".pts", ".ptx", ".xyz", ".txt"), "convert it to .ply or .e57"),
-    **dict.fromkeys((".obj", ".stl", ".glb", ".gltf"), "meshes are not handled; sample points into a .ply"),
-}
+from pipeline.readers.attributes.looks import Looks
+from pipeline.readers.attributes.options import ReadOptions
+from pipeline.readers.container import open_container
+from pipeline.readers.files.spelling import shown
+from pipeline.readers.points import HANDLED, READERS, open_points
+from pipeline.scan import Piece, ScanSource
+from storage.errors import InvalidScan, UnsupportedScan
 
 
 def handled_suffixes() -> tuple[str, ...]:
     """Of the files that some reader takes."""
-    return tuple(_READERS)
+    return (".zip", *READERS)
 
 
-def _reader(path: Path) -> Callable[[str], ScanSource]:
-    suffix = path.suffix.lower()
-    if path.is_dir():
-        module, function = _READERS[".zip"]
-    elif suffix in _READERS and path.is_file():
-        module, function = _READERS[suffix]
-    else:
-        found = f"a file of type {suffix!r}" if path.is_file() else "neither a file nor a folder"
-        raise UnsupportedScan(str(path), found, _HANDLED, _HINTS.get(suffix, ""))
-    return getattr(import_module(f"pipeline.readers.{module}"), function)
+def _open(path: Path, options: ReadOptions) -> ScanSource:
+    if path.is_dir() or (path.suffix.lower() == ".zip" and path.is_file()):
+        return open_container(str(path), options)
+    if not path.is_file():
+        raise UnsupportedScan(shown(str(path)), "neither a file nor a folder", HANDLED)
+    return open_points(str(path), options)
 
 
-def open_scan(path: str | os.PathLike) -> ScanSource:
+def _with_station(source: ScanSource, options: ReadOptions) -> ScanSource:
+    """The scan as seen from the station that was asked for, if one was."""
+    if options.station_xyz is None:
+        return source
+    return replace(
+        source,
+        stations=(options.station_xyz,),
+        pieces=partial(_from_station, source.pieces),
+        read_slice=source.read_slice and partial(_from_station, source.read_slice),
+        settle=source.settle and partial(_settled_from_station, source.settle, options),
+    )
+
+
+def _from_station(read: Callable[..., Iterator[Piece]], *arguments: int) -> Iterator[Piece]:
+    for piece in read(*arguments):
+        yield replace(piece, station=np.zeros(len(piece.position), np.int32))
+
+
+def _settled_from_station(
+    settle: Callable[[Looks], ScanSource | None], options: ReadOptions, looks: Looks
+) -> ScanSource | None:
+    settled = settle(looks)
+    return settled and _with_station(settled, options)
+
+
+def open_scan(path: str | os.PathLike, options: ReadOptions = ReadOptions()) -> ScanSource:
     """Opens a scan of any handled format by its header.
 
-    Guarantees: points and pixels are not read; the source can be pickled, and its pieces read any number of times.
+    Guarantees: pixels are not read, and points only as samples that tell what colours range over; the source can be pickled, and its pieces read any number of times.
     Raises: FileNotFoundError where there is nothing at `path`; InvalidScan for a scan that breaks its format or has no
     points; UnsupportedScan for a format that is not handled.
     """
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(errno.ENOENT, "no such scan", str(path))
-    source = _reader(path)(str(path))
+    source = _with_station(_open(path, options), options)
     if source.n_points == 0:
-        raise InvalidScan(str(path), "an empty scan, 0 points", "at least one point")
+        raise InvalidScan(shown(str(path)), "an empty scan, 0 points", "at least one point")
     return source

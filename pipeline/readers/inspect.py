@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
+from pipeline.readers.attributes.options import ReadOptions
 from pipeline.readers.detect import open_scan
 from pipeline.scan import ScanSource
 
@@ -30,10 +31,11 @@ def summarise(source: ScanSource) -> dict:
         "has_intensity": source.has_intensity,
         "has_visibility": source.has_visibility,
         "warnings": list(source.warnings),
+        "unused_properties": list(source.unused),
         "details": source.details,
     }
 
 
-def inspect_scan(path: str) -> dict:
+def inspect_scan(path: str, options: ReadOptions = ReadOptions()) -> dict:
     """What `splatpress inspect` prints. Reads headers, not points. Raises as `open_scan`."""
-    return summarise(open_scan(path))
+    return summarise(open_scan(path, options))

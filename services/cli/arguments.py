@@ -17,6 +17,11 @@ def add_settings(command: argparse.ArgumentParser, names: Collection[str] = BY_N
     """--preset, and one argument a knob of those named; one that takes a list may be repeated, under its singular
     too."""
     add_preset(command)
+    add_knobs(command, names)
+
+
+def add_knobs(command: argparse.ArgumentParser, names: Collection[str]) -> None:
+    """One argument a knob of those named."""
     for knob in (knob for knob in KNOBS if knob.name in names):
         argument = f"--{knob.name.replace('_', '-')}"
         spellings = (argument.removesuffix("s"), argument) if knob.canonical else (argument,)

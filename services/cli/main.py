@@ -7,6 +7,7 @@ gate missed.
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import shutil
 import sys
@@ -14,7 +15,9 @@ import traceback
 import warnings
 from pathlib import Path
 
-from services.cli.arguments import WrongArgument, add_preset, add_settings, add_view_knobs, settings_of
+from pipeline.planning.settings import DEFAULT_PRESET
+from pipeline.readers.attributes.options import ReadOptions
+from services.cli.arguments import WrongArgument, add_knobs, add_preset, add_settings, add_view_knobs, settings_of
 from services.cli.packed_files import add_export, add_view
 from services.cli.parser import ARGUMENTS, Parser
 from services.cli.service import add_service_verbs
@@ -27,6 +30,9 @@ OK, INPUT_OUTPUT, INVALID_INPUT, INTERNAL, GATE_MISSED, INTERRUPTED = 0, 2, 3, 4
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; returns its exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names of files are bytes, and may be no text
     options = _parser().parse_args(arguments)
     warnings.filterwarnings("ignore", module="zarr")
     try:
@@ -41,6 +47,9 @@ def main(arguments: list[str] | None = None) -> int:
     except OSError as error:
         print(f"splatpress: {error}", file=sys.stderr)
         _print_notes(error)
+        return INPUT_OUTPUT
+    except MemoryError:
+        print("splatpress: resource error: memory ran out; allowed: as much as the machine has", file=sys.stderr)
         return INPUT_OUTPUT
     except KeyboardInterrupt:
         print("splatpress: interrupted", file=sys.stderr)
@@ -82,7 +91,7 @@ def _compress(options: argparse.Namespace) -> int:
     settings = settings_of(options)
     scan, out = _scan_path(options.scan), Path(options.out)
     _refuse_to_overwrite(out, options.overwrite)
-    _look_first(scan, draws=not options.no_render)
+    _look_first(scan, draws=not options.no_render, reading=settings.reading)
     with _executor(options) as executor:
         report = compress(
             scan,
@@ -92,6 +101,7 @@ def _compress(options: argparse.Namespace) -> int:
             _progress(),
             render=not options.no_render,
             work=Path(options.work) if options.work else None,
+            strict=options.strict,
         )
     return _show_report(report, out, options)
 
@@ -99,7 +109,7 @@ def _compress(options: argparse.Namespace) -> int:
 def _inspect(options: argparse.Namespace) -> int:
     from services.processes.inspect import inspect
 
-    found = inspect(_scan_path(options.path))
+    found = inspect(_scan_path(options.path), settings_of(options).reading)
     print(json.dumps(found) if options.json else _as_lines(found))
     return OK
 
@@ -107,7 +117,7 @@ def _inspect(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> int:
     from services.processes.inspect import check
 
-    found = check(_scan_path(options.path))
+    found = check(_scan_path(options.path), settings_of(options).reading, options.strict)
     if options.json:
         print(json.dumps(found))
     else:
@@ -324,7 +334,7 @@ def _demo(options: argparse.Namespace) -> int:
     _refuse_to_overwrite(out, options.overwrite)
     with tempfile.TemporaryDirectory(dir=_made(out.absolute().parent)) as folder:
         scan = write_motorcycle(Path(folder) / "motorcycle")
-        _look_first(scan, draws=not options.no_render)
+        _look_first(scan, draws=not options.no_render, reading=settings.reading)
         with _executor(options) as executor:
             report = compress(scan, out, settings, executor, _progress(), render=not options.no_render)
         shutil.move(scan, out / "scan")
@@ -352,12 +362,12 @@ def _scan_path(text: str) -> Path:
     return path
 
 
-def _look_first(scan: Path, draws: bool) -> None:
+def _look_first(scan: Path, draws: bool, reading: ReadOptions) -> None:
     """What takes a second is looked at before workers start: the scan's header, and OpenGL where pictures are wanted."""
     from pipeline.readers import open_scan
     from renderer.splats.context import gl_context
 
-    open_scan(scan)
+    open_scan(scan, reading)
     if draws:
         try:
             gl_context().release()
@@ -480,10 +490,13 @@ def _parser() -> argparse.ArgumentParser:
     inspect = commands.add_parser("inspect", help="what a scan or a packed file is, and what is wrong with it")
     inspect.add_argument("path", metavar="SCAN-or-PACKED")
     inspect.add_argument("--json", action="store_true")
+    _add_reading(inspect)
     inspect.set_defaults(command=_inspect)
     check = commands.add_parser("check", help="what is wrong with a scan, from one pass over its points; exit 0 or 3")
     check.add_argument("path", metavar="SCAN")
     check.add_argument("--json", action="store_true")
+    _add_reading(check)
+    _add_strict(check)
     check.set_defaults(command=_check)
     _add_effects(commands)
     _add_plan(commands)
@@ -565,6 +578,7 @@ def _add_compress(commands) -> None:
     )
     _add_output(compress)
     add_settings(compress)
+    _add_strict(compress)
     _add_running(compress)
     compress.set_defaults(command=_compress)
 
@@ -615,6 +629,16 @@ def _add_estimate(commands) -> None:
     estimate.add_argument("--json", action="store_true", help="the estimate as the last line of stdout")
     _add_executor(estimate)
     estimate.set_defaults(command=_estimate)
+
+
+def _add_reading(command: argparse.ArgumentParser) -> None:
+    """The knobs of reading, for commands that only read."""
+    command.set_defaults(preset=DEFAULT_PRESET)
+    add_knobs(command, ("marked_points", "station", "sparse_model", "height_scale"))
+
+
+def _add_strict(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--strict", action="store_true", help="warnings about the scan are errors: exit with 3")
 
 
 def _add_output(command: argparse.ArgumentParser) -> None:

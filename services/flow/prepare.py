@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from pipeline.effects.plan.registry import effects
 from pipeline.effects.plan.request import AUTO, ON, parse_request
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
+from pipeline.readers.attributes.options import ReadOptions
 from pipeline.stages.points.depth_maps import DepthMaps
 from pipeline.stages.points.grid_counts import IN_MEMORY, GridCounts
 from pipeline.stages.points.ingest import Ingest
@@ -24,6 +26,7 @@ from pipeline.volumes.open import is_volume
 from pipeline.volumes.request import SurfaceRequest
 from services.flow.run import Run
 from services.flow.volumes import refuse_surfaces, surface_points
+from storage.errors import InvalidScan
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,8 @@ def fingerprint(scan: Path) -> str:
     state = hashlib.sha256()
     for path in files:
         stat = path.stat()
-        state.update(f"{path.relative_to(scan)}\0{stat.st_size}\0{stat.st_mtime_ns}\n".encode())
+        name = os.fsencode(path.relative_to(scan))
+        state.update(name + f"\0{stat.st_size}\0{stat.st_mtime_ns}\n".encode())
     return state.hexdigest()
 
 
@@ -64,10 +68,11 @@ def prepare(
     held_out: tuple[int, ...] = (),
     density: float = 1.0,
     surface: SurfaceRequest = SurfaceRequest(),
+    reading: ReadOptions = ReadOptions(),
 ) -> Prepared:
     """The scan as splats, and with the effects that they call for; the photographs `held_out` texture none, and
     `surface` is what is asked of a volume."""
-    return with_effects(run, splats_of(run, scan, radius, held_out, density, surface), request)
+    return with_effects(run, splats_of(run, scan, radius, held_out, density, surface, reading), request)
 
 
 def with_effects(run: Run, prepared: Prepared, request: str) -> Prepared:
@@ -98,20 +103,39 @@ def splats_of(
     held_out: tuple[int, ...] = (),
     density: float = 1.0,
     surface: SurfaceRequest = SurfaceRequest(),
+    reading: ReadOptions = ReadOptions(),
 ) -> Prepared:
     """Read the scan, put its points in chunk order, and make splats of them."""
-    return splats_from(run, *points_of(run, scan, density, surface), str(scan), radius, held_out)
+    return splats_from(run, *points_of(run, scan, density, surface, reading), str(scan), radius, held_out)
+
+
+def ingest_of(run: Run, scan: Path, reading: ReadOptions = ReadOptions()) -> StageRecord:
+    """Read the scan; where all of its points say otherwise of it than those that were sampled, once more.
+
+    Raises: InvalidScan for a warning about the scan where the run is strict.
+    """
+    path, files = str(scan.resolve()), fingerprint(scan)
+    ingest = run.do(Ingest(path, files, reading))
+    if ingest.summary["seen"]:
+        ingest = run.do(Ingest(path, files, reading, ingest.summary["seen"]))
+    if run.strict and ingest.summary["warnings"]:
+        raise InvalidScan(str(scan), "; ".join(ingest.summary["warnings"]), "no warnings, with --strict")
+    return ingest
 
 
 def points_of(
-    run: Run, scan: Path, density: float = 1.0, surface: SurfaceRequest = SurfaceRequest()
+    run: Run,
+    scan: Path,
+    density: float = 1.0,
+    surface: SurfaceRequest = SurfaceRequest(),
+    reading: ReadOptions = ReadOptions(),
 ) -> tuple[StageRecord, StageRecord]:
     """Read the scan or the surfaces of a volume, and put its points in chunk order, or that share of them."""
     if is_volume(scan):
         ingest = surface_points(run, scan, surface)
     else:
         refuse_surfaces(scan, surface)
-        ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
+        ingest = ingest_of(run, scan, reading)
     if density * ingest.summary["n_points"] <= IN_MEMORY:
         return ingest, run.do(Partition(ingest.folder, density))
     counts = run.do(GridCounts(ingest.folder, density))

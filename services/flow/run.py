@@ -34,6 +34,7 @@ class Run:
     paint: Callable = _here  # how other pictures are drawn: a function and its arguments
     round: Callable[[int, int], None] = lambda index, n_rounds: None  # hears which point of a trade-off begins
     clock: Callable[[], float] = time.monotonic
+    strict: bool = False  # warnings about the scan are errors
     records: list[StageRecord] = field(default_factory=list)
 
     def do(self, stage: Stage) -> StageRecord:

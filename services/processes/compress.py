@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pipeline.execution.stage import Executor, Progress
 from pipeline.planning.settings import Settings
+from pipeline.readers.files.spelling import shown
 from renderer.report.report import sizes_of
 from services.flow.budget import check_budget
 from services.flow.code import code
@@ -30,17 +31,18 @@ def compress(
     *,
     render: bool = True,
     work: Path | None = None,
+    strict: bool = False,
 ) -> dict:
     """Compress a scan into `out`: NAME.splatpress, report.json, report.html and previews/. Returns the report.
 
     `out` appears with all of it, or not at all; only where the packed file is whole and its pictures or its report
     fail, `out` appears with what there is, and the error says so in a note. With `work` the outputs of the stages stay
-    there and are used again; else they are thrown away.
+    there and are used again; else they are thrown away. Raises InvalidScan for a warning about the scan if `strict`.
     """
     failed: Exception | None = None
     report: dict = {}
     with placed_whole(out) as made:
-        run = Run(work or made / "work", executor, progress)
+        run = Run(work or made / "work", executor, progress, strict=strict)
         try:
             report = make(run, scan, settings, made, render)
         except Exception as error:
@@ -59,10 +61,16 @@ def compress(
 def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = True, name: str | None = None) -> dict:
     """All of a job, into the folder `out`, which is there; the packed file is called `name`, else as the scan.
     Returns the report."""
-    name = name or (scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem)
+    name = name or shown(scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem)
     path = out / (name + SUFFIX)
     prepared = prepare(
-        run, scan, settings.radius, settings.effects, density=settings.density, surface=surface_request(settings)
+        run,
+        scan,
+        settings.radius,
+        settings.effects,
+        density=settings.density,
+        surface=surface_request(settings),
+        reading=settings.reading,
     )
     coded = code(run, prepared, settings) if is_textured(prepared) else None
     packed = pack(run, prepared, coded, settings, name, path)
@@ -121,6 +129,7 @@ def _scan_record(prepared: Prepared) -> dict:
     if scan["cameras"] and n_blind:
         warnings.append(f"{n_blind} of {scan['n_points']} splats are seen by no camera and have the scan's colour")
     found = {"unit": scan["unit"], "n_points": scan["n_read"], "n_cameras": len(scan["cameras"]), "warnings": warnings}
+    found["unused"] = scan.get("unused", [])
     return found | ({"volume": scan["volume"]} if "volume" in scan else {})
 
 

@@ -29,7 +29,14 @@ def effects_of(
     with _run(executor, progress, work) as run:
         return plan_scan(
             run,
-            splats_of(run, scan, settings.radius, density=settings.density, surface=surface_request(settings)).sources,
+            splats_of(
+                run,
+                scan,
+                settings.radius,
+                density=settings.density,
+                surface=surface_request(settings),
+                reading=settings.reading,
+            ).sources,
             parse_request(settings.effects),
         )[0].to_json()
 
@@ -55,7 +62,13 @@ def worth_of_effects(
             before = len(run.records)
             asked = replace(settings, effects=canonical_request(requests[name]))
             prepared = prepare(
-                run, scan, asked.radius, asked.effects, density=asked.density, surface=surface_request(asked)
+                run,
+                scan,
+                asked.radius,
+                asked.effects,
+                density=asked.density,
+                surface=surface_request(asked),
+                reading=asked.reading,
             )
             coded = code(run, prepared, asked) if is_textured(prepared) else None
             path = Path(folder) / f"{len(variants)}{SUFFIX}"

@@ -105,7 +105,13 @@ def _one_at_a_time(folder: Path, do: Callable[[], StageRecord]) -> StageRecord:
 
 def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
     prepared = prepare(
-        run, scan, settings.radius, settings.effects, density=settings.density, surface=surface_request(settings)
+        run,
+        scan,
+        settings.radius,
+        settings.effects,
+        density=settings.density,
+        surface=surface_request(settings),
+        reading=settings.reading,
     )
     ran: dict[Path, tuple[Stage, StageRecord]] = {}
 

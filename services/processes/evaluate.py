@@ -90,7 +90,13 @@ def _measure(
     render: bool,
 ) -> dict:
     prepared = prepare(
-        run, scan, settings.radius, settings.effects, density=settings.density, surface=surface_request(settings)
+        run,
+        scan,
+        settings.radius,
+        settings.effects,
+        density=settings.density,
+        surface=surface_request(settings),
+        reading=settings.reading,
     )
     if not is_textured(prepared):
         raise InvalidScan(
@@ -209,7 +215,9 @@ def _held_out_photos(scan: Path, prepared: Prepared, every: int) -> tuple[int, .
 
 def _held_out(e: Evaluation, out: Path, every: int, chosen: tuple[int, ...]) -> None:
     """The file made without every N-th photograph, seen from their cameras."""
-    prepared = prepare(e.run, e.scan, e.settings.radius, e.settings.effects, chosen, e.settings.density)
+    prepared = prepare(
+        e.run, e.scan, e.settings.radius, e.settings.effects, chosen, e.settings.density, e.settings.reading
+    )
     coded = code(e.run, prepared, e.settings)
     path = e.out / f"held-out{SUFFIX}"
     pack(e.run, prepared, coded, e.settings, e.scan.stem, path)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pipeline.execution.stage import Executor, Progress
 from pipeline.readers import inspect_scan
+from pipeline.readers.attributes.options import ReadOptions
 from pipeline.readers.check import Finding, check_scan
 from pipeline.volumes.inspect import check_volume, inspect_volume
 from pipeline.volumes.open import HANDLED, is_volume
@@ -16,11 +17,11 @@ from storage.errors import InvalidScan, UnsupportedScan
 from storage.packed.seal import is_packed_file
 
 
-def inspect(path: Path) -> dict:
+def inspect(path: Path, reading: ReadOptions = ReadOptions()) -> dict:
     """A JSON-able account of a scan or a packed file."""
     if is_volume(path):
         return inspect_volume(str(path))
-    return inspect_packed(path) if is_packed_file(path) else inspect_scan(str(path))
+    return inspect_packed(path) if is_packed_file(path) else inspect_scan(str(path), reading)
 
 
 def inspect_packed(path: Path) -> dict:
@@ -33,12 +34,12 @@ def inspect_packed(path: Path) -> dict:
     return {**header, "kind": "packed", "file_bytes": path.stat().st_size, "cameras": [c["name"] for c in cameras]}
 
 
-def check(path: Path) -> dict:
-    """A JSON-able account of what is wrong with a scan; `ok` unless a finding is an error."""
-    findings = _check_volume(path) if is_volume(path) else check_scan(str(path))
+def check(path: Path, reading: ReadOptions = ReadOptions(), strict: bool = False) -> dict:
+    """A JSON-able account of what is wrong with a scan; `ok` unless a finding is an error, or a warning if `strict`."""
+    findings = _check_volume(path) if is_volume(path) else check_scan(str(path), reading)
     return {
         "path": str(path),
-        "ok": all(f.severity != "error" for f in findings),
+        "ok": not {f.severity for f in findings} & ({"error", "warning"} if strict else {"error"}),
         "findings": [asdict(f) for f in findings],
     }
 

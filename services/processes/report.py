@@ -8,9 +8,8 @@ from pathlib import Path
 from pipeline.effects.exposure import exposed
 from pipeline.execution.stage import Executor, Progress
 from pipeline.stages.packed.measure import Measure, ingest_fits
-from pipeline.stages.points.ingest import Ingest
 from services.flow.outputs import write_outputs
-from services.flow.prepare import fingerprint
+from services.flow.prepare import fingerprint, ingest_of
 from services.flow.run import Run
 from storage.errors import InvalidScan
 from storage.packed.packed import PackedFile
@@ -24,7 +23,7 @@ def report(packed: Path, scan: Path, out: Path, executor: Executor, progress: Pr
     with tempfile.TemporaryDirectory(prefix=".work.", dir=out) as work:
         run = Run(Path(work), executor, progress)
         quality, numerics = {}, {}
-        ingest = run.do(Ingest(str(scan.resolve()), fingerprint(scan)))
+        ingest = ingest_of(run, scan)
         if not ingest_fits(ingest.folder, [c.name for c in header.cameras]):
             raise InvalidScan(
                 str(scan),

@@ -174,6 +174,7 @@ def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
         step.settings.effects,
         density=step.settings.density,
         surface=surface_request(step.settings),
+        reading=step.settings.reading,
     )
     if not is_textured(prepared):
         raise InvalidScan(

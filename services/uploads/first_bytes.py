@@ -16,7 +16,7 @@ import zlib
 from dataclasses import dataclass, replace
 from typing import BinaryIO
 
-from pipeline.readers.members import escapes
+from pipeline.readers.files.members import escapes
 from pipeline.readers.ply.header import MAX_HEADER_BYTES, PlyHeader, parse_header
 from services.problems import Problem
 from services.settings import ServiceSettings

@@ -2,7 +2,7 @@
 
 pycolmap reads the model, but only after its files have been walked here: given a truncated file it may abort the
 process, or return whatever was in memory. The walk hands pycolmap a copy without image points and 3D points, which
-make up nearly all of a model and say nothing about cameras.
+make up nearly all of a model and say nothing about cameras, and with numbers in place of names, which are bytes of any encoding.
 
 References: src/colmap/scene/reconstruction_io.cc in COLMAP 4.
 """
@@ -13,6 +13,7 @@ import io
 import os
 import struct
 import tempfile
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -21,19 +22,16 @@ from typing import BinaryIO
 import numpy as np
 import pycolmap
 
-from pipeline.readers.members import Members, escapes
+from pipeline.readers.colmap.text import plain_cameras, plain_images, plain_text
+from pipeline.readers.files.members import Members, escapes
+from pipeline.readers.files.spelling import name_of, shown
 from pipeline.readers.photos import MAX_SIDE_PX
 from storage.errors import InvalidScan
 
-MODEL_FOLDERS = ("sparse", "sparse/0")
 MAX_NAME_BYTES = 4096
-MAX_TEXT_BYTES = 1 << 26  # cameras.txt, rigs.txt, frames.txt
-MAX_LINE_BYTES = 1 << 28  # a photo with 10 million image points in one line of images.txt
+NEARLY_ONE = 0.01  # how far the length of a quaternion may be from 1, as that of four digits is
 
 _N_POSE = 7  # quaternion w x y z, translation x y z
-_SPACE = (
-    b"\x1f"  # stands for the spaces of a name while pycolmap reads a text model: it takes a name to end at the first
-)
 _EMPTY_BIN = struct.pack("<Q", 0)
 
 
@@ -41,7 +39,7 @@ _EMPTY_BIN = struct.pack("<Q", 0)
 class RegisteredPhoto:
     """One registered image as the model has it; the camera may be distorted."""
 
-    name: str
+    name: str  # as Python's file functions have it
     camera_id: int
     model: str
     width_px: int
@@ -58,8 +56,11 @@ class RegisteredPhoto:
 
 @cache
 def _n_params_by_model() -> dict[int, int]:
-    models = [m for name, m in pycolmap.CameraModelId.__members__.items() if name != "INVALID"]
-    return {int(m): len(pycolmap.Camera.create_from_model_id(1, m, 1.0, 1, 1).params) for m in models}
+    return {int(m): len(pycolmap.Camera.create_from_model_id(1, m, 1.0, 1, 1).params) for m in _models().values()}
+
+
+def _models() -> dict[str, pycolmap.CameraModelId]:
+    return {name: m for name, m in pycolmap.CameraModelId.__members__.items() if name != "INVALID"}
 
 
 class _Walk:
@@ -67,6 +68,7 @@ class _Walk:
 
     def __init__(self, stream: BinaryIO, where: str) -> None:
         self.stream, self.where, self.copy, self.offset = stream, where, io.BytesIO(), 0
+        self.names: dict[int, str] = {}
 
     def take(self, layout: str, keep: bool = True) -> tuple:
         size = struct.calcsize("<" + layout)
@@ -80,11 +82,19 @@ class _Walk:
 
     def take_name(self) -> str:
         name = bytearray()
-        while (byte := self.take("c")[0]) != b"\0":
+        while (byte := self.take("c", keep=False)[0]) != b"\0":
             name += byte
             if len(name) > MAX_NAME_BYTES:
                 raise InvalidScan(self.where, f"a name without an end at byte {self.offset}", f"{MAX_NAME_BYTES} bytes")
-        return name.decode("utf-8", errors="replace")
+        return name_of(bytes(name))
+
+    def take_pose(self) -> None:
+        """A quaternion, which is made of length 1 where it nearly is, and a translation."""
+        pose = np.array(self.take(f"{_N_POSE}d", keep=False))
+        length = np.linalg.norm(pose[:4])
+        if np.isfinite(length) and abs(length - 1) < NEARLY_ONE:
+            pose[:4] /= length
+        self.copy.write(struct.pack(f"<{_N_POSE}d", *pose))
 
     def skip(self, n_bytes: int) -> None:
         for first in range(0, n_bytes, 1 << 20):
@@ -107,8 +117,11 @@ def _walk_cameras(walk: _Walk) -> None:
 
 def _walk_images(walk: _Walk) -> None:
     for _ in range(walk.take("Q")[0]):
-        walk.take(f"I{_N_POSE}dI")
-        walk.take_name()
+        (image_id,) = walk.take("I")
+        walk.take_pose()
+        walk.take("I")
+        walk.names[image_id] = walk.take_name()
+        walk.copy.write(_token(image_id) + b"\0")
         (n_points,) = walk.take("Q", keep=False)
         walk.skip(24 * n_points)
         walk.copy.write(_EMPTY_BIN)
@@ -120,12 +133,13 @@ def _walk_rigs(walk: _Walk) -> None:
         for i in range(n_sensors):
             walk.take("iI")
             if i > 0 and walk.take("B")[0]:  # the first sensor is the reference and has no pose
-                walk.take(f"{_N_POSE}d")
+                walk.take_pose()
 
 
 def _walk_frames(walk: _Walk) -> None:
     for _ in range(walk.take("Q")[0]):
-        walk.take(f"II{_N_POSE}d")
+        walk.take("II")
+        walk.take_pose()
         for _ in range(walk.take("I")[0]):
             walk.take("iIQ")
 
@@ -138,60 +152,63 @@ _WALKS: dict[str, Callable[[_Walk], None]] = {
 }
 
 
-def _text_without_points(stream: BinaryIO, where: str) -> bytes:
-    """images.txt with its second lines, the image points, left empty."""
-    kept, is_points = [], False
-    while line := stream.readline(MAX_LINE_BYTES):
-        if len(line) == MAX_LINE_BYTES:
-            raise InvalidScan(where, f"a line of {MAX_LINE_BYTES} bytes", "shorter lines")
-        if is_points:
-            kept.append(b"\n")
-            is_points = False
-        elif line.strip() and not line.lstrip().startswith(b"#"):
-            fields = line.split(None, _N_POSE + 2)  # number, pose, camera, and the name, which may hold spaces
-            kept.append(b" ".join([*fields[:-1], fields[-1].rstrip().replace(b" ", _SPACE)]) + b"\n")
-            is_points = True
-    return b"".join(kept)
+def _token(image_id: int) -> bytes:
+    """What stands for an image's name while pycolmap reads the model."""
+    return b"%d" % image_id
 
 
-def _short_text(stream: BinaryIO, where: str) -> bytes:
-    text = stream.read(MAX_TEXT_BYTES + 1)
-    if len(text) > MAX_TEXT_BYTES:
-        raise InvalidScan(where, f"more than {MAX_TEXT_BYTES} bytes", f"at most {MAX_TEXT_BYTES}")
-    return text
+@dataclass(frozen=True)
+class _Copied:
+    """A model written for pycolmap; `names` by image."""
+
+    where: str
+    names: dict[int, str]
+    warnings: tuple[str, ...]
 
 
-def _find_model(members: Members) -> tuple[str, str]:
-    """The folder and the ending of the model's files."""
-    for folder in MODEL_FOLDERS:
-        for ending in (".bin", ".txt"):
-            if members.size(f"{folder}/cameras{ending}") is not None:
-                return folder, ending
-    allowed = "cameras and images as .bin or .txt in sparse/ or sparse/0/"
-    hint = "a dense workspace is what COLMAP's image_undistorter and stereo_fusion write"
-    raise InvalidScan(members.label("sparse"), "no COLMAP model", allowed, hint)
+def _ending_of(members: Members, folder: str) -> str:
+    """ ".bin" or ".txt", as the model's files end; the former where there are both."""
+    for ending in (".bin", ".txt"):
+        if all(members.names.find(_joined(folder, part + ending)) for part in ("cameras", "images")):
+            return ending
+    raise InvalidScan(
+        members.label(folder), "no whole COLMAP model", "cameras and images side by side, as .bin or .txt"
+    )
 
 
-def _copy_model(members: Members, target: str) -> str:
-    """Writes the checked model to `target`; returns a label for messages."""
-    folder, ending = _find_model(members)
+def _joined(folder: str, name: str) -> str:
+    return f"{folder}/{name}" if folder else name
+
+
+def _copy_model(members: Members, folder: str, target: str) -> _Copied:
+    """Writes the checked model to `target`."""
+    ending, names, warnings = _ending_of(members, folder), {}, []
+
+    def token_of(image_id: int, name: str) -> bytes:
+        names[image_id] = name
+        return _token(image_id)
+
     for part, walk_part in _WALKS.items():
-        name = f"{folder}/{part}{ending}"
-        if members.size(name) is None:
-            if part in ("cameras", "images"):
-                raise InvalidScan(members.label(name), "missing", "cameras and images side by side")
+        found = members.names.find(_joined(folder, part + ending))
+        if not found:
             continue  # models older than COLMAP 3.12 have neither rigs nor frames
-        with members.open(name) as stream, open(os.path.join(target, part + ending), "wb") as copy:
-            if ending == ".txt":
-                copy_text = _text_without_points if part == "images" else _short_text
-                copy.write(copy_text(stream, members.label(name)))
-            else:
-                walk = _Walk(stream, members.label(name))
+        where = shown(members.label(found[0]))
+        with members.open(found[0]) as stream, open(os.path.join(target, part + ending), "wb") as copy:
+            if ending == ".bin":
+                walk = _Walk(stream, where)
                 walk_part(walk)
                 copy.write(walk.finish())
+                names |= walk.names
+            elif part == "images":
+                content, said = plain_images(stream, where, token_of)
+                copy.write(content)
+                warnings += said
+            else:
+                params = {name: _n_params_by_model()[int(m)] for name, m in _models().items()}
+                copy.write(plain_cameras(stream, where, params) if part == "cameras" else plain_text(stream, where))
     with open(os.path.join(target, "points3D" + ending), "wb") as empty:
         empty.write(_EMPTY_BIN if ending == ".bin" else b"")
-    return members.label(folder)
+    return _Copied(shown(members.label(folder)), names, tuple(warnings))
 
 
 def _check_size(where: str, width: int, height: int) -> None:
@@ -199,16 +216,16 @@ def _check_size(where: str, width: int, height: int) -> None:
         raise InvalidScan(where, f"a size of {width}x{height} pixels", f"1 to {MAX_SIDE_PX} a side")
 
 
-def _registered(model: pycolmap.Reconstruction, image_id: int, where: str) -> RegisteredPhoto:
+def _registered(model: pycolmap.Reconstruction, image_id: int, copied: _Copied) -> RegisteredPhoto:
     image = model.images[image_id]
     camera = model.cameras[image.camera_id]
     pose = image.cam_from_world()
     # The matrix of a quaternion of 0 is the identity, so the quaternion is what has to be checked.
     quaternion, centre = np.asarray(pose.rotation.quat), image.projection_center()
-    name = image.name.replace(_SPACE.decode(), " ")
-    label = f"{where}:image {name!r}"
+    name, where = copied.names[image_id], copied.where
+    label = f"{where}:image {shown(name)!r}"
     if escapes(name):
-        raise InvalidScan(label, "a name that leaves images/", "relative names without '..' or '\\'")
+        raise InvalidScan(label, "a name that leaves images/", "relative names without '..'")
     _check_size(f"{where}:camera {camera.camera_id}", camera.width, camera.height)
     if not abs(np.linalg.norm(quaternion) - 1) < 1e-6 or not np.isfinite(centre).all():
         raise InvalidScan(f"{label}.pose", f"quaternion {quaternion}, centre {centre}", "a rotation and finite numbers")
@@ -227,24 +244,34 @@ def _registered(model: pycolmap.Reconstruction, image_id: int, where: str) -> Re
     )
 
 
-def read_model(members: Members) -> tuple[RegisteredPhoto, ...]:
-    """The registered photos in the order of `reg_image_ids`, which is the order `fused.ply.vis` counts in.
+@dataclass(frozen=True)
+class Model:
+    """A sparse model: its registered photos, in the order of `reg_image_ids`, which is the order `fused.ply.vis` counts in."""
+
+    folder: str
+    photos: tuple[RegisteredPhoto, ...]
+    warnings: tuple[str, ...] = ()
+
+
+def read_model(members: Members, folder: str) -> Model:
+    """The model in a folder of the workspace.
 
     Guarantees: binary and text models of the same scene give the same photos; time does not grow with 3D points.
-    Raises: InvalidScan for a missing, truncated or contradictory model.
+    Raises: InvalidScan for a truncated or contradictory model; UnsupportedScan for a camera model by name.
     """
     with tempfile.TemporaryDirectory(prefix="splatpress-") as target:
-        where = _copy_model(members, target)
+        copied = _copy_model(members, folder, target)
         try:
             model = pycolmap.Reconstruction(target)
-            photos = tuple(_registered(model, image_id, where) for image_id in model.reg_image_ids())
-        except (ValueError, IndexError, RuntimeError) as error:  # UnicodeDecodeError is a ValueError
-            reason = str(error).strip().replace(target, where)
-            raise InvalidScan(where, f"a model that pycolmap refuses ({reason[:300]})", "a whole model") from error
+            photos = tuple(_registered(model, image_id, copied) for image_id in model.reg_image_ids())
+        except (ValueError, IndexError, KeyError, RuntimeError, TypeError) as error:
+            # What pycolmap says names its own source files.
+            found = "cameras, images, rigs and frames that contradict each other"
+            raise InvalidScan(copied.where, found, "a whole model, as COLMAP's model_converter writes it") from error
+    where = copied.where
     if not photos:
         raise InvalidScan(where, "0 registered images", "at least one")
-    names = [p.name for p in photos]
-    if len(set(names)) < len(names):
-        twice = next(n for n in names if names.count(n) > 1)
-        raise InvalidScan(f"{where}:image {twice!r}", "a name that occurs twice", "every name once")
-    return photos
+    twice = [name for name, n in Counter(p.name for p in photos).items() if n > 1]
+    if twice:
+        raise InvalidScan(f"{where}:image {shown(twice[0])!r}", "a name that occurs twice", "every name once")
+    return Model(folder, photos, copied.warnings)

@@ -1,4 +1,4 @@
-"""A COLMAP dense workspace, as a folder or a .zip: `sparse/`, `images/`, `fused.ply`, `fused.ply.vis`.
+"""A COLMAP dense workspace, as a folder or a .zip: `sparse/`, `images/`, `fused.ply`, `fused.ply.vis`; or nerfstudio's like.
 
 Cameras stand in the order of the model's registered images. A distorted camera is replaced by the pinhole camera that
 COLMAP undistorts it to, and its photo is undistorted when it is read. Without `fused.ply.vis` a scan has cameras
@@ -7,173 +7,186 @@ but no visibility.
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import pycolmap
 
-from pipeline.readers.colmap.model import RegisteredPhoto, read_model
+from pipeline.readers.attributes.looks import Looks
+from pipeline.readers.attributes.options import ReadOptions
+from pipeline.readers.colmap.fit import best_model
+from pipeline.readers.colmap.model import Model, read_model
+from pipeline.readers.colmap.photos import Photos, find_photos, read_photo
+from pipeline.readers.colmap.transforms import read_transforms
 from pipeline.readers.colmap.visibility import VisibilityStream, check_visibility
 from pipeline.readers.colmap.visibility_index import visibility_from
-from pipeline.readers.members import Folder, Members, open_archive
-from pipeline.readers.photos import decode_photo, photo_size
-from pipeline.readers.ply.ply import Vertices, open_vertices
-from pipeline.scan import Camera, Piece, ScanSource
-from storage.errors import InvalidScan, UnsupportedScan
-
-_POINTS, _VISIBILITY, _PHOTOS = "fused.ply", "fused.ply.vis", "images"
-_LANDMARKS = ("sparse", _PHOTOS, _POINTS)
-_PINHOLE = ("PINHOLE", "SIMPLE_PINHOLE")
-_PHOTO_HEAD_BYTES = 1 << 18  # enough for the headers of a JPEG with EXIF and thumbnail
+from pipeline.readers.files.members import Folder, Members
+from pipeline.readers.files.spelling import shown
+from pipeline.readers.files.workspaces import POINTS, Workspace
+from pipeline.readers.ply.ply import Vertices, open_vertices, unused_properties
+from pipeline.scan import Piece, ScanSource
+from storage.errors import InvalidScan, SplatpressError
 
 
-def _undistorted(photo: RegisteredPhoto, where: str) -> pycolmap.Camera:
-    """The pinhole camera that stands for the photo's own."""
-    if photo.model in _PINHOLE:
-        return photo.camera
+@dataclass(frozen=True)
+class _Opened:
+    """All that a workspace's source is made of."""
+
+    path: str
+    members: Members
+    model: Model
+    photos: Photos
+    vertices: Vertices
+    visibility: str | None  # the member of visibility lists, where they are used
+    warnings: tuple[str, ...]
+
+
+def _open_points(members: Members, name: str) -> Vertices:
+    opener = partial(members.open, name)
+    return open_vertices(opener, members.size(name), shown(members.label(name)), isinstance(members, Folder))
+
+
+def _read_models(members: Members, workspace: Workspace, asked: str) -> tuple[list[Model], list[str]]:
+    """The models to choose from, and warnings of those that cannot be read.
+
+    Raises: InvalidScan where none can, or where there is none of the folder that was asked for.
+    """
+    folders = [f for f in workspace.models if not asked or f.lower() == asked.strip("/").lower()]
+    if not folders:
+        found = f"no model in {asked!r}" if asked else "no COLMAP model"
+        allowed = ", ".join(workspace.models) if asked else "cameras and images as .bin or .txt in sparse/"
+        hint = "" if asked else "a dense workspace is what COLMAP's image_undistorter and stereo_fusion write"
+        raise InvalidScan(shown(members.label("sparse")), found, allowed, hint)
+    models, errors = [], []
+    for folder in folders:
+        try:
+            models.append(read_model(members, folder))
+        except SplatpressError as error:
+            errors.append(error)
+    if not models:
+        raise errors[0]
+    return models, [f"a model is not used: {error}" for error in errors]
+
+
+def _usable_visibility(members: Members, points: str, n_points: int) -> tuple[str | None, list[str]]:
+    """The member of visibility lists that fit the points, else why they are not used."""
+    found = members.names.find(points + ".vis")
+    by_depth = "what each camera sees will come from a depth test"
+    if not found:
+        return None, [f"{shown(members.label(points + '.vis'))}: missing; {by_depth}"]
     try:
-        return pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), photo.camera)
-    except (ValueError, RuntimeError) as error:
-        hint = "run COLMAP's image_undistorter first"
-        raise UnsupportedScan(where, f"camera model {photo.model}", "models that COLMAP undistorts", hint) from error
+        with members.open(found[0]) as stream:
+            check_visibility(stream, members.size(found[0]), n_points, shown(members.label(found[0])))
+    except InvalidScan as error:
+        return None, [f"{error}; it is not used, {by_depth} (points were cut or added in another program? delete it)"]
+    return found[0], []
 
 
-def _camera(photo: RegisteredPhoto, pinhole: pycolmap.Camera) -> Camera:
-    k = pinhole.calibration_matrix()
-    return Camera(
-        name=photo.name,
-        width_px=int(pinhole.width),
-        height_px=int(pinhole.height),
-        fx_px=float(k[0, 0]),
-        fy_px=float(k[1, 1]),
-        cx_px=float(k[0, 2]),
-        cy_px=float(k[1, 2]),
-        rotation=photo.rotation,
-        centre=photo.centre,
+def _places(opened: _Opened) -> np.ndarray:  # (n_registered,) int32
+    """The camera that each registered photo is; -1 for those that are left out."""
+    place = np.full(len(opened.model.photos), -1, np.int32)
+    place[[f.place for f in opened.photos.files]] = np.arange(len(opened.photos.files))
+    return place
+
+
+def _slice(opened: _Opened, first: int, stop: int, max_points: int) -> Iterator[Piece]:
+    pieces = opened.vertices.slice(first, stop, max_points)
+    if opened.visibility is None:
+        return pieces
+    rows = [min(max_points, stop - at) for at in range(first, stop, max_points)]
+    path, place = opened.members.label(opened.visibility), _places(opened)
+    seen = visibility_from(path, opened.vertices.count, len(place), first, rows)
+    kept = (_without_missing(counts, place[cameras]) for counts, cameras in seen)
+    return (
+        replace(p, visible_count=counts, visible_camera=cameras)
+        for p, (counts, cameras) in zip(pieces, kept, strict=True)
     )
 
 
-def _header_size(members: Members, name: str) -> tuple[int, int]:
-    """Width and height of a photo, from its first bytes where they tell, else from the whole file."""
-    where = members.label(name)
-    n_bytes = members.size(name)
-    try:
-        with members.local(name, _PHOTO_HEAD_BYTES) as path:
-            return photo_size(path, where)
-    except InvalidScan:
-        if n_bytes <= _PHOTO_HEAD_BYTES:
-            raise
-    with members.local(name) as path:  # a header longer than that, or at the end, as TIFF may have it
-        return photo_size(path, where)
-
-
-def _check_photo(members: Members, photo: RegisteredPhoto) -> None:
-    name = f"{_PHOTOS}/{photo.name}"
-    where = members.label(name)
-    camera = f"camera {photo.camera_id} of {photo.width_px}x{photo.height_px} pixels"
-    if members.size(name) is None:
-        raise InvalidScan(where, f"missing, though registered with {camera}", "every registered photo in images/")
-    width, height = _header_size(members, name)
-    if (width, height) != (photo.width_px, photo.height_px):
-        raise InvalidScan(where, f"a photo of {width}x{height} pixels, registered with {camera}", "the same size")
-
-
-def _cameras(members: Members, photos: tuple[RegisteredPhoto, ...]) -> tuple[Camera, ...]:
-    pinholes: dict[int, pycolmap.Camera] = {}
-    for photo in photos:
-        _check_photo(members, photo)
-        if photo.camera_id not in pinholes:
-            pinholes[photo.camera_id] = _undistorted(photo, members.label(f"sparse:camera {photo.camera_id}"))
-    return tuple(_camera(p, pinholes[p.camera_id]) for p in photos)
-
-
-def _read_photo(members: Members, photos: tuple[RegisteredPhoto, ...], i: int) -> np.ndarray:  # (height, width, 3)
-    photo = photos[i]
-    name = f"{_PHOTOS}/{photo.name}"
-    _check_photo(members, photo)  # the file may have changed since the scan was opened
-    with members.local(name) as path:
-        pixels = decode_photo(path, members.label(name))
-    if photo.model in _PINHOLE:
-        return pixels
-    options, bitmap = pycolmap.UndistortCameraOptions(), pycolmap.Bitmap.from_array(pixels)
-    return pycolmap.undistort_image(options, bitmap, photo.camera)[0].to_array()
-
-
-def _pieces_seen(members: Members, vertices: Vertices, n_cameras: int, max_points: int) -> Iterator[Piece]:
-    with members.open(_VISIBILITY) as stream:
-        visibility = VisibilityStream(stream, n_cameras, members.label(_VISIBILITY))
-        for piece in vertices.pieces(max_points):
+def _pieces_seen(opened: _Opened, max_points: int) -> Iterator[Piece]:
+    members, name, place = opened.members, opened.visibility, _places(opened)
+    n_registered = len(place)
+    with members.open(name) as stream:
+        visibility = VisibilityStream(stream, n_registered, shown(members.label(name)))
+        for piece in opened.vertices.pieces(max_points):
             counts, cameras = visibility.take(len(piece.position))
+            counts, cameras = _without_missing(counts, place[cameras])
             yield replace(piece, visible_count=counts, visible_camera=cameras)
         visibility.finish()
 
 
-def _slice(
-    members: Folder, vertices: Vertices, n_cameras: int, is_seen: bool, first: int, stop: int, max_points: int
-) -> Iterator[Piece]:
-    pieces = vertices.slice(first, stop, max_points)
-    if not is_seen:
-        return pieces
-    rows = [min(max_points, stop - at) for at in range(first, stop, max_points)]
-    seen = visibility_from(members.label(_VISIBILITY), vertices.count, n_cameras, first, rows)
-    return (
-        replace(p, visible_count=counts, visible_camera=cameras)
-        for p, (counts, cameras) in zip(pieces, seen, strict=True)
-    )
+def _without_missing(counts: np.ndarray, cameras: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Visibility lists without cameras that are -1."""
+    there = cameras >= 0
+    if there.all():
+        return counts, cameras
+    owner = np.repeat(np.arange(len(counts)), counts)[there]
+    return np.bincount(owner, minlength=len(counts)), cameras[there]
 
 
-def _open_points(members: Members) -> Vertices:
-    n_bytes, where = members.size(_POINTS), members.label(_POINTS)
-    if n_bytes is None:
-        hint = "COLMAP's stereo_fusion writes it"
-        raise InvalidScan(where, "missing", "a dense workspace with fused.ply", hint)
-    return open_vertices(partial(members.open, _POINTS), n_bytes, where)
-
-
-def _has_visibility(members: Members, n_points: int) -> bool:
-    n_bytes = members.size(_VISIBILITY)
-    if n_bytes is None:
-        return False
-    with members.open(_VISIBILITY) as stream:
-        check_visibility(stream, n_bytes, n_points, members.label(_VISIBILITY))
-    return True
-
-
-def open_colmap(path: str) -> ScanSource:
-    """A COLMAP dense workspace.
+def open_workspace(path: str, members: Members, workspace: Workspace, options: ReadOptions) -> ScanSource:
+    """A dense workspace that lies in `members`.
 
     Guarantees: a folder and its .zip give the same cameras, points and photos; nothing is left unpacked on disk.
     Raises: InvalidScan naming the file and what is wrong with it; UnsupportedScan for a camera model by name.
     """
-    members = Folder(path) if os.path.isdir(path) else open_archive(path, _LANDMARKS)
-    photos = read_model(members)
-    vertices = _open_points(members)
-    cameras = _cameras(members, photos)
-    is_seen = _has_visibility(members, vertices.count)
-    warnings = list(vertices.warnings)
-    has_slices = isinstance(members, Folder) and vertices.has_slices  # what is packed is read from its start
-    if not is_seen:
-        warnings.append(f"{members.label(_VISIBILITY)}: missing; what each camera sees will come from a depth test")
+    members = members.below(workspace.root)
+    points, warnings = workspace.points, []
+    if workspace.transforms:
+        model, named = read_transforms(members, workspace.transforms)
+        points, models = _named_points(members, named) or points, [model]
+    else:
+        models, warnings = _read_models(members, workspace, options.sparse_model)
+    if points is None:
+        raise workspace.no_points(members)
+    if points.rpartition("/")[2].lower() != POINTS and not workspace.transforms:
+        warnings.append(f"{shown(members.label(points))} is taken for the points, as there is no {POINTS}")
+    vertices = _open_points(members, points)
+    if len(models) > 1 and vertices.count:
+        fit, said = best_model(members, models, vertices)
+        model, photos, warnings = fit.model, fit.photos, [*warnings, *said]
+    else:
+        model = models[0]
+        photos = find_photos(members, model.photos)
+    visibility, said = _usable_visibility(members, points, vertices.count)
+    warnings += [*said, *model.warnings, *photos.warnings]
+    return _source(_Opened(path, members, model, photos, vertices, visibility, tuple(warnings)))
+
+
+def _named_points(members: Members, named: str | None) -> str | None:
+    found = members.names.find(named.removeprefix("./")) if named else ()
+    return found[0] if len(found) == 1 else None
+
+
+def _source(opened: _Opened) -> ScanSource:
+    vertices, cameras = opened.vertices, opened.photos.cameras
     return ScanSource(
-        path=path,
+        path=opened.path,
         format="colmap",
         n_points=vertices.count,
-        pieces=partial(_pieces_seen, members, vertices, len(cameras)) if is_seen else vertices.pieces,
-        read_slice=partial(_slice, members, vertices, len(cameras), is_seen) if has_slices else None,
+        pieces=partial(_pieces_seen, opened) if opened.visibility else vertices.pieces,
+        read_slice=partial(_slice, opened) if isinstance(opened.members, Folder) and vertices.has_slices else None,
+        settle=partial(_settled, opened) if vertices.is_sample else None,
         cameras=cameras,
-        read_photo=partial(_read_photo, members, photos),
-        has_normals="normal" in vertices.columns,
-        has_colors="color" in vertices.columns,
-        has_intensity="intensity" in vertices.columns,
-        has_visibility=is_seen,
-        warnings=tuple(warnings),
+        read_photo=partial(read_photo, opened.members, opened.photos.files),
+        has_normals=bool(vertices.columns.normal),
+        has_colors=vertices.has_colors,
+        has_intensity=vertices.decision.intensity,
+        has_visibility=opened.visibility is not None,
+        position_type=vertices.position_type,
+        warnings=(*vertices.warnings, *opened.warnings),
+        unused=unused_properties(vertices),
         details={
-            "camera_models": dict(Counter(p.model for p in photos)),
+            "model": shown(opened.model.folder),
+            "camera_models": dict(Counter(f.photo.model for f in opened.photos.files)),
             "comments": list(vertices.header.comments),
             "properties": [p.name for p in vertices.header.vertex.properties],
         },
     )
+
+
+def _settled(opened: _Opened, looks: Looks) -> ScanSource | None:
+    settled = opened.vertices.settled(looks)
+    return settled and _source(replace(opened, vertices=settled))

@@ -1,7 +1,7 @@
 """E57 through libe57: several stations with their poses, read in pieces through buffers of fixed size.
 
-Cartesian or spherical coordinates; points whose state says invalid get NaN positions, so the count stays what the
-header promises and the ingest counts them with the other NaN. Positions are float64, in metres by the standard.
+Cartesian or spherical coordinates. What a scanner did not measure is marked: an invalid state, or a point at the scanner's
+own origin, which some scanners write for what they did not hit. Positions are float64, in metres by the standard.
 
 References: ASTM E2807-11, section 8.4.2; pye57#45 (reading in pieces).
 """
@@ -9,103 +9,238 @@ References: ASTM E2807-11, section 8.4.2; pye57#45 (reading in pieces).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 from pye57 import libe57
 
-from pipeline.readers.e57.images import read_images, read_photo
-from pipeline.readers.e57.nodes import Pose, number, open_image_file, read_pose
+from pipeline.readers.attributes.decisions import WHOLE, Decision, reasons
+from pipeline.readers.attributes.looks import Look, Looks
+from pipeline.readers.attributes.marks import set_marks
+from pipeline.readers.attributes.options import ReadOptions
+from pipeline.readers.attributes.ranges import range_of
+from pipeline.readers.e57.images import Images, read_images, read_photo
+from pipeline.readers.e57.nodes import open_image_file
 from pipeline.readers.e57.packets import BitField, bit_fields, packets_of, read_points
+from pipeline.readers.e57.points import (
+    Rows,
+    color_of,
+    decide_station,
+    local_of,
+    look_at,
+    masks_of,
+    station_rows,
+    usual_top,
+)
+from pipeline.readers.e57.stations import (
+    INTENSITY,
+    Station,
+    read_station,
+)
 from pipeline.scan import Piece, ScanSource
-from storage.errors import InvalidScan, UnsupportedScan
+from storage.errors import InvalidScan, SplatpressError
 
-_CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
-_SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
-_INVALID = {_CARTESIAN: "cartesianInvalidState", _SPHERICAL: "sphericalInvalidState"}
-_COLOR = ("colorRed", "colorGreen", "colorBlue")
-_INTENSITY, _INTENSITY_INVALID = "intensity", "isIntensityInvalid"
+FIRST_POINTS = 1 << 15  # of each station that are looked at where all would be too many
+GREY = 128  # of a station that has no colours while others do
 
 
 @dataclass(frozen=True)
-class Station:
-    """One entry of data3D: what its points hold and how to read it."""
+class _Opened:
+    """All that an E57's source is made of; `looks` by station."""
 
-    name: str
-    n_points: int
-    fields: tuple[str, ...]
-    coordinates: tuple[str, str, str]
-    pose: Pose | None
-    color_limits: tuple[tuple[float, float], ...] | None  # (3) lowest and highest value of each channel
-    intensity_limits: tuple[float, float] | None
-    bounds: tuple[tuple[float, float, float], tuple[float, float, float]] | None
+    path: str
+    options: ReadOptions
+    stations: tuple[Station, ...]
+    images: Images
+    looks: tuple[Look, ...]
+    fields: tuple[tuple[BitField, ...] | None, ...]  # of all scans of the file, empty ones too
+    warnings: tuple[str, ...]
+
+    @property
+    def is_sample(self) -> bool:
+        return any(look.n_points < s.n_points for look, s in zip(self.looks, self.stations, strict=True))
+
+    @cached_property
+    def decisions(self) -> tuple[Decision, ...]:
+        return tuple(decide_station(s, look) for s, look in zip(self.stations, self.looks, strict=True))
 
     @property
     def has_colors(self) -> bool:
-        return set(_COLOR) <= set(self.fields)
+        return any(d.top is not None for d in self.decisions)
 
     @property
     def has_intensity(self) -> bool:
-        return _INTENSITY in self.fields
+        """Whether points have one that can be used: all of them, or some where nothing else tells how they look."""
+        usable = [d.intensity for d in self.decisions]
+        return all(usable) if self.has_colors else any(usable)
+
+    @property
+    def n_points(self) -> int:
+        return sum(s.n_points for s in self.stations)
 
 
-# --- header ---
+# --- points ---
 
 
-def _limits(scan: libe57.StructureNode, group: str, field: str) -> tuple[float, float] | None:
-    """The declared range of a field, from the scan's limits, else from the prototype of its points."""
-    low, high = f"{field}Minimum", f"{field}Maximum"
-    if scan.isDefined(group) and scan[group].isDefined(low) and scan[group].isDefined(high):
-        limits = float(number(scan[group][low])), float(number(scan[group][high]))
-    else:
-        node = libe57.StructureNode(scan["points"].prototype())[field]
-        is_scaled = isinstance(node, libe57.ScaledIntegerNode)
-        ends = (node.scaledMinimum(), node.scaledMaximum()) if is_scaled else (node.minimum(), node.maximum())
-        limits = float(ends[0]), float(ends[1])
-    # Without declared bounds a node gives those of its type, up to 1e308: no range to scale by.
-    return limits if np.isfinite(limits).all() and 0 < limits[1] - limits[0] < 2**32 else None
+def _pieces(opened: _Opened, max_points: int) -> Iterator[Piece]:
+    if max_points < 1:
+        raise ValueError(f"max_points {max_points}; allowed: 1 or more")
+    with open_image_file(opened.path) as file:
+        for i, station in enumerate(opened.stations):
+            where = f"{opened.path}:data3D[{station.index}]"
+            for rows in station_rows(file, where, station, max_points, True):
+                yield _piece(opened, i, rows)
 
 
-def _color_limits(scan: libe57.StructureNode, where: str) -> tuple[tuple[float, float], ...]:
-    limits = tuple(_limits(scan, "colorLimits", field) for field in _COLOR)
-    if None in limits:
-        raise InvalidScan(f"{where}.colorLimits", f"{limits}", "a minimum below a maximum for each channel")
-    return limits
+def _slice(opened: _Opened, first: int, stop: int, max_points: int) -> Iterator[Piece]:
+    """Points first..stop of all stations in a row, without those before them."""
+    packets, before = packets_of(opened.path, tuple(map(len, opened.fields))), 0
+    for i, station in enumerate(opened.stations):
+        names = [name for name in dict.fromkeys(station.used) if name in station.fields]
+        for at in range(max(0, first - before), min(station.n_points, stop - before), max_points):
+            end = min(at + max_points, station.n_points, stop - before)
+            fields = opened.fields[station.index]
+            yield _piece(opened, i, read_points(opened.path, packets[station.index], fields, names, at, end))
+        before += station.n_points
 
 
-def _bounds(scan: libe57.StructureNode, pose: Pose | None) -> tuple | None:
-    """The declared box, where no pose leaves it open whether the box is local or global: writers do both."""
-    if not scan.isDefined("cartesianBounds") or pose not in (None, Pose()):
-        return None
-    box = scan["cartesianBounds"]
-    names = [[f"{axis}{end}" for axis in "xyz"] for end in ("Minimum", "Maximum")]
-    if not all(box.isDefined(n) for row in names for n in row):
-        return None
-    low, high = ([float(number(box[n])) for n in row] for row in names)
-    # Unset bounds are the ends of the number range.
-    return (tuple(low), tuple(high)) if np.abs([low, high]).max() < 1e300 else None
-
-
-def _read_station(scan: libe57.StructureNode, where: str) -> Station:
-    if not scan.isDefined("points"):
-        raise InvalidScan(f"{where}.points", "missing", "the points of the scan")
-    prototype = libe57.StructureNode(scan["points"].prototype())
-    fields = tuple(prototype.get(i).elementName() for i in range(prototype.childCount()))
-    coordinates = next((c for c in (_CARTESIAN, _SPHERICAL) if set(c) <= set(fields)), None)
-    if coordinates is None:
-        raise UnsupportedScan(f"{where}.points", f"fields {list(fields)}", f"{_CARTESIAN} or {_SPHERICAL}")
-    pose = read_pose(scan, where)
-    return Station(
-        name=scan["name"].value() if scan.isDefined("name") else where.rpartition(":")[2],
-        n_points=int(scan["points"].childCount()),
-        fields=fields,
-        coordinates=coordinates,
-        pose=pose,
-        color_limits=_color_limits(scan, where) if set(_COLOR) <= set(fields) else None,
-        intensity_limits=_limits(scan, "intensityLimits", _INTENSITY) if _INTENSITY in fields else None,
-        bounds=_bounds(scan, pose),
+def _piece(opened: _Opened, i: int, rows: Rows) -> Piece:
+    station, decision = opened.stations[i], opened.decisions[i]
+    local = local_of(rows, station)
+    masks, n, look = masks_of(rows, station, local), len(local), None
+    if opened.is_sample:
+        look = opened.looks[i].like()
+        look_at(look, rows, station, masks)
+    drawn_by_color = opened.has_colors
+    normals = _normals(rows, station, n) if any(s.normal for s in opened.stations) else None
+    color, intensity = None, None
+    if drawn_by_color:
+        color = color_of(rows, station, decision.top) if decision.top is not None else np.full((n, 3), GREY, np.uint8)
+    if opened.has_intensity:
+        measured = decision.intensity
+        intensity = rows[INTENSITY].astype(np.float32) if measured else np.full(n, _middle(opened), np.float32)
+    unused = {"no-intensity"} if drawn_by_color or not decision.intensity else {"no-color"}
+    unused |= {"no-color"} if decision.top is None else set()
+    scanners = [s for s in opened.stations if s.has_scanner]
+    at = scanners.index(station) if station.has_scanner else -1
+    return Piece(
+        position=local if station.pose is None else station.pose.apply(local),
+        normal=normals,
+        color=color,
+        intensity=intensity,
+        station=np.full(n, at, np.int32) if scanners else None,
+        look=None if look is None else (i, look),
+        mark=set_marks(n, masks, opened.options.left_out - unused),
     )
+
+
+def _normals(rows: Rows, station: Station, n: int) -> np.ndarray:  # (n, 3) float32, zero where there is none
+    if not station.normal:
+        return np.zeros((n, 3), np.float32)
+    normal = np.stack([rows[name] for name in station.normal], axis=1)
+    return (normal if station.pose is None else normal @ np.array(station.pose.rotation).T).astype(np.float32)
+
+
+def _middle(opened: _Opened) -> float:
+    """The intensity that a station without one is drawn with."""
+    known = [look.intensity.first[0] for look, d in zip(opened.looks, opened.decisions, strict=True) if d.intensity]
+    return float(np.median(known))
+
+
+# --- opening ---
+
+
+def _read_stations(file: libe57.ImageFile, path: str) -> tuple[list[Station], list[str]]:
+    """The stations that can be read, and what is wrong with the others.
+
+    Raises: what the first of them raises, where none can be read.
+    """
+    scans = file.root()["data3D"] if file.root().isDefined("data3D") else []
+    stations, errors = [], []
+    for i, scan in enumerate(scans):
+        try:
+            stations.append(read_station(scan, i, f"{path}:data3D[{i}]"))
+        except SplatpressError as error:
+            errors.append(error)
+        except libe57.E57Exception as error:
+            reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+            errors.append(InvalidScan(f"{path}:data3D[{i}]", f"unreadable ({reason})", "a whole E57 file"))
+    if errors and not stations:
+        raise errors[0]
+    warnings = [f"a station is left out: {error}" for error in errors]
+    if empty := [s.name for s in stations if not s.n_points]:
+        if len(empty) < len(stations):
+            warnings.append(f"{path}: stations {empty} have no points and are left out")
+        stations = [s for s in stations if s.n_points]
+    return stations, warnings
+
+
+def _fields_of(file: libe57.ImageFile) -> tuple[tuple[BitField, ...] | None, ...]:
+    """How the points of each scan are packed; None for one whose points cannot be read from their middle."""
+    scans = file.root()["data3D"] if file.root().isDefined("data3D") else []
+    has_points = (scan.isDefined("points") for scan in scans)
+    return tuple(
+        bit_fields(libe57.StructureNode(scan["points"].prototype())) if has else None
+        for scan, has in zip(scans, has_points, strict=True)
+    )
+
+
+def _first_look(file: libe57.ImageFile, path: str, station: Station, whole: bool) -> Look:
+    look = Look()
+    for rows in station_rows(file, f"{path}:data3D[{station.index}]", station, FIRST_POINTS, whole):
+        local = local_of(rows, station)
+        look_at(look, rows, station, masks_of(rows, station, local))
+    return look
+
+
+def open_e57(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
+    """An E57 file: all its scans one after the other, and its posed images as cameras.
+
+    Guarantees: memory for points is that of one piece; every station's pose is applied in float64.
+    Raises: InvalidScan for a file that is truncated or damaged or contradicts itself; UnsupportedScan for points
+    without coordinates.
+    """
+    with open_image_file(path) as file:
+        stations, warnings = _read_stations(file, path)
+        fields = _fields_of(file)
+        images = read_images(file, path)
+        whole = sum(s.n_points for s in stations) <= WHOLE
+        looks = tuple(_first_look(file, path, station, whole) for station in stations)
+    return _source(_Opened(path, options, tuple(stations), images, looks, fields, tuple(warnings)))
+
+
+def _source(opened: _Opened) -> ScanSource:
+    stations, images = opened.stations, opened.images
+    has_colors, has_intensity = opened.has_colors, opened.has_intensity
+    unused = [n for s in stations for n in s.fields if n not in s.used]
+    return ScanSource(
+        path=opened.path,
+        format="e57",
+        n_points=opened.n_points,
+        pieces=partial(_pieces, opened),
+        read_slice=partial(_slice, opened) if None not in opened.fields else None,
+        settle=partial(_settled, opened) if opened.is_sample else None,
+        unit="metre",
+        cameras=images.cameras,
+        read_photo=partial(read_photo, opened.path, images.blobs) if images.cameras else None,
+        stations=tuple(s.pose.translation if s.pose else (0.0, 0.0, 0.0) for s in stations if s.has_scanner),
+        has_normals=any(s.normal for s in stations),
+        has_colors=has_colors,
+        has_intensity=has_intensity,
+        intensity_range=_intensity_range(opened) if has_intensity else None,
+        bounds=_hull([s.bounds for s in stations]),
+        warnings=(*opened.warnings, *_warnings(opened, has_colors, has_intensity), *images.warnings),
+        unused=tuple(dict.fromkeys(unused)),
+        details={
+            "stations": [{"name": s.name, "points": s.n_points, "fields": list(s.fields)} for s in stations],
+        },
+    )
+
+
+def _settled(opened: _Opened, looks: Looks) -> ScanSource | None:
+    as_all = replace(opened, looks=tuple(looks.parts.get(i, look) for i, look in enumerate(opened.looks)))
+    return None if as_all.decisions == opened.decisions else _source(as_all)
 
 
 def _hull(boxes: list[tuple | None]) -> tuple | None:
@@ -115,158 +250,40 @@ def _hull(boxes: list[tuple | None]) -> tuple | None:
     return tuple(low.tolist()), tuple(high.tolist())
 
 
-def _intensity_range(stations: tuple[Station, ...]) -> tuple[float, float] | None:
-    limits = [s.intensity_limits for s in stations]
+def _intensity_range(opened: _Opened) -> tuple[float, float] | None:
+    limits = [s.intensity_limits for s, d in zip(opened.stations, opened.decisions, strict=True) if d.intensity]
     return None if None in limits else (min(low for low, _ in limits), max(high for _, high in limits))
 
 
-# --- points ---
-
-
-def _buffers(
-    file: libe57.ImageFile, names: list[str], capacity: int
-) -> tuple[dict[str, np.ndarray], libe57.VectorSourceDestBuffer]:
-    arrays = {name: np.empty(capacity, np.float64) for name in names}
-    buffers = libe57.VectorSourceDestBuffer()
-    for name, array in arrays.items():
-        buffers.append(libe57.SourceDestBuffer(file, name, array, capacity, True, True))
-    return arrays, buffers
-
-
-def _position(rows: dict[str, np.ndarray], station: Station) -> np.ndarray:  # (n, 3) float64
-    a, b, c = (rows[name] for name in station.coordinates)
-    if station.coordinates == _CARTESIAN:
-        local = np.stack([a, b, c], axis=1)
-    else:  # range, azimuth, elevation
-        local = np.stack([a * np.cos(c) * np.cos(b), a * np.cos(c) * np.sin(b), a * np.sin(c)], axis=1)
-    invalid = rows.get(_INVALID[station.coordinates])
-    if invalid is not None:
-        local[invalid != 0] = np.nan
-    return local if station.pose is None else station.pose.apply(local)
-
-
-def _color(rows: dict[str, np.ndarray], station: Station) -> np.ndarray:  # (n, 3) uint8
-    scaled = [(rows[name] - low) / (high - low) for name, (low, high) in zip(_COLOR, station.color_limits, strict=True)]
-    # Limits are what the writer declared; a value beyond them is as bright as can be shown.
-    return np.rint(np.clip(np.nan_to_num(np.stack(scaled, axis=1)), 0, 1) * 255).astype(np.uint8)
-
-
-def _intensity(rows: dict[str, np.ndarray]) -> np.ndarray:  # (n,) float32
-    intensity = rows[_INTENSITY].astype(np.float32)
-    if _INTENSITY_INVALID in rows:
-        intensity[rows[_INTENSITY_INVALID] != 0] = np.nan
-    return intensity
-
-
-def _read_names(station: Station, has_colors: bool, has_intensity: bool) -> list[str]:
-    wanted = [*station.coordinates, _INVALID[station.coordinates]]
-    wanted += _COLOR if has_colors else ()
-    wanted += (_INTENSITY, _INTENSITY_INVALID) if has_intensity else ()
-    return [name for name in wanted if name in station.fields]
-
-
-def _station_pieces(
-    points: libe57.CompressedVectorNode, where: str, station: Station, names: list[str], max_points: int
-) -> Iterator[dict[str, np.ndarray]]:
-    arrays, buffers = _buffers(points.destImageFile(), names, max(1, min(max_points, station.n_points)))
-    reader = points.reader(buffers)
-    n_read = 0
-    try:
-        while n := reader.read():
-            n_read += n
-            yield {name: array[:n] for name, array in arrays.items()}
-    finally:
-        reader.close()
-    if n_read != station.n_points:
-        raise InvalidScan(f"{where}.points", f"{n_read} points read", f"{station.n_points}, as the header promises")
-
-
-def _pieces(
-    path: str, stations: tuple[Station, ...], has_colors: bool, has_intensity: bool, max_points: int
-) -> Iterator[Piece]:
-    if max_points < 1:
-        raise ValueError(f"max_points {max_points}; allowed: 1 or more")
-    with open_image_file(path) as file:
-        for i, station in enumerate(stations):
-            names = _read_names(station, has_colors, has_intensity)
-            points = file.root()["data3D"][i]["points"]
-            for rows in _station_pieces(points, f"{path}:data3D[{i}]", station, names, max_points):
-                yield _piece(rows, i, station, has_colors, has_intensity)
-
-
-def _slice(
-    path: str,
-    stations: tuple[Station, ...],
-    fields: tuple[tuple[BitField, ...], ...],
-    has_colors: bool,
-    has_intensity: bool,
-    first: int,
-    stop: int,
-    max_points: int,
-) -> Iterator[Piece]:
-    """Points first..stop of all stations in a row, without those before them."""
-    packets, before = packets_of(path, tuple(map(len, fields))), 0
-    for i, station in enumerate(stations):
-        names = _read_names(station, has_colors, has_intensity)
-        for at in range(max(0, first - before), min(station.n_points, stop - before), max_points):
-            end = min(at + max_points, station.n_points, stop - before)
-            rows = read_points(path, packets[i], fields[i], names, at, end)
-            yield _piece(rows, i, station, has_colors, has_intensity)
-        before += station.n_points
-
-
-def _piece(rows: dict[str, np.ndarray], i: int, station: Station, has_colors: bool, has_intensity: bool) -> Piece:
-    position = _position(rows, station)
-    return Piece(
-        position=position,
-        color=_color(rows, station) if has_colors else None,
-        intensity=_intensity(rows) if has_intensity else None,
-        station=np.full(len(position), i, np.int32),
-    )
-
-
-# --- public ---
-
-
-def _warnings(path: str, stations: tuple[Station, ...]) -> list[str]:
-    warnings = []
-    for what, has in (("colours", "has_colors"), ("intensity", "has_intensity")):
-        without = [s.name for s in stations if not getattr(s, has)]
-        if without and len(without) < len(stations):
-            warnings.append(f"{path}: stations {without} have no {what}, so {what} of the others are not used")
-    return warnings
-
-
-def open_e57(path: str) -> ScanSource:
-    """An E57 file: all its scans one after the other, and its posed pinhole images as cameras.
-
-    Guarantees: memory for points is that of one piece; every station's pose is applied in float64.
-    Raises: InvalidScan for a file that is truncated or damaged or contradicts itself; UnsupportedScan for points
-    without coordinates.
-    """
-    with open_image_file(path) as file:
-        scans = file.root()["data3D"] if file.root().isDefined("data3D") else []
-        stations = tuple(_read_station(scan, f"{path}:data3D[{i}]") for i, scan in enumerate(scans))
-        fields = tuple(bit_fields(libe57.StructureNode(scan["points"].prototype())) for scan in scans)
-        images = read_images(file, path)
-    has_colors = bool(stations) and all(s.has_colors for s in stations)
-    has_intensity = bool(stations) and all(s.has_intensity for s in stations)
-    return ScanSource(
-        path=path,
-        format="e57",
-        n_points=sum(s.n_points for s in stations),
-        pieces=partial(_pieces, path, stations, has_colors, has_intensity),
-        read_slice=partial(_slice, path, stations, fields, has_colors, has_intensity) if None not in fields else None,
-        unit="metre",
-        cameras=images.cameras,
-        read_photo=partial(read_photo, path, images.blobs) if images.cameras else None,
-        stations=tuple((s.pose or Pose()).translation for s in stations),
-        has_colors=has_colors,
-        has_intensity=has_intensity,
-        intensity_range=_intensity_range(stations) if has_intensity else None,
-        bounds=_hull([s.bounds for s in stations]),
-        warnings=(*_warnings(path, stations), *images.warnings),
-        details={
-            "stations": [{"name": s.name, "points": s.n_points, "fields": list(s.fields)} for s in stations],
-        },
-    )
+def _warnings(opened: _Opened, has_colors: bool, has_intensity: bool) -> list[str]:
+    found = []
+    for station, look, decision in zip(opened.stations, opened.looks, opened.decisions, strict=True):
+        if decision.top == 0:
+            continue
+        where, usual = f"{opened.path}:{station.name}", usual_top(station)
+        if station.has_colors and not look.color.n_points:
+            found.append(f"{where}: the colours of all points are marked as invalid and are not used")
+            continue
+        found += reasons(
+            where,
+            look,
+            decision,
+            station.has_colors,
+            station.color_is_float,
+            usual,
+            station.has_intensity,
+            station.n_points,
+        )
+        if (
+            decision.top is not None
+            and range_of(look.color, station.color_is_float, usual).usual
+            and station.color_limits is None
+        ):
+            found.append(f"{where}: its colours declare no limits; taken as 0 to {decision.top:g}")
+    bare = [s.name for s, d in zip(opened.stations, opened.decisions, strict=True) if d.top is None]
+    if has_colors and bare:
+        found.append(f"{opened.path}: stations {bare} have no colours; their points are drawn grey")
+    dark = [s.name for s, d in zip(opened.stations, opened.decisions, strict=True) if not d.intensity]
+    if not has_colors and has_intensity and dark:
+        found.append(f"{opened.path}: stations {dark} have no intensity; their points are drawn in a middle grey")
+    return found

@@ -1,41 +1,45 @@
-"""LAS and LAZ through laspy and lazrs: scale and offset applied in float64, the unit from the coordinate system.
+"""LAS and LAZ: records of known layout, unpacked by lazrs; scale and offset applied in float64, the unit from the coordinate system.
 
-Colours are 16 bits by the standard, yet many writers leave 8-bit values there, or nothing but zeros. A few runs of
-points, spread over the file, decide for all of it; a point that contradicts 8 bits is refused, never clipped.
+The header is read here and not by a library, as its counts have to be checked before anything is read
+(pipeline/readers/las/header.py). Colours are 16 bits by the standard, yet many writers leave 8 or 12 bits there, or zeros:
+pipeline/readers/attributes/ranges.py tells. Normals are taken from extra bytes.
 
 References: ASPRS LAS 1.4 R15.
 """
 
 from __future__ import annotations
 
-import os
-import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Protocol
 
-import laspy
 import lazrs
 import numpy as np
-from laspy.vlrs.known import GeoDoubleParamsVlr, GeoKeyDirectoryVlr, WktCoordinateSystemVlr
 
-from pipeline.readers.las.crs import DEGREE, UNKNOWN, unit_from_geokeys, unit_from_wkt
+from pipeline.readers.attributes.decisions import Decision, decide, probe_starts, reasons
+from pipeline.readers.attributes.looks import Look, Looks
+from pipeline.readers.attributes.marks import set_marks
+from pipeline.readers.attributes.names import columns_of
+from pipeline.readers.attributes.options import ReadOptions
+from pipeline.readers.attributes.ranges import to_8_bits
+from pipeline.readers.las.crs import DEGREE, UNKNOWN, Units, units_from_records
+from pipeline.readers.las.header import LASZIP, RECORD_SIZES, LasHeader, extra_fields, read_header
 from pipeline.scan import Piece, ScanSource
 from storage.errors import InvalidScan, SplatpressError
 
-N_PROBES = 8
-PROBE_POINTS = 2048
+NOISE = (7, 18)
+OVERLAP = 12  # a class up to point format 5, a flag from 6 on
+TOP = 65535.0
 
-_UNIT_SIZE_KEY = 3077
-_RGB = ("red", "green", "blue")
+_RGB_AT = {2: 20, 3: 28, 5: 28, 7: 30, 8: 30, 10: 30}
+_STANDARD = ("return number", "scan angle", "user data", "point source id", "gps time")
 
 
 @contextmanager
 def _refusing(path: str) -> Iterator[None]:
-    """Turns whatever laspy and lazrs raise on broken bytes into InvalidScan.
-
-    Both index and unpack without checks, and lazrs panics with an exception that is no Exception.
-    """
+    """Turns whatever lazrs raises on broken bytes into InvalidScan: it panics with an exception that is no Exception."""
     try:
         yield
     except (SplatpressError, OSError, MemoryError, GeneratorExit):
@@ -47,158 +51,228 @@ def _refusing(path: str) -> Iterator[None]:
         raise
 
 
-def _open(path: str) -> laspy.LasReader:
-    # One thread: what runs many readers side by side decides about cores.
-    return laspy.open(path, laz_backend=laspy.LazBackend.Lazrs)
+def _layout(header: LasHeader) -> np.dtype:
+    """The fields of a record that are read, by name."""
+    new = header.point_format >= 6
+    fields = {"X": ("<i4", 0), "Y": ("<i4", 4), "Z": ("<i4", 8), "intensity": ("<u2", 12), "flags": ("u1", 15)}
+    fields["class"] = ("u1", 16 if new else 15)
+    if at := _RGB_AT.get(header.point_format):
+        fields |= {name: ("<u2", at + 2 * i) for i, name in enumerate(("red", "green", "blue"))}
+    first = RECORD_SIZES[header.point_format]
+    fields |= {f"extra {f.name}": (f"<{f.dtype}", first + f.at) for f in extra_fields(header)}
+    names, values = list(fields), list(fields.values())
+    kinds, at = [v[0] for v in values], [v[1] for v in values]
+    return np.dtype({"names": names, "formats": kinds, "offsets": at, "itemsize": header.record_size})
 
 
-def _check_length(path: str, header: laspy.LasHeader) -> None:
-    n_bytes, start = os.path.getsize(path), header.offset_to_point_data
-    if not header.are_points_compressed:
-        needed = start + header.point_count * header.point_format.size
-        if n_bytes < needed:
-            found = f"{header.point_count} points promised, which need {needed} bytes, in a file of {n_bytes}"
-            raise InvalidScan(f"{path}:point_count", found, "a whole file", "the file may be truncated")
-        return
-    with open(path, "rb") as stream:
-        stream.seek(start)
-        pointer = stream.read(8)
-    chunk_table = struct.unpack("<q", pointer)[0] if len(pointer) == 8 else n_bytes
-    if chunk_table >= n_bytes:  # -1: written to a pipe, and found at the end of the file
-        found = f"a chunk table at byte {chunk_table} in a file of {n_bytes}"
-        raise InvalidScan(f"{path}:chunk table", found, "a whole file", "the file may be truncated")
+class _Records(Protocol):
+    """Points as they lie in the file."""
+
+    def read(self, start: int, n: int) -> np.ndarray: ...
+
+    def close(self) -> None: ...
 
 
-def _check_header(path: str, header: laspy.LasHeader) -> None:
-    scales, offsets = np.asarray(header.scales), np.asarray(header.offsets)
-    if not (np.isfinite(scales).all() and (scales != 0).all()):
-        raise InvalidScan(f"{path}:scale", f"{scales.tolist()}", "finite and not 0")
-    if not np.isfinite(offsets).all():
-        raise InvalidScan(f"{path}:offset", f"{offsets.tolist()}", "finite")
-    _check_length(path, header)
+class _Plain:
+    def __init__(self, path: str, header: LasHeader, dtype: np.dtype) -> None:
+        self.stream, self.header, self.dtype = open(path, "rb"), header, dtype
+
+    def read(self, start: int, n: int) -> np.ndarray:
+        self.stream.seek(self.header.points_at + start * self.dtype.itemsize)
+        return np.fromfile(self.stream, self.dtype, n)
+
+    def close(self) -> None:
+        self.stream.close()
 
 
-def _unit(header: laspy.LasHeader) -> str:
-    records = [*header.vlrs, *(header.evlrs or [])]
-    for record in records:
-        if isinstance(record, WktCoordinateSystemVlr) and (unit := unit_from_wkt(record.string)) != UNKNOWN:
-            return unit
-    keys = [k for r in records if isinstance(r, GeoKeyDirectoryVlr) for k in r.geo_keys]
-    doubles = [float(d) for r in records if isinstance(r, GeoDoubleParamsVlr) for d in np.asarray(r.doubles)]
-    sizes = [k.value_offset for k in keys if k.id == _UNIT_SIZE_KEY and k.value_offset < len(doubles)]
-    size = doubles[sizes[0]] if sizes else None
-    return unit_from_geokeys({k.id: k.value_offset for k in keys}, size)
+class _Packed:
+    """One thread: what runs many readers side by side decides about cores."""
+
+    def __init__(self, path: str, header: LasHeader, dtype: np.dtype) -> None:
+        self.stream, self.dtype, self.at = open(path, "rb"), dtype, 0
+        self.stream.seek(header.points_at)
+        self.decoder = lazrs.LasZipDecompressor(self.stream, header.record(*LASZIP))
+
+    def read(self, start: int, n: int) -> np.ndarray:
+        if start != self.at:
+            self.decoder.seek(start)
+        rows = bytearray(n * self.dtype.itemsize)
+        self.decoder.decompress_many(rows)
+        self.at = start + n
+        return np.frombuffer(rows, self.dtype)
+
+    def close(self) -> None:
+        self.stream.close()
 
 
-def _probe(reader: laspy.LasReader, names: tuple[str, ...]) -> int | None:
-    """The largest value of some dimensions in a few runs of points, or None where no point has them."""
-    header = reader.header
-    if not header.point_count or not set(names) <= set(header.point_format.dimension_names):
+def _open_records(path: str, header: LasHeader) -> _Records:
+    return (_Packed if header.compressed else _Plain)(path, header, _layout(header))
+
+
+# --- what a record says ---
+
+
+def _colors(rows: np.ndarray) -> np.ndarray | None:  # (n, 3) uint16
+    return np.stack([rows[c] for c in ("red", "green", "blue")], axis=1) if "red" in rows.dtype.names else None
+
+
+def _masks(rows: np.ndarray, header: LasHeader, wanted: frozenset[str]) -> dict[str, np.ndarray]:
+    """Which points bear which of the `wanted` marks."""
+    flags, new = rows["flags"], header.point_format >= 6
+    class_ = rows["class"] if new else rows["class"] & 31
+    found = {
+        "withheld": lambda: flags & (4 if new else 128) != 0,
+        "synthetic": lambda: flags & (1 if new else 32) != 0,
+        "noise": lambda: (class_ == NOISE[0]) | (class_ == NOISE[1]),
+        "overlap": lambda: (class_ == OVERLAP) | (flags & 8 != 0 if new else False),
+    }
+    return {name: mask() for name, mask in found.items() if name in wanted}
+
+
+def _normal(rows: np.ndarray, header: LasHeader, names: tuple[str, ...]) -> np.ndarray | None:  # (n, 3) float32
+    if not names:
         return None
-    top = 0
-    for start in np.linspace(0, max(0, header.point_count - PROBE_POINTS), N_PROBES).astype(int):
-        reader.seek(int(start))
-        points = reader.read_points(PROBE_POINTS)
-        top = max([top, *(int(np.max(points[c], initial=0)) for c in names)])
-    return top
+    fields = {f.name: f for f in extra_fields(header)}
+    columns = [rows[f"extra {n}"] * fields[n].scale + fields[n].offset for n in names]
+    return np.stack(columns, axis=1).astype(np.float32)
 
 
-def _color(points: laspy.ScaleAwarePointRecord, top: int, path: str, first: int) -> np.ndarray:  # (n, 3) uint8
-    values = np.stack([np.asarray(points[c]) for c in _RGB], axis=1).astype(np.uint32)
-    if top > 255:
-        return ((values + 128) // 257).astype(np.uint8)
-    if values.size and values.max() > 255:
-        row, channel = np.argwhere(values > 255)[0]
-        found = f"{values[row, channel]}, though the points sampled across the file hold 8-bit values"
-        raise InvalidScan(f"{path}:{_RGB[channel]} of point {first + row}", found, "0 to 255, or 16 bits throughout")
-    return values.astype(np.uint8)
+def _look_at(look: Look, rows: np.ndarray, header: LasHeader, masks: dict[str, np.ndarray]) -> None:
+    look.add(len(rows), _colors(rows), rows["intensity"], masks)
 
 
-def _pieces(path: str, n_points: int, top: int | None, has_intensity: bool, max_points: int) -> Iterator[Piece]:
-    return _slice(path, n_points, top, has_intensity, 0, n_points, max_points)
+# --- opening ---
 
 
-def _slice(
-    path: str, n_points: int, top: int | None, has_intensity: bool, first: int, stop: int, max_points: int
-) -> Iterator[Piece]:
-    with _refusing(path), _open(path) as reader:
-        scales, offsets = np.asarray(reader.header.scales), np.asarray(reader.header.offsets)
-        if first:
-            reader.seek(first)
-        while first < stop and len(points := reader.read_points(min(max_points, stop - first))):
-            raw = np.stack([np.asarray(points.X), np.asarray(points.Y), np.asarray(points.Z)], axis=1)
+@dataclass(frozen=True)
+class _Opened:
+    """All that a file's source is made of."""
+
+    path: str
+    header: LasHeader
+    options: ReadOptions
+    look: Look
+
+    @property
+    def decision(self) -> Decision:
+        return _decide(self.look, self.header)
+
+    @property
+    def is_sample(self) -> bool:
+        return self.look.n_points < self.header.n_points
+
+
+def _pieces(opened: _Opened, max_points: int) -> Iterator[Piece]:
+    return _slice(opened, 0, opened.header.n_points, max_points)
+
+
+def _slice(opened: _Opened, start: int, stop: int, max_points: int) -> Iterator[Piece]:
+    header, options, decision = opened.header, opened.options, opened.decision
+    wanted = options.left_out
+    scales, offsets = np.array(header.scales), np.array(header.offsets)
+    scales[2], offsets[2] = scales[2] * options.height_scale, offsets[2] * options.height_scale
+    normals = columns_of(f.name for f in extra_fields(header)).normal
+    with _refusing(opened.path), closing(_open_records(opened.path, header)) as records:
+        for first in range(start, stop, max_points):
+            n = min(max_points, stop - first)
+            rows = records.read(first, n)
+            if len(rows) < n:
+                found = f"{first + len(rows)} points read"
+                raise InvalidScan(f"{opened.path}:point_count", found, f"{header.n_points}, as the header promises")
+            masks = _masks(rows, header, wanted)
+            look = opened.look.like() if opened.is_sample else None
+            if look is not None:
+                _look_at(look, rows, header, masks)
             yield Piece(
-                position=raw * scales + offsets,
-                color=_color(points, top, path, first) if top else None,
-                intensity=np.asarray(points.intensity).astype(np.float32) if has_intensity else None,
+                position=np.stack([rows["X"], rows["Y"], rows["Z"]], axis=1) * scales + offsets,
+                normal=_normal(rows, header, normals),
+                color=to_8_bits(_colors(rows), decision.top) if decision.top else None,
+                intensity=rows["intensity"].astype(np.float32) if decision.intensity else None,
+                mark=set_marks(len(rows), masks, wanted - decision.ignored),
+                look=None if look is None else (0, look),
             )
-            first += len(points)
-    if first != stop:
-        raise InvalidScan(f"{path}:point_count", f"{first} points read", f"{n_points}, as the header promises")
 
 
-def _chunk_rows(header: laspy.LasHeader) -> int:
+def _decide(look: Look, header: LasHeader) -> Decision:
+    return decide(look, header.point_format in _RGB_AT, False, TOP, True)
+
+
+def _settled(opened: _Opened, looks: Looks) -> ScanSource | None:
+    as_all = replace(opened, look=looks.parts[0])
+    return None if as_all.decision == opened.decision else _source(as_all)
+
+
+def _chunk_rows(header: LasHeader) -> int:
     """Points a chunk of a LAZ file, which is decoded from its start; 1 where nothing is, or chunks differ."""
-    if not header.are_points_compressed:
+    if not header.compressed:
         return 1
-    laz = lazrs.LazVlr(header.vlrs.get("LasZipVlr")[0].record_data)
+    laz = lazrs.LazVlr(header.record(*LASZIP))
     return 1 if laz.uses_variable_size_chunks() else max(1, laz.chunk_size())
 
 
-def _bounds(header: laspy.LasHeader) -> tuple | None:
-    low, high = np.asarray(header.mins, np.float64), np.asarray(header.maxs, np.float64)
-    if not (np.isfinite(low).all() and np.isfinite(high).all()):
-        return None
-    return tuple(low.tolist()), tuple(high.tolist())
-
-
-def _warnings(path: str, unit: str, top: int | None, has_intensity: bool, has_bounds: bool) -> tuple[str, ...]:
-    warnings = []
-    if unit == UNKNOWN:
-        warnings.append(f"{path}: no coordinate system that names a unit; the unit is unknown")
-    if unit == DEGREE:
-        warnings.append(f"{path}: geographic coordinates in degrees; distances mix degrees with heights")
-    if top == 0:
-        warnings.append(f"{path}: its colours are all 0 in the points sampled and are not used")
-    elif top is not None and top <= 255:
-        warnings.append(f"{path}: 16-bit colours hold 8-bit values (largest sampled: {top}); taken as 8 bits")
-    if not has_intensity:
-        warnings.append(f"{path}: its intensity is 0 in all points sampled and is not used")
-    if not has_bounds:
-        warnings.append(f"{path}: the bounds in the header are not finite and are ignored")
-    return tuple(warnings)
-
-
-def open_las(path: str) -> ScanSource:
-    """A LAS or LAZ file as a scan without cameras.
-
-    Guarantees: positions are scaled and offset; reads the header and N_PROBES short runs of points.
-    Raises: InvalidScan for a file that is truncated, damaged or contradicts itself.
-    """
-    with _refusing(path), _open(path) as reader:
-        header = reader.header
-        _check_header(path, header)
-        chunk_rows = _chunk_rows(header)  # before points are read: laspy takes the record out of the header then
-        top, has_intensity = _probe(reader, _RGB), bool(_probe(reader, ("intensity",)))
-        unit, bounds = _unit(header), _bounds(header)
+def _source(opened: _Opened) -> ScanSource:
+    path, header, options, look = opened.path, opened.header, opened.options, opened.look
+    decision = opened.decision
+    units = units_from_records(header.records)
+    has_bounds = bool(np.isfinite([*header.low, *header.high]).all())
+    warnings = [*header.warnings, *_warnings(path, units, has_bounds, options)]
+    warnings += reasons(path, look, decision, header.point_format in _RGB_AT, False, TOP, True, header.n_points)
+    columns = columns_of(f.name for f in extra_fields(header))
+    named = ("red", "green", "blue") if decision.top else ()
     return ScanSource(
         path=path,
         format="las",
-        n_points=int(header.point_count),
-        pieces=partial(_pieces, path, int(header.point_count), top, has_intensity),
-        read_slice=partial(_slice, path, int(header.point_count), top, has_intensity),
-        slice_rows=chunk_rows,
-        unit=unit,
-        has_colors=bool(top),
-        has_intensity=has_intensity,
-        bounds=bounds,
-        warnings=_warnings(path, unit, top, has_intensity, bounds is not None),
+        n_points=header.n_points,
+        pieces=partial(_pieces, opened),
+        read_slice=partial(_slice, opened),
+        slice_rows=_chunk_rows(header),
+        settle=partial(_settled, opened) if opened.is_sample else None,
+        unit=units.horizontal,
+        has_normals=bool(columns.normal),
+        has_colors=decision.top is not None,
+        has_intensity=decision.intensity,
+        bounds=(header.low, header.high) if has_bounds else None,
+        position_step=float(np.abs(header.scales).max()),
+        warnings=tuple(warnings),
+        unused=(*_STANDARD, *columns.unused, *columns.color, *columns.intensity),
         details={
-            "version": str(header.version),
-            "point_format": int(header.point_format.id),
-            "compressed": bool(header.are_points_compressed),
-            "scales": [float(s) for s in header.scales],
-            "offsets": [float(o) for o in header.offsets],
-            "properties": list(header.point_format.dimension_names),
+            "version": header.version,
+            "point_format": header.point_format,
+            "compressed": header.compressed,
+            "scales": list(header.scales),
+            "offsets": list(header.offsets),
+            "records": [f"{r.user} {r.id}" for r in header.records],
+            "properties": ["X", "Y", "Z", "intensity", *named, *(f.name for f in extra_fields(header))],
         },
     )
+
+
+def _warnings(path: str, units: Units, has_bounds: bool, options: ReadOptions) -> list[str]:
+    warnings = [f"{path}: {warning}" for warning in units.warnings]
+    if units.horizontal == UNKNOWN:
+        warnings.append(f"{path}: no coordinate system that names a unit; the unit is unknown")
+    if units.horizontal == DEGREE:
+        warnings.append(f"{path}: geographic coordinates in degrees; distances mix degrees with heights")
+    elif units.differ and options.height_scale == 1:
+        found = f"{path}: its heights are in {units.vertical} and its other coordinates in {units.horizontal}"
+        warnings.append(f"{found}; heights are not scaled (scale them: --height-scale {units.height_scale:.10g})")
+    if not has_bounds:
+        warnings.append(f"{path}: the bounds in the header are not finite and are ignored")
+    return warnings
+
+
+def open_las(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
+    """A LAS or LAZ file as a scan without cameras.
+
+    Guarantees: positions are scaled and offset; reads the header and, of a large scan, a few short runs of points.
+    Raises: InvalidScan for a file that is truncated, damaged or contradicts itself; UnsupportedScan.
+    """
+    header = read_header(path)
+    look = Look()
+    if header.n_points:
+        with _refusing(path), closing(_open_records(path, header)) as records:
+            for start, n in probe_starts(header.n_points):
+                rows = records.read(start, n)
+                _look_at(look, rows, header, _masks(rows, header, options.left_out))
+    with _refusing(path):
+        return _source(_Opened(path, header, options, look))

@@ -1,10 +1,13 @@
 """The header of a PLY file: its elements and their properties, in file order.
 
+Lines may end with LF, CR LF, CR or LF CR. Where the data begins after `end_header` is told from how the first line ends.
+
 References: G. Turk, The PLY Polygon File Format, 1994.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
@@ -33,15 +36,25 @@ _TYPES = {
     "double": "f8",
     "float32": "f4",
     "float64": "f8",
+    "int64": "i8",
+    "uint64": "u8",
+    "long": "i8",
+    "ulong": "u8",
 }
 _BYTE_ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_LINE_END = re.compile(rb"\r\n|\n\r|\r|\n")
+END = re.compile(rb"(?:^|[\r\n])[ \t]*end_header[ \t]*(?=[\r\n])")
 
 
 @dataclass(frozen=True)
 class Property:
     name: str
-    dtype: str  # numpy code without byte order
-    is_list: bool = False
+    dtype: str  # numpy code without byte order; of a list, that of its items
+    count_dtype: str = ""  # of a list, that of its length; "" for a scalar
+
+    @property
+    def is_list(self) -> bool:
+        return bool(self.count_dtype)
 
 
 @dataclass(frozen=True)
@@ -54,9 +67,15 @@ class Element:
     def has_lists(self) -> bool:
         return any(p.is_list for p in self.properties)
 
+    @property
+    def least_row_bytes(self) -> int:
+        """Of a binary record whose lists are empty."""
+        return sum(int((p.count_dtype or p.dtype)[1:]) for p in self.properties)
+
     def row_dtype(self, encoding: str) -> np.dtype:
-        """One record with fields "0", "1", ...: an element that is only skipped may repeat a property's name."""
-        return np.dtype([(f"{i}", _BYTE_ORDER[encoding] + p.dtype) for i, p in enumerate(self.properties)])
+        """One record without lists, with fields "0", "1", ...: an element that is only skipped may repeat a property's name."""
+        scalars = [(f"{i}", p) for i, p in enumerate(self.properties) if not p.is_list]
+        return np.dtype([(name, _BYTE_ORDER[encoding] + p.dtype) for name, p in scalars])
 
 
 @dataclass(frozen=True)
@@ -65,6 +84,7 @@ class PlyHeader:
     elements: tuple[Element, ...]
     comments: tuple[str, ...]
     n_bytes: int
+    n_lines: int
 
     @property
     def before_vertices(self) -> tuple[Element, ...]:
@@ -75,34 +95,54 @@ class PlyHeader:
     def vertex(self) -> Element:
         return next(e for e in self.elements if e.name == "vertex")
 
+    @property
+    def byte_order(self) -> str:
+        return _BYTE_ORDER[self.encoding]
 
-def _header_lines(stream: BinaryIO, where: str) -> Iterator[str]:
-    """Each header line down to `end_header`."""
-    n_bytes = 0
-    while True:
-        line = stream.readline(MAX_LINE_BYTES)
-        n_bytes += len(line)
-        if not line.endswith(b"\n") or n_bytes > MAX_HEADER_BYTES:
-            allowed = f"at most {MAX_HEADER_BYTES} bytes, lines of at most {MAX_LINE_BYTES}, closed by end_header"
-            raise InvalidScan(f"{where}:header", f"no end_header in the first {n_bytes} bytes", allowed)
-        text = line.decode("utf-8", errors="replace").strip()
-        yield text
-        if text == "end_header":
-            return
+
+def _header_bytes(stream: BinaryIO, where: str) -> tuple[bytes, int]:
+    """The header without the end of its last line, and where the data begins."""
+    head = stream.read(3)
+    if head != b"ply":
+        raise InvalidScan(where, f"no 'ply' in its first line, which begins with {head!r}", "a PLY file")
+    while not (end := END.search(head)) and len(head) <= MAX_HEADER_BYTES:
+        block = stream.read(4096)
+        if not block:
+            break
+        head += block
+    first = _LINE_END.search(head)
+    if first is None or head[3 : first.start()].strip():
+        raise InvalidScan(where, "no 'ply' in its first line", "a PLY file")
+    if not end or end.end() > MAX_HEADER_BYTES:
+        allowed = f"at most {MAX_HEADER_BYTES} bytes, lines of at most {MAX_LINE_BYTES}, closed by end_header"
+        raise InvalidScan(f"{where}:header", f"no end_header in the first {len(head)} bytes", allowed)
+    after = (head + stream.read(2))[end.end() : end.end() + 2]
+    # A CR alone, or a LF alone, ends the line unless the file's own line ends have two characters.
+    n_end = 2 if after in (b"\r\n", b"\n\r") and (after == b"\r\n" and first[0] != b"\r" or after == first[0]) else 1
+    return head[: end.end()], end.end() + n_end
+
+
+def _lines(head: bytes, where: str) -> Iterator[str]:
+    for line in _LINE_END.split(head)[1:]:
+        if len(line) > MAX_LINE_BYTES:
+            raise InvalidScan(f"{where}:header", f"a line of {len(line)} bytes", f"lines of at most {MAX_LINE_BYTES}")
+        yield line.decode("utf-8", errors="replace").strip()
 
 
 def _parse_property(words: list[str], where: str) -> Property:
     is_list = len(words) == 5 and words[1] == "list"
     types = words[2:4] if is_list else words[1:2]
     if len(words) != (5 if is_list else 3) or any(t not in _TYPES for t in types):
-        raise InvalidScan(f"{where}:header", f"line {' '.join(words)!r}", f"property TYPE NAME, TYPE of {list(_TYPES)}")
-    return Property(words[-1], _TYPES[types[-1]], is_list)
+        raise InvalidScan(f"{where}", f"line {' '.join(words)[:80]!r}", f"property TYPE NAME, TYPE of {list(_TYPES)}")
+    if is_list and _TYPES[types[0]].startswith("f"):
+        raise InvalidScan(f"{where}", f"a list whose length is of type {types[0]}", "a whole number")
+    return Property(words[-1], _TYPES[types[-1]], _TYPES[types[0]] if is_list else "")
 
 
 def _parse_element(words: list[str], where: str) -> tuple[str, int]:
     # int() also takes "-1", "1_0" and Arabic digits.
-    if len(words) != 3 or not (words[2].isascii() and words[2].isdigit()):
-        raise InvalidScan(f"{where}:header", f"line {' '.join(words)!r}", "element NAME COUNT")
+    if len(words) != 3 or not (words[2].isascii() and words[2].isdigit() and len(words[2]) < 19):
+        raise InvalidScan(f"{where}", f"line {' '.join(words)[:80]!r}", "element NAME COUNT")
     return words[1], int(words[2])
 
 
@@ -111,22 +151,23 @@ def parse_header(stream: BinaryIO, where: str) -> PlyHeader:
 
     Raises: InvalidScan for a header that breaks the format, naming the line.
     """
-    if stream.read(3) != b"ply" or stream.readline(3).strip():
-        raise InvalidScan(where, "no 'ply' in its first line", "a PLY file")
-    encoding, comments, elements = "", [], []
-    for line in _header_lines(stream, where):
-        words = line.split()
+    head, n_bytes = _header_bytes(stream, where)
+    encoding, comments, elements, number = "", [], [], 1
+    for number, line in enumerate(_lines(head, where), 2):
+        words, at = line.split(), f"{where}:header line {number}"
         if not words or words[0] in ("comment", "obj_info"):
             comments += [line.partition(" ")[2]] if words else []
         elif words[0] == "format" and len(words) == 3 and words[1] in _BYTE_ORDER and words[2] == "1.0":
             encoding = words[1]
         elif words[0] == "element":
-            elements.append((*_parse_element(words, where), []))
+            elements.append((*_parse_element(words, at), []))
         elif words[0] == "property" and elements:
-            elements[-1][2].append(_parse_property(words, where))
+            elements[-1][2].append(_parse_property(words, at))
         elif words[0] != "end_header":
             allowed = f"format {'|'.join(_BYTE_ORDER)} 1.0, comment, obj_info, element, property, end_header"
-            raise InvalidScan(f"{where}:header", f"line {line[:80]!r}", allowed)
+            raise InvalidScan(at, f"line {line[:80]!r}", allowed)
     if not encoding:
         raise InvalidScan(f"{where}:header", "no format line", f"format {'|'.join(_BYTE_ORDER)} 1.0")
-    return PlyHeader(encoding, tuple(Element(n, c, tuple(p)) for n, c, p in elements), tuple(comments), stream.tell())
+    stream.seek(n_bytes)
+    made = tuple(Element(n, c, tuple(p)) for n, c, p in elements)
+    return PlyHeader(encoding, made, tuple(comments), n_bytes, number)

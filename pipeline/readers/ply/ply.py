@@ -1,8 +1,7 @@
 """PLY: the header first, then the vertices as a stream, from a file or from a member of an archive.
 
-ASCII and both binary byte orders, scalar vertex properties of any type in any order. Positions are `x y z`, normals
-`nx ny nz`, colours `red green blue` or `diffuse_red ...`; other properties are skipped. An element that holds lists
-can be skipped when it stands after the vertices, not before them.
+ASCII and both binary byte orders, scalar vertex properties of any type in any order, lists skipped. What properties
+mean is told by pipeline/readers/attributes/names.py, what colours range over by pipeline/readers/ranges.py.
 
 References: G. Turk, The PLY Polygon File Format, 1994.
 """
@@ -10,93 +9,104 @@ References: G. Turk, The PLY Polygon File Format, 1994.
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
 from typing import BinaryIO
 
 import numpy as np
 
-from pipeline.readers.ply.header import MAX_LINE_BYTES, Element, PlyHeader, parse_header
+from pipeline.readers.attributes.decisions import Decision, decide, probe_starts, reasons
+from pipeline.readers.attributes.looks import Look, Looks
+from pipeline.readers.attributes.names import HARMONIC, Columns, columns_of
+from pipeline.readers.attributes.options import ReadOptions
+from pipeline.readers.attributes.ranges import to_8_bits
+from pipeline.readers.ply.header import PlyHeader, parse_header
+from pipeline.readers.ply.rows import Rows, ascii_rows, binary_rows
 from pipeline.scan import Piece, ScanSource
-from storage.errors import InvalidScan, UnsupportedScan
+from storage.errors import InvalidScan
 
 _POSITION = ("x", "y", "z")
-_NORMAL = ("nx", "ny", "nz")
-_COLORS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
-_INTENSITY = ("intensity", "scalar_intensity", "scalar_Intensity")  # the latter two are CloudCompare's
+_FIRST_POINTS = 1 << 14  # that are looked at where reading further means reading all before
 
 Opener = Callable[[], AbstractContextManager[BinaryIO]]
 
 
 @dataclass(frozen=True)
 class Vertices:
-    """The vertices of an opened PLY, not yet read. `columns` maps what a Piece holds to property names."""
+    """The vertices of an opened PLY, and how their attributes are used."""
 
     opener: Opener
     where: str
     header: PlyHeader
-    columns: dict[str, tuple[str, ...]]
-    warnings: tuple[str, ...] = ()
+    columns: Columns
+    look: Look
+    decision: Decision
+    own_warnings: tuple[str, ...] = ()
 
     @property
     def count(self) -> int:
         return self.header.vertex.count
 
     @property
+    def has_colors(self) -> bool:
+        return self.decision.top is not None or bool(self.columns.harmonic)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        of_look = reasons(self.where, self.look, self.decision, *_attributes(self.header, self.columns), self.count)
+        return (*self.own_warnings, *of_look)
+
+    @property
+    def position_type(self) -> str:
+        kinds = {p.dtype for p in self.header.vertex.properties if p.name in self.columns.position}
+        return "float32" if kinds & {"f4", "f2"} and self.header.encoding != "ascii" else "float64"
+
+    @property
+    def is_sample(self) -> bool:
+        return self.look.n_points < self.count
+
+    @property
     def has_slices(self) -> bool:
         """Whether rows can be read without those before them."""
-        return self.header.encoding != "ascii"
+        return self.header.encoding != "ascii" and not self.header.vertex.has_lists
 
     def pieces(self, max_points: int) -> Iterator[Piece]:
         """The vertices in file order, at most `max_points` a piece."""
-        read_rows = (
-            _ascii_rows(self, max_points)
-            if self.header.encoding == "ascii"
-            else _binary_rows(self, 0, self.count, max_points)
-        )
-        return self._pieces(0, read_rows)
+        return self.slice(0, self.count, max_points)
 
     def slice(self, first: int, stop: int, max_points: int) -> Iterator[Piece]:
-        """Vertices first..stop of a binary file, at most `max_points` a piece."""
-        return self._pieces(first, _binary_rows(self, first, stop, max_points))
+        """Vertices first..stop, of a file that has no slices from 0 on, at most `max_points` a piece."""
+        with self.opener() as stream:
+            for rows in _rows(stream, self.header, self.where, max_points, (first, stop - first)):
+                named, look = _named(rows, self.header), None
+                if self.is_sample:
+                    look = self.look.like()
+                    _look_at(look, named, self.columns)
+                yield replace(_piece(named, self.columns, self.decision), look=None if look is None else (0, look))
 
-    def _pieces(self, first: int, read_rows: Iterator[dict[str, np.ndarray]]) -> Iterator[Piece]:
-        for rows in read_rows:
-            yield _piece(self, rows, first)
-            first += len(next(iter(rows.values())))
+    def settled(self, looks: Looks) -> Vertices | None:
+        """As all points have it; None where that is as it is."""
+        look = looks.parts[0]
+        decision = _decide(look, self.header, self.columns)
+        return None if decision == self.decision else replace(self, look=look, decision=decision)
 
 
-def _check_elements(header: PlyHeader, where: str) -> None:
-    names = [e.name for e in header.elements]
-    if names.count("vertex") != 1:
-        raise InvalidScan(f"{where}:header", f"elements {names}", "one element named vertex")
+# --- header ---
+
+
+def _check_elements(header: PlyHeader, columns: Columns, where: str) -> None:
     properties = [p.name for p in header.vertex.properties]
-    for name in properties:
+    for name in (*columns.position, *columns.normal, *columns.color, *columns.intensity):
         if properties.count(name) > 1:
             raise InvalidScan(f"{where}:vertex.{name}", "a property that occurs twice", "every property once")
-    for name in _POSITION:
-        if name not in properties:
-            raise InvalidScan(f"{where}:vertex.{name}", "missing", "x, y and z", f"found {properties}")
-    for names in _COLORS:
-        types = {p.dtype for p in header.vertex.properties if p.name in names}
-        if len(types) > 1:
-            raise InvalidScan(f"{where}:vertex.{names[0]}", f"colours of types {sorted(types)}", "one type for all")
-    for p in header.vertex.properties:
-        if p.is_list:
-            raise UnsupportedScan(f"{where}:vertex.{p.name}", "a list in every vertex", "scalar vertex properties")
-    for e in header.before_vertices:
-        if e.has_lists and e.count and header.encoding != "ascii":
-            hint = "write the vertices first"
-            raise UnsupportedScan(f"{where}:{e.name}", "lists before the vertices", "scalars before them", hint)
-
-
-def _start_of_vertices(header: PlyHeader) -> int:
-    skipped = (e.count * e.row_dtype(header.encoding).itemsize for e in header.before_vertices if e.count)
-    return header.n_bytes + sum(skipped)
+    if not columns.position:
+        missing = next((name for name in _POSITION if name not in properties), "x")
+        raise InvalidScan(f"{where}:vertex.{missing}", "missing", "x, y and z", f"found {properties}")
+    types = {p.dtype for p in header.vertex.properties if p.name in columns.color}
+    if len(types) > 1:
+        raise InvalidScan(f"{where}:vertex.{columns.color[0]}", f"colours of types {sorted(types)}", "one type for all")
 
 
 def _check_length(header: PlyHeader, n_bytes: int, where: str) -> tuple[str, ...]:
@@ -106,147 +116,120 @@ def _check_length(header: PlyHeader, n_bytes: int, where: str) -> tuple[str, ...
         # a digit and a space or line end for each value; the last line end may be missing
         needed = header.n_bytes + 2 * vertex.count * len(vertex.properties) - 1
     else:
-        needed = _start_of_vertices(header) + vertex.count * vertex.row_dtype(header.encoding).itemsize
+        before = sum(e.count * e.least_row_bytes for e in header.before_vertices)
+        needed = header.n_bytes + before + vertex.count * vertex.least_row_bytes
     if n_bytes < needed:
         found = f"{vertex.count} vertices promised, which need {needed} bytes or more, in a file of {n_bytes}"
         raise InvalidScan(f"{where}:vertex", found, "a whole file", "the file may be truncated")
-    if n_bytes > needed and header.encoding != "ascii" and header.elements[-1] is vertex:
+    has_lists = any(e.has_lists for e in header.elements)
+    if n_bytes > needed and header.encoding != "ascii" and header.elements[-1] is vertex and not has_lists:
         return (f"{where}: {n_bytes - needed} bytes after the last vertex are ignored",)
     return ()
 
 
-def _columns(vertex: Element) -> dict[str, tuple[str, ...]]:
-    present = {p.name for p in vertex.properties}
-    columns = {"position": _POSITION}
-    if present.issuperset(_NORMAL):
-        columns["normal"] = _NORMAL
-    for names in reversed(_COLORS):
-        if present.issuperset(names):
-            columns["color"] = names
-    # Stanford's range scans carry `intensity` beside `confidence`; it is no brightness that one would want to see.
-    for name in reversed(_INTENSITY if "confidence" not in present else ()):
-        if name in present:
-            columns["intensity"] = (name,)
-    return columns
+def _attributes(header: PlyHeader, columns: Columns) -> tuple[bool, bool, float, bool]:
+    """Whether there are colours, as floats, what is white in their type, and whether there are intensities."""
+    if not columns.color:
+        return False, False, 255.0, bool(columns.intensity)
+    dtype = next(p.dtype for p in header.vertex.properties if p.name == columns.color[0])
+    is_float = dtype.startswith("f")
+    return True, is_float, 1.0 if is_float else 65535.0 if dtype == "u2" else 255.0, bool(columns.intensity)
+
+
+def _decide(look: Look, header: PlyHeader, columns: Columns) -> Decision:
+    return decide(look, *_attributes(header, columns))
 
 
 # --- vertices ---
 
 
-def _binary_rows(vertices: Vertices, begin: int, stop: int, max_points: int) -> Iterator[dict[str, np.ndarray]]:
-    header, where = vertices.header, vertices.where
-    start, dtype = _start_of_vertices(header), header.vertex.row_dtype(header.encoding)
-    with vertices.opener() as stream:
-        stream.seek(start + begin * dtype.itemsize)
-        for first in range(begin, stop, max_points):
-            n = min(max_points, stop - first)
-            block = stream.read(n * dtype.itemsize)
-            if len(block) < n * dtype.itemsize:
-                end = start + first * dtype.itemsize + len(block)
-                raise InvalidScan(f"{where}:vertex", f"the data ends at byte {end}", f"{vertices.count} vertices")
-            rows = np.frombuffer(block, dtype)
-            yield {p.name: rows[f"{i}"] for i, p in enumerate(header.vertex.properties)}
+def _rows(
+    stream: BinaryIO, header: PlyHeader, where: str, max_points: int, run: tuple[int, int] | None = None
+) -> Iterator[Rows]:
+    first, n = run or (0, header.vertex.count)
+    if header.encoding == "ascii":
+        return ascii_rows(stream, header, where, max_points, n)
+    return binary_rows(stream, header, where, max_points, first, n)
 
 
-def _ascii_lines(stream: BinaryIO, n: int) -> list[str]:
-    lines = islice(iter(partial(stream.readline, MAX_LINE_BYTES), b""), n)
-    return [line.decode("ascii", errors="replace") for line in lines]
+def _named(rows: Rows, header: PlyHeader) -> dict[str, np.ndarray]:
+    return {p.name: rows[i] for i, p in enumerate(header.vertex.properties) if i in rows}
 
 
-def _ascii_rows(vertices: Vertices, max_points: int) -> Iterator[dict[str, np.ndarray]]:
-    header, where = vertices.header, f"{vertices.where}:vertex"
-    names = [p.name for p in header.vertex.properties]
-    with vertices.opener() as stream:
-        stream.seek(header.n_bytes)
-        for _ in range(sum(e.count for e in header.before_vertices)):
-            stream.readline(MAX_LINE_BYTES)
-        for first in range(0, vertices.count, max_points):
-            n = min(max_points, vertices.count - first)
-            lines = _ascii_lines(stream, n)
-            if len(lines) < n:
-                found = f"the data ends after {first + len(lines)} vertices"
-                raise InvalidScan(where, found, f"{vertices.count} vertices")
-            values = _parse_rows(lines, len(names), first, where)
-            yield dict(zip(names, values.T, strict=True))
+def _color(rows: dict[str, np.ndarray], columns: Columns) -> np.ndarray | None:  # (n, 3)
+    return np.stack([rows[n] for n in columns.color], axis=1) if columns.color else None
 
 
-def _plain_numbers(line: str) -> str:
-    """The line with what Microsoft's C libraries print for NaN and infinity as others print it."""
-    if "#" not in line and "(" not in line:
-        return line
-    return re.sub(r"(-?)(?:1\.#INF|inf\(?)\S*", r"\1inf", re.sub(r"-?(?:1\.#(?:QNAN|SNAN|IND)|nan\()\S*", "nan", line))
+def _look_at(look: Look, rows: dict[str, np.ndarray], columns: Columns) -> None:
+    intensity = rows[columns.intensity[0]] if columns.intensity else None
+    look.add(len(rows[columns.position[0]]), _native(_color(rows, columns)), _native(intensity), {})
 
 
-def _parse_rows(lines: list[str], n_columns: int, first: int, where: str) -> np.ndarray:  # (n, n_columns)
-    try:
-        values = np.loadtxt(map(_plain_numbers, lines), dtype=np.float64, comments=None, ndmin=2)
-    except ValueError:
-        values = None
-    if values is not None and values.shape == (len(lines), n_columns):
-        return values
-    for i, line in enumerate(lines):
-        try:
-            n_found = len([float(word) for word in _plain_numbers(line).split()])
-        except ValueError:
-            n_found = -1
-        if n_found != n_columns:
-            raise InvalidScan(f"{where} {first + i}", f"line {line.strip()[:80]!r}", f"{n_columns} numbers")
-    raise InvalidScan(where, f"rows {first} to {first + len(lines) - 1} are not numbers", f"{n_columns} numbers a line")
+def _native(values: np.ndarray | None) -> np.ndarray | None:
+    return None if values is None else values.astype(values.dtype.newbyteorder("="), copy=False)
 
 
-def _to_8_bit(values: np.ndarray, dtype: str, where: str, first: int) -> np.ndarray:  # (n, 3) uint8
-    """Colours as 8 bits: floats are 0 to 1, 16 bits are scaled, other integers are taken as they are. NaN is black."""
-    is_float = dtype.startswith("f")
-    top = 1.0 if is_float else 65535 if dtype == "u2" else 255
-    scaled = np.rint(np.where(np.isnan(values) & is_float, 0, values) * (255 / top))  # beyond 1 by rounding is 255
-    wrong = ~((scaled >= 0) & (scaled <= 255))
-    if wrong.any():
-        row, channel = np.argwhere(wrong)[0]
-        found = f"a colour of {values[row, channel]}"
-        hint = "write colours of 0 to 255 as uchar" if is_float else ""
-        raise InvalidScan(f"{where} {first + row}", found, f"0 to {top} in type {dtype}", hint)
-    return scaled.astype(np.uint8)
+def _piece(rows: dict[str, np.ndarray], columns: Columns, decision: Decision) -> Piece:
+    def stack(names: tuple[str, ...], dtype: type) -> np.ndarray | None:
+        return np.stack([rows[n] for n in names], axis=1).astype(dtype) if names else None
 
-
-def _piece(vertices: Vertices, rows: dict[str, np.ndarray], first: int) -> Piece:
-    def stack(key: str, dtype: type | None = None) -> np.ndarray | None:
-        names = vertices.columns.get(key)
-        return None if names is None else np.stack([rows[n] for n in names], axis=1).astype(dtype)
-
-    color, colorless = stack("color", np.float64), None
-    if color is not None:
-        declared = next(p.dtype for p in vertices.header.vertex.properties if p.name == vertices.columns["color"][0])
-        colorless = np.isnan(color).any(axis=1) if declared.startswith("f") else None
-        color = _to_8_bit(color, declared, f"{vertices.where}:vertex", first)
-    intensity = stack("intensity", np.float32)
+    color, colorless = None, None
+    if decision.top is not None:
+        values = _native(_color(rows, columns))
+        color = to_8_bits(values, decision.top)
+        colorless = np.isnan(values).any(axis=1) if values.dtype.kind == "f" else None
+    elif columns.harmonic:
+        color = to_8_bits(0.5 + HARMONIC * stack(columns.harmonic, np.float64), 1.0)
+    intensity = rows[columns.intensity[0]].astype(np.float32) if decision.intensity else None
     return Piece(
-        position=stack("position", np.float64),
-        normal=stack("normal", np.float32),
+        position=stack(columns.position, np.float64),
+        normal=stack(columns.normal, np.float32),
         color=color,
         colorless=colorless,
-        intensity=None if intensity is None else intensity[:, 0],
+        intensity=intensity,
     )
 
 
 # --- public ---
 
 
-def open_vertices(opener: Opener, n_bytes: int, where: str) -> Vertices:
+def open_vertices(opener: Opener, n_bytes: int, where: str, can_seek: bool = True) -> Vertices:
     """The checked header of a PLY of `n_bytes` behind `opener`, which may be called again and again.
 
-    Guarantees: reads the header alone; a file shorter than its header promises is refused here.
-    Raises: InvalidScan, UnsupportedScan.
+    Guarantees: of a large file a few runs of points are read, of one without `can_seek` the first points; a file
+    shorter than its header promises is refused here.
+    Raises: InvalidScan.
     """
     with opener() as stream:
         header = parse_header(stream, where)
-    _check_elements(header, where)
-    warnings = _check_length(header, n_bytes, where)
-    return Vertices(opener, where, header, _columns(header.vertex), warnings)
+        names = [e.name for e in header.elements]
+        if names.count("vertex") != 1:
+            raise InvalidScan(f"{where}:header", f"elements {names[:20]}", "one element named vertex")
+        columns = columns_of(p.name for p in header.vertex.properties if not p.is_list)
+        _check_elements(header, columns, where)
+        warnings = _check_length(header, n_bytes, where)
+        look, n = Look(), header.vertex.count
+        runs = can_seek and header.encoding != "ascii" and not any(e.has_lists for e in header.elements)
+        for run in probe_starts(n) if runs else [(0, min(n, _FIRST_POINTS))]:
+            for rows in _rows(stream, header, where, _FIRST_POINTS, run) if columns.color or columns.intensity else ():
+                _look_at(look, _named(rows, header), columns)
+    if not (columns.color or columns.intensity):
+        look.n_points = n
+    return Vertices(opener, where, header, columns, look, _decide(look, header, columns), warnings)
 
 
-def open_ply(path: str) -> ScanSource:
-    """A PLY file as a scan without cameras. Raises: InvalidScan, UnsupportedScan."""
-    vertices = open_vertices(partial(open, path, "rb"), os.path.getsize(path), path)
+def unused_properties(vertices: Vertices) -> tuple[str, ...]:
+    """Those of the file that are not used, lists among them."""
+    lists = tuple(p.name for p in vertices.header.vertex.properties if p.is_list)
+    return (*vertices.columns.unused, *lists)
+
+
+def open_ply(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
+    """A PLY file as a scan without cameras. Raises: InvalidScan."""
+    return _source(path, options, open_vertices(partial(open, path, "rb"), os.path.getsize(path), path))
+
+
+def _source(path: str, options: ReadOptions, vertices: Vertices) -> ScanSource:
     header = vertices.header
     return ScanSource(
         path=path,
@@ -254,10 +237,13 @@ def open_ply(path: str) -> ScanSource:
         n_points=vertices.count,
         pieces=vertices.pieces,
         read_slice=vertices.slice if vertices.has_slices else None,
-        has_normals="normal" in vertices.columns,
-        has_colors="color" in vertices.columns,
-        has_intensity="intensity" in vertices.columns,
+        settle=partial(_settled, path, options, vertices) if vertices.is_sample else None,
+        has_normals=bool(vertices.columns.normal),
+        has_colors=vertices.has_colors,
+        has_intensity=vertices.decision.intensity,
+        position_type=vertices.position_type,
         warnings=vertices.warnings,
+        unused=unused_properties(vertices),
         details={
             "encoding": header.encoding,
             "comments": list(header.comments),
@@ -265,3 +251,8 @@ def open_ply(path: str) -> ScanSource:
             "properties": [p.name for p in header.vertex.properties],
         },
     )
+
+
+def _settled(path: str, options: ReadOptions, vertices: Vertices, looks: Looks) -> ScanSource | None:
+    settled = vertices.settled(looks)
+    return settled and _source(path, options, settled)

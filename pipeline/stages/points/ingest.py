@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.geometry.chunks import bounds
 from pipeline.numerics.limits import check_bounds
 from pipeline.readers import open_scan
-from pipeline.readers.check import black_points
+from pipeline.readers.attributes.counts import PointCounts
+from pipeline.readers.attributes.looks import Looks
+from pipeline.readers.attributes.options import ReadOptions
 from pipeline.scan import Piece, ScanSource
 from pipeline.splats.cameras import N_CANDIDATES, rank_candidates
 from storage.errors import InvalidScan
@@ -30,7 +31,8 @@ PHOTO_TILE = 512
 class Ingest:
     """Task i stores slice i of the points, the tasks after them decode a photograph each. Of a file that can be read from its
     start only, one task stores all slices. A row of the arrays is a point of the file, so that no task needs to know of others;
-    what is dropped has no finite position.
+    what is left out has no finite position. Where all points say otherwise of the scan than those that were sampled, the
+    summary's `seen` says what, and the stage is to be run again with it.
 
     Arrays: position (n, 3) float64 absolute; where the scan has them normal (n, 3) float32, color (n, 3) uint8,
     intensity (n,) float32, station (n,) int32, candidate (n, N_CANDIDATES) uint16; photo_<i> (h, w, 3) uint8;
@@ -39,11 +41,13 @@ class Ingest:
 
     scan_path: str
     fingerprint: str  # changes when the scan's files do
+    reading: ReadOptions = ReadOptions()
+    seen: str = ""  # what all points look like, as Looks.to_text, where they were read before and are not as sampled
     name = "ingest"
     location_fields = ("scan_path",)
 
     def init(self, folder: Path) -> int:
-        source = _source(self.scan_path, self.fingerprint)
+        source = self._source()
         rows = slice_rows(source)
         for name, dtype in _columns_of(source).items():
             arrays.create(folder, name, (source.n_points, *dtype.shape), str(dtype.base), (rows, *dtype.shape))
@@ -55,7 +59,7 @@ class Ingest:
         return _n_point_tasks(source) + len(source.cameras)
 
     def run(self, folder: Path, index: int) -> dict:
-        source = _source(self.scan_path, self.fingerprint)
+        source = self._source()
         if index >= (n := _n_point_tasks(source)):
             arrays.write_picture(folder, f"photo_{index - n}", source.read_photo(index - n))
             return {}
@@ -67,38 +71,43 @@ class Ingest:
         return _merged([_store_slice(source, folder, index + i, pieces) for i, pieces in enumerate(slices)])
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
-        source = _source(self.scan_path, self.fingerprint)
+        source = self._source()
         points = _merged(results[: _n_point_tasks(source)])
-        n_kept, n_read = points["n_splats"], points["n_read"]
+        counts, looks = PointCounts.from_json(points["counts"]), Looks.from_text(points["looks"])
+        n_kept, n_read = counts.n_kept, counts.n_points
         if n_read != source.n_points:
             raise InvalidScan(source.path, f"{n_read} points read", f"{source.n_points}, as its header promises")
         if not n_kept:
-            raise InvalidScan(source.path, f"none of its {n_read} points has a finite position", "at least one point")
-        check_bounds(source.path, np.array(points["low"]), np.array(points["high"]))
-        warnings = list(source.warnings)
-        if n_kept < n_read:
-            warnings.append(f"{n_read - n_kept} of {n_read} points have a position that is not finite and were dropped")
-        warnings += black_points(source, n_kept, **points["n_black"])
+            found = f"none of its {n_read} points is left: {counts.left_out}"
+            raise InvalidScan(source.path, found, "at least one point", "keep points with --marked-points NAME=keep")
+        check_bounds(source.path, counts.low, counts.high)
+        otherwise = source.settle is not None and looks.parts and source.settle(looks) is not None
         return {
             "format": source.format,
             "unit": source.unit,
             "n_points": n_kept,
             "n_read": n_read,
             "n_dropped": n_read - n_kept,
-            "low": points["low"],
-            "high": points["high"],
+            "low": counts.low.tolist(),
+            "high": counts.high.tolist(),
             "intensity_range": points["intensity_range"],
             "cameras": [asdict(c) for c in source.cameras],
             "stations": source.stations,
             "has_visibility": source.has_visibility,
             "has_colors": source.has_colors or source.has_intensity,
-            "warnings": warnings,
+            "warnings": [*source.warnings, *counts.warnings(source)],
+            "unused": source.unused,
+            "seen": points["looks"] if otherwise else "",
         }
+
+    def _source(self) -> ScanSource:
+        return _opened(self.scan_path, self.fingerprint, self.reading, self.seen)
 
 
 @functools.lru_cache(maxsize=2)
-def _source(scan_path: str, fingerprint: str) -> ScanSource:
-    return open_scan(scan_path)
+def _opened(scan_path: str, fingerprint: str, reading: ReadOptions, seen: str) -> ScanSource:
+    source = open_scan(scan_path, reading)
+    return (source.settle(Looks.from_text(seen)) or source) if seen and source.settle else source
 
 
 def slice_rows(source: ScanSource) -> int:
@@ -172,7 +181,7 @@ def _store_slice(source: ScanSource, folder: Path, index: int, pieces: list[Piec
     """Write the points of slice `index`; what there is to know of them."""
     start, stop = arrays.block_range(index, source.n_points, slice_rows(source))
     rows = {name: np.empty((stop - start, *dtype.shape), dtype.base) for name, dtype in _columns_of(source).items()}
-    at, n_colorless = 0, 0
+    at, counts, looks = 0, PointCounts(), Looks()
     for piece in pieces:
         end, columns = at + len(piece.position), _columns(piece, source)
         if columns.keys() != rows.keys():
@@ -183,25 +192,21 @@ def _store_slice(source: ScanSource, folder: Path, index: int, pieces: list[Piec
             )
         for name, values in columns.items():
             rows[name][at:end] = values
-        if piece.colorless is not None:
-            n_colorless += int(piece.colorless[np.isfinite(piece.position).all(axis=1)].sum())
+        rows["position"][at:end][~counts.add(piece)] = np.nan
+        looks.add(piece.look)
         at = end
     assert at == stop - start, (at, start, stop)
     finite = np.isfinite(rows["position"]).all(axis=1)
-    rows["position"][~finite] = np.nan
     for name, values in rows.items():
         arrays.write(folder, name, start, values)
     position = rows["position"] if finite.all() else rows["position"][finite]
     _store_sample(source, folder, index, position)
-    corners = np.array(bounds(position)).tolist() if len(position) else [None, None]
     intensity = rows["intensity"][finite].astype(np.float64) if "intensity" in rows else np.empty(0)
     known = intensity[np.isfinite(intensity)]
     return {
         "n_splats": int(finite.sum()),
-        "n_read": len(finite),
-        "low": corners[0],
-        "high": corners[1],
-        "n_black": {"n_color": n_colorless, "n_intensity": len(intensity) - len(known)},
+        "counts": counts.to_json(),
+        "looks": looks.to_text(),
         "intensity_range": np.quantile(known, (0.01, 0.99)).tolist() if len(known) else None,
     }
 
@@ -234,13 +239,14 @@ def _columns(piece: Piece, source: ScanSource) -> dict[str, np.ndarray]:
 def _merged(slices: list[dict]) -> dict:
     """What there is to know of several slices."""
     ranges = [s["intensity_range"] for s in slices if s["intensity_range"] is not None]
-    low, high = ([s[name] for s in slices if s[name] is not None] for name in ("low", "high"))
+    counts, looks = PointCounts(), Looks()
+    for s in slices:
+        counts.merge(PointCounts.from_json(s["counts"]))
+        looks.merge(Looks.from_text(s["looks"]))
     return {
-        "n_splats": sum(s["n_splats"] for s in slices),
-        "n_read": sum(s["n_read"] for s in slices),
-        "low": np.min(low, axis=0).tolist() if low else None,
-        "high": np.max(high, axis=0).tolist() if high else None,
-        "n_black": {name: sum(s["n_black"][name] for s in slices) for name in ("n_color", "n_intensity")},
+        "n_splats": counts.n_kept,
+        "counts": counts.to_json(),
+        "looks": looks.to_text(),
         # What black and white stand for: the widest 1 % and 99 % of any slice; None where no point has one that is finite.
         "intensity_range": [min(low for low, _ in ranges), max(high for _, high in ranges)] if ranges else None,
     }

@@ -13,7 +13,7 @@ from pipeline.geometry.normals import decode_normals, encode_normals
 from pipeline.geometry.positions import Boxes, decode_positions, encode_positions, fit_boxes
 from pipeline.splats.cameras import best_cameras
 from pipeline.splats.decoded import seen_by_cameras
-from pipeline.splats.normals import turned_to
+from pipeline.splats.normals import turned_to, usable_normals
 from storage.packed.schema import CHUNK, ELLIPSOID_FIELDS, NO_CAMERA, Camera
 from storage.work import arrays, work
 
@@ -120,16 +120,19 @@ class Splats:
     def _towards_viewer(
         self, scan: dict, absolute: np.ndarray, normal: np.ndarray, camera: np.ndarray, start: int, stop: int
     ) -> np.ndarray:
-        """The directions (n, 3) that normals are turned to: the splat's camera, else its station; else normals that
-        the scan brought stay as they are, and others look up (airborne scans) or away from the middle."""
-        if arrays.exists(self.partition, "normal"):
-            towards = normal.copy()
-        elif scan["format"] == "las":
+        """The directions (n, 3) that normals are turned to: the splat's camera; else the scan's own normal; else its
+        station; else up (airborne scans), or away from the middle."""
+        if scan["format"] == "las":
             towards = np.tile([0.0, 0.0, 1.0], (len(absolute), 1))
         else:
             towards = absolute - (np.array(scan["low"]) + scan["high"]) / 2
         if arrays.exists(self.partition, "station"):
-            towards = np.array(scan["stations"])[arrays.read(self.partition, "station", start, stop)] - absolute
+            station = arrays.read(self.partition, "station", start, stop)
+            seen = station >= 0  # what was merged from several has none
+            towards[seen] = np.array(scan["stations"])[station[seen]] - absolute[seen]
+        if arrays.exists(self.partition, "normal"):
+            missing = usable_normals(arrays.read(self.partition, "normal", start, stop))[1]
+            towards[~missing] = normal[~missing]
         if scan["cameras"]:
             has = camera != NO_CAMERA
             towards[has] = np.array([c["centre"] for c in scan["cameras"]])[camera[has]] - absolute[has]

@@ -210,19 +210,25 @@ def broken_vis(tmp_path, content):
 
 
 @pytest.mark.parametrize("change", [-1, 1])
-def test_colmap__refuses_a_vis_of_the_wrong_length(tmp_path, change):
+def test_colmap__a_vis_of_another_length_is_not_used_and_said(tmp_path, change):
     path = broken_vis(tmp_path, lambda whole: struct.pack("<Q", 144 + change) + whole[8:])
-    with pytest.raises(InvalidScan, match=rf"fused.ply.vis:count: {144 + change} points; allowed: 144"):
-        open_scan(path)
+    source = open_scan(path)
+    assert not source.has_visibility and gather(source)["visible_count"] is None
+    assert rf"fused.ply.vis:count: {144 + change} points; allowed: 144" in " ".join(source.warnings)
+    assert "delete it" in " ".join(source.warnings)
 
 
-def test_colmap__refuses_every_truncation_of_a_vis(tmp_path):
+def test_colmap__no_truncated_vis_is_used_in_silence(tmp_path):
     made = write_workspace(tmp_path / "w", n_side=3)
     whole = (made.path / "fused.ply.vis").read_bytes()
     for n in range(len(whole)):
         (made.path / "fused.ply.vis").write_bytes(whole[:n])
-        with pytest.raises(InvalidScan, match="fused.ply.vis"):
-            gather(open_scan(made.path))
+        try:
+            source = open_scan(made.path)
+            gather(source)
+            assert not source.has_visibility and "fused.ply.vis" in " ".join(source.warnings)
+        except InvalidScan as error:
+            assert "fused.ply.vis" in str(error)
 
 
 def test_colmap__names_byte_and_point_where_a_vis_ends(tmp_path):
@@ -306,6 +312,9 @@ def test_colmap__names_what_a_workspace_lacks(tmp_path, missing, zipped):
     target = made.path / missing
     shutil.rmtree(target) if target.is_dir() else target.unlink()
     path = zip_folder(made.path, tmp_path / "w.zip") if zipped else made.path
+    if missing == "sparse":  # then it is a folder with one file of points
+        assert open_scan(path).format == "ply"
+        return
     with pytest.raises(InvalidScan, match=f"{missing}: (no COLMAP model|missing)"):
         open_scan(path)
 
@@ -345,7 +354,7 @@ def test_colmap__refuses_a_pose_that_is_not_rigid(tmp_path, field):
         open_scan(made.path)
 
 
-@pytest.mark.parametrize("name", ["../0000.png", "/etc/hostname", "a\\b.png"])
+@pytest.mark.parametrize("name", ["../0000.png", "/etc/hostname", "a\\..\\..\\b.png", "c:/b.png"])
 def test_colmap__refuses_a_photo_name_that_leaves_images(tmp_path, name):
     made = write_workspace(tmp_path / "w", ending=".txt")
     images = made.path / "sparse" / "images.txt"
@@ -370,8 +379,22 @@ def test_colmap__names_a_missing_photo_and_its_camera(tmp_path, zipped):
     made = write_workspace(tmp_path / "w")
     (made.path / "images" / "0001.png").unlink()
     path = zip_folder(made.path, tmp_path / "w.zip") if zipped else made.path
-    with pytest.raises(InvalidScan, match=r"images/0001.png: missing, though registered with camera 1 of 64x48"):
-        open_scan(path)
+    source = open_scan(path)
+    assert [c.name for c in source.cameras] == ["0000.png", "0002.png"]
+    said = " ".join(source.warnings)
+    assert "1 of 3 registered" in said and "0001.png: missing, though registered with camera 1 of 64x48" in said
+    seen = gather(source)
+    expected = [[{0: 0, 2: 1}[c] for c in cameras if c != 1] for cameras in made.visible]
+    assert np.split(seen["visible_camera"], np.cumsum(seen["visible_count"])[:-1])[3].tolist() == expected[3] == [0, 1]
+    assert seen["visible_count"].tolist() == [len(cameras) for cameras in expected]
+    np.testing.assert_array_equal(source.read_photo(1), open_scan(made.path).read_photo(1))
+
+
+def test_colmap__refuses_a_workspace_without_any_photograph(tmp_path):
+    made = write_workspace(tmp_path / "w")
+    shutil.rmtree(made.path / "images")
+    with pytest.raises(InvalidScan, match=r"images/0000.png: missing.*none of the 3 registered photographs"):
+        open_scan(made.path)
 
 
 @pytest.mark.parametrize("zipped", [False, True])
@@ -379,15 +402,15 @@ def test_colmap__names_a_photo_of_another_size_than_its_camera(tmp_path, zipped)
     made = write_workspace(tmp_path / "w")
     write_photo(made.path / "images" / "0002.png", np.zeros((48, 63, 3), np.uint8))
     path = zip_folder(made.path, tmp_path / "w.zip") if zipped else made.path
-    with pytest.raises(InvalidScan, match=r"0002.png: a photo of 63x48 pixels, registered with camera 1 of 64x48"):
-        open_scan(path)
+    source = open_scan(path)
+    assert [c.name for c in source.cameras] == ["0000.png", "0001.png"]
+    assert "0002.png: a photo of 63x48 pixels, registered with camera 1 of 64x48" in " ".join(source.warnings)
 
 
-def test_colmap__refuses_a_file_that_is_no_photo_at_open(tmp_path):
+def test_colmap__a_file_that_is_no_photo_is_left_out(tmp_path):
     made = write_workspace(tmp_path / "w")
     (made.path / "images" / "0002.png").write_bytes(b"<html>404</html>")
-    with pytest.raises(InvalidScan, match=r"0002.png: an unreadable photo"):
-        open_scan(made.path)
+    assert "0002.png: an unreadable photo" in " ".join(open_scan(made.path).warnings)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
@@ -396,13 +419,13 @@ def test_colmap__refuses_a_truncated_photo_when_it_is_read(tmp_path, suffix):
     source = open_scan(made.path)
     file = made.path / "images" / f"0001{suffix}"
     file.write_bytes(file.read_bytes()[:-200])
-    with pytest.raises(InvalidScan, match=rf"0001{suffix}: a damaged photo"):
+    with pytest.raises(InvalidScan, match=rf"0001{suffix}: a photo that is cut off"):
         source.read_photo(1)
     assert source.read_photo(0).shape == (48, 64, 3)
 
 
 def test_colmap__a_long_photo_header_in_a_zip_is_read_whole(tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.readers.colmap.workspace._PHOTO_HEAD_BYTES", 10)
+    monkeypatch.setattr("pipeline.readers.colmap.photos._HEAD_BYTES", 10)
     made = write_workspace(tmp_path / "w")
     assert len(open_scan(zip_folder(made.path, tmp_path / "w.zip")).cameras) == 3
 

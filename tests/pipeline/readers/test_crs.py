@@ -59,7 +59,8 @@ def test_crs__nonsense_is_unknown(wkt):
         ({3076: 32767}, 0.3048, FOOT),
         ({3076: 32767}, None, UNKNOWN),
         ({3072: 32633}, None, METRE),
-        ({3072: 2285}, None, UNKNOWN),
+        ({3072: 2285}, None, US_FOOT),
+        ({3072: 65000}, None, UNKNOWN),
         ({}, None, UNKNOWN),
     ],
 )

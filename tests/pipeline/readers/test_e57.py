@@ -9,6 +9,7 @@ import pytest
 from pye57 import libe57
 
 from pipeline.readers import inspect_scan, open_scan
+from pipeline.readers.attributes.marks import NUMBER
 from pipeline.readers.e57.nodes import rotation_matrix
 from storage.errors import InvalidScan, UnsupportedScan
 from tests.pipeline.readers.shared_data import shared_scan
@@ -117,8 +118,8 @@ def test_e57__stations_have_their_poses_applied(tmp_path):
     got = gather(source)
     expected = np.concatenate([stacked(here), stacked(there)[:, [2, 0, 1]] + [4_500_000.25, 10, -3]])
     np.testing.assert_allclose(got["position"], expected, rtol=0, atol=1e-8)
-    assert got["station"].tolist() == [0] * 30 + [1] * 50
-    assert source.stations == ((0, 0, 0), (4_500_000.25, 10, -3)) and source.unit == "metre"
+    assert got["station"].tolist() == [-1] * 30 + [0] * 50  # without a pose nobody knows where the scanner stood
+    assert source.stations == ((4_500_000.25, 10, -3),) and source.unit == "metre"
 
 
 def test_e57__piece_size_changes_nothing_and_is_never_exceeded(tmp_path):
@@ -136,13 +137,13 @@ def test_e57__spherical_coordinates_become_cartesian(tmp_path):
 
 
 @pytest.mark.parametrize("fields", [CARTESIAN, SPHERICAL])
-def test_e57__invalid_points_become_nan_and_are_still_counted(tmp_path, fields):
+def test_e57__invalid_points_are_marked_and_still_counted(tmp_path, fields):
     state = "cartesianInvalidState" if fields is CARTESIAN else "sphericalInvalidState"
     scan = dict(zip(fields, np.ones((3, 4)), strict=True)) | {state: np.array([0, 1, 2, 0])}
     source = open_scan(write(tmp_path / "a.e57", scan))
-    position = gather(source)["position"]
-    assert source.n_points == len(position) == 4
-    assert np.isnan(position).all(axis=1).tolist() == [False, True, True, False]
+    mark = np.concatenate([p.mark for p in source.pieces(20)])
+    assert source.n_points == len(mark) == 4
+    assert mark.tolist() == [0, NUMBER["invalid"], NUMBER["invalid"], 0]
 
 
 def test_e57__colours_are_scaled_by_their_limits(tmp_path):
@@ -157,25 +158,29 @@ def test_e57__colours_without_limits_are_scaled_by_the_range_of_the_field(tmp_pa
     assert gather(open_scan(write(tmp_path / "a.e57", scan)))["color"][:, 2].tolist() == [0, 1, 255]
 
 
-def test_e57__colours_without_any_range_are_refused(tmp_path):
-    scan = cartesian(3) | {c: np.array([0.0, 0.5, 1.0]) for c in COLOR}
-    with pytest.raises(InvalidScan, match=r"data3D\[0\].colorLimits"):
-        open_scan(write(tmp_path / "a.e57", scan))
+@pytest.mark.parametrize("top", [1.0, 255.0, 4095.0, 65535.0])
+def test_e57__colours_without_any_range_are_told_from_their_values(tmp_path, top):
+    scan = cartesian(300) | {c: np.linspace(0, top, 300) for c in COLOR}
+    source = open_scan(write(tmp_path / "a.e57", scan))
+    np.testing.assert_allclose(gather(source)["color"][:, 1], np.linspace(0, 255, 300), atol=0.51)
+    assert "taken as" in " ".join(source.warnings)
 
 
-def test_e57__intensity_has_its_declared_range_and_nan_where_invalid(tmp_path):
+def test_e57__intensity_has_its_declared_range_and_is_marked_where_invalid(tmp_path):
     scan = cartesian(3) | {"intensity": np.array([0.25, 0.5, 2.0]), "isIntensityInvalid": np.array([0, 1, 0])}
     scan["intensityLimits"] = {"intensityMinimum": 0.0, "intensityMaximum": 2.0}
     source = open_scan(write(tmp_path / "a.e57", scan))
     assert source.intensity_range == (0, 2)
-    np.testing.assert_array_equal(gather(source)["intensity"], np.float32([0.25, np.nan, 2]))
+    np.testing.assert_array_equal(gather(source)["intensity"], np.float32([0.25, 0.5, 2]))
+    assert np.concatenate([p.mark for p in source.pieces(20)]).tolist() == [0, NUMBER["no-intensity"], 0]
 
 
 def test_e57__a_station_without_colours_is_named(tmp_path):
     colored = cartesian(3) | {c: np.array([0, 1, 2]) for c in COLOR} | {"name": "one"}
+    colored["colorLimits"] = {f"{c}{end}": value for c in COLOR for end, value in (("Minimum", 0), ("Maximum", 255))}
     source = open_scan(write(tmp_path / "a.e57", colored, cartesian(3) | {"name": "two"}))
-    assert not source.has_colors and "['two'] have no colours" in source.warnings[0]
-    assert gather(source)["color"] is None
+    assert source.has_colors and "['two'] have no colours" in " ".join(source.warnings)
+    assert gather(source)["color"][:, 0].tolist() == [0, 1, 2, 128, 128, 128]
 
 
 def test_e57__refuses_a_quaternion_of_length_0(tmp_path):

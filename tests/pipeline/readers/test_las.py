@@ -9,6 +9,8 @@ import pytest
 from laspy.vlrs.known import WktCoordinateSystemVlr
 
 from pipeline.readers import open_scan
+from pipeline.readers.attributes import decisions
+from pipeline.readers.attributes.counts import over_all_points
 from pipeline.readers.las import las
 from storage.errors import InvalidScan
 from tests.pipeline.readers.shared_data import shared_scan
@@ -79,26 +81,44 @@ def test_las__8_bit_colours_in_16_bit_fields_are_kept_with_a_warning(tmp_path):
     assert any("8-bit values" in w for w in source.warnings)
 
 
-def test_las__a_bright_colour_near_the_end_is_found_by_the_probe(tmp_path, monkeypatch):
-    monkeypatch.setattr(las, "PROBE_POINTS", 50)
+def settled(source):
+    """The scan as all of its points have it, and its points."""
+    return over_all_points(source, gather)
+
+
+def test_las__colours_that_no_sample_saw_are_found_when_all_points_are_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(decisions, "PROBE_POINTS", 5)
+    monkeypatch.setattr(decisions, "WHOLE", 100)
     color = np.zeros((3, 1000))
-    color[0, 960] = 65535
-    assert gather(open_scan(write(tmp_path / "a.las", color=color)[0]))["color"][960, 0] == 255
+    color[:, 40:60] = 40_000
+    sampled = open_scan(write(tmp_path / "a.las", color=color)[0])
+    assert not sampled.has_colors and "sampled" in " ".join(sampled.warnings)
+    source, got = settled(sampled)
+    assert source.has_colors and got["color"][50].tolist() == [156, 156, 156]
 
 
-def test_las__a_colour_that_contradicts_the_probe_is_refused_naming_point_and_value(tmp_path, monkeypatch):
-    monkeypatch.setattr(las, "PROBE_POINTS", 50)
+def test_las__a_second_range_that_no_sample_saw_is_found_when_all_points_are_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(decisions, "PROBE_POINTS", 5)
+    monkeypatch.setattr(decisions, "WHOLE", 100)
     color = np.full((3, 1000), 200)
-    color[1, 650] = 300  # between two runs
-    with pytest.raises(InvalidScan, match="green of point 650: 300"):
-        gather(open_scan(write(tmp_path / "a.las", color=color)[0]))
+    color[1, 640:660] = 60_000
+    source, got = settled(open_scan(write(tmp_path / "a.las", color=color)[0]))
+    assert got["color"][650, 1] == 233 and "65535" not in " ".join(source.warnings)
+
+
+def test_las__a_few_values_beyond_8_bits_are_clipped_and_said(tmp_path):
+    color = np.arange(3000).reshape(3, 1000) % 256
+    color[1, 650] = 300
+    source = open_scan(write(tmp_path / "a.las", color=color)[0])
+    assert gather(source)["color"][650].tolist() == [color[0, 650], 255, color[2, 650]]
+    assert "1 values beyond" in " ".join(source.warnings)
 
 
 def test_las__colours_and_intensity_of_zeros_are_not_used(tmp_path):
     source = open_scan(write(tmp_path / "a.las", color=np.zeros((3, 1000)), intensity=False)[0])
     assert not source.has_colors and not source.has_intensity
     assert gather(source)["color"] is None and gather(source)["intensity"] is None
-    assert sum("points sampled" in w for w in source.warnings) == 2
+    assert sum("all points" in w for w in source.warnings) == 2
 
 
 def test_las__formats_without_colour_have_intensity(tmp_path):
@@ -173,7 +193,7 @@ def test_las__a_panic_of_the_decoder_is_an_invalid_scan(tmp_path, monkeypatch):
         raise PanicException("index out of bounds")
 
     path = write(tmp_path / "a.laz")[0]
-    monkeypatch.setattr(laspy.LasReader, "read_points", panic)
+    monkeypatch.setattr(las._Packed, "read", panic)
     with pytest.raises(InvalidScan, match="PanicException: index out of bounds"):
         open_scan(path)
 
@@ -183,7 +203,7 @@ def test_las__an_interrupt_is_not_an_invalid_scan(tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     path = write(tmp_path / "a.laz")[0]
-    monkeypatch.setattr(laspy.LasReader, "read_points", interrupt)
+    monkeypatch.setattr(las._Packed, "read", interrupt)
     with pytest.raises(KeyboardInterrupt):
         open_scan(path)
 

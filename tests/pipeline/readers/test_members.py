@@ -6,11 +6,11 @@ import zipfile
 
 import pytest
 
-from pipeline.readers import members, open_scan
-from pipeline.readers.members import Folder, open_archive
+from pipeline.readers import open_scan
+from pipeline.readers.files import members
+from pipeline.readers.files.members import Folder, open_archive
+from pipeline.readers.files.workspaces import find_workspace
 from storage.errors import InvalidScan, UnsupportedScan
-
-LANDMARKS = ("sparse", "images", "fused.ply")
 
 
 def archive_of(tmp_path, *names, content=b"abc"):
@@ -25,30 +25,30 @@ def archive_of(tmp_path, *names, content=b"abc"):
 @pytest.mark.parametrize("name", ["../evil", "/etc/evil", "a/../../evil", "a\\..\\evil", "c:/evil"])
 def test_members__refuses_names_that_leave_the_archive(tmp_path, name):
     with pytest.raises(InvalidScan, match="leaves the archive"):
-        open_archive(archive_of(tmp_path, "fused.ply", name), LANDMARKS)
+        open_archive(archive_of(tmp_path, "fused.ply", name))
 
 
 def test_members__refuses_a_name_that_occurs_twice(tmp_path):
     with pytest.raises(InvalidScan, match="fused.ply: a name that occurs twice"):
-        open_archive(archive_of(tmp_path, "fused.ply", "fused.ply"), LANDMARKS)
+        open_archive(archive_of(tmp_path, "fused.ply", "fused.ply"))
 
 
 def test_members__refuses_symbolic_links(tmp_path):
     link = zipfile.ZipInfo("images/a.png")
     link.external_attr = 0o120777 << 16
     with pytest.raises(InvalidScan, match="images/a.png: a symbolic link"):
-        open_archive(archive_of(tmp_path, link, content=b"/etc/passwd"), LANDMARKS)
+        open_archive(archive_of(tmp_path, link, content=b"/etc/passwd"))
 
 
 def test_members__refuses_a_bomb(tmp_path):
     with pytest.raises(InvalidScan, match="bytes unpacked from"):
-        open_archive(archive_of(tmp_path, "fused.ply", content=bytes(1 << 20)), LANDMARKS)
+        open_archive(archive_of(tmp_path, "fused.ply", content=bytes(1 << 20)))
 
 
 def test_members__refuses_too_many_members(tmp_path, monkeypatch):
     monkeypatch.setattr(members, "MAX_ENTRIES", 2)
     with pytest.raises(InvalidScan, match="3 members; allowed: at most 2"):
-        open_archive(archive_of(tmp_path, "a", "b", "c"), LANDMARKS)
+        open_archive(archive_of(tmp_path, "a", "b", "c"))
 
 
 def test_members__refuses_members_that_overlap(tmp_path):
@@ -58,7 +58,7 @@ def test_members__refuses_members_that_overlap(tmp_path):
         struct.pack_into("<I", content, entry + 20, 600)  # packed size
     open(path, "wb").write(content)
     with pytest.raises(InvalidScan, match="packed bytes"):
-        open_archive(path, LANDMARKS)
+        open_archive(path)
 
 
 def test_members__refuses_encryption(tmp_path):
@@ -67,7 +67,7 @@ def test_members__refuses_encryption(tmp_path):
     content[content.find(b"PK\1\2") + 8] |= 1
     open(path, "wb").write(content)
     with pytest.raises(UnsupportedScan, match="encrypted"):
-        open_archive(path, LANDMARKS)
+        open_archive(path)
 
 
 def test_members__refuses_truncated_archives(tmp_path):
@@ -79,19 +79,34 @@ def test_members__refuses_truncated_archives(tmp_path):
             open_scan(path)
 
 
-@pytest.mark.parametrize("wrap", ["", "dense/"])
-def test_members__tolerates_one_wrapping_folder(tmp_path, wrap):
-    names = (f"{wrap}fused.ply", f"{wrap}images/a.png", "__MACOSX/._a")
-    archive = open_archive(archive_of(tmp_path, *names), LANDMARKS)
-    assert archive.root == wrap and archive.size("fused.ply") == 3 and archive.size("images/a.png") == 3
+@pytest.mark.parametrize("wrap", ["", "dense/", "project/dense/0/"])
+def test_members__a_workspace_is_found_any_number_of_folders_down(tmp_path, wrap):
+    names = ("fused.ply", "images/a.png", "sparse/cameras.bin", "sparse/images.bin")
+    junk = ("__MACOSX/._a", ".DS_Store", "Thumbs.db", "readme.txt")
+    archive = open_archive(archive_of(tmp_path, *(wrap + name for name in names), *junk))
+    found = find_workspace(archive)
+    assert (found.root, found.points, found.models) == (wrap, "fused.ply", ("sparse",))
+    below = archive.below(found.root)
+    assert below.size("fused.ply") == 3 and below.size("images/a.png") == 3
+    with below.open("images/a.png") as stream:
+        assert stream.read() == b"abc"
 
 
-def test_members__a_lone_landmark_is_not_a_wrapping_folder(tmp_path):
-    assert open_archive(archive_of(tmp_path, "sparse/cameras.bin"), LANDMARKS).root == ""
+def test_members__two_workspaces_side_by_side_are_both_named(tmp_path):
+    names = [f"{folder}/{name}" for folder in "ab" for name in ("fused.ply", "sparse/cameras.bin", "sparse/images.bin")]
+    with pytest.raises(InvalidScan, match="'a/' and 'b/'"):
+        find_workspace(open_archive(archive_of(tmp_path, *names)))
+
+
+def test_members__backslashes_are_folders(tmp_path):
+    archive = open_archive(archive_of(tmp_path, "scan\\images\\a.png"))
+    assert archive.size("scan/images/a.png") == 3
+    with archive.open("scan/images/a.png") as stream:
+        assert stream.read() == b"abc"
 
 
 def test_members__folder_and_archive_answer_alike(tmp_path):
-    archive = open_archive(archive_of(tmp_path, "sub/b.txt", "fused.ply", content=b"hello"), LANDMARKS)
+    archive = open_archive(archive_of(tmp_path, "sub/b.txt", "fused.ply", content=b"hello"))
     (tmp_path / "f" / "sub").mkdir(parents=True)
     (tmp_path / "f" / "sub" / "b.txt").write_bytes(b"hello")
     for source in (archive, Folder(str(tmp_path / "f"))):

@@ -13,7 +13,7 @@ from pipeline.readers import open_scan
 from pipeline.readers.check import check_scan
 from pipeline.readers.ply.header import MAX_HEADER_BYTES
 from pipeline.readers.ply.ply import open_vertices
-from storage.errors import InvalidScan, UnsupportedScan
+from storage.errors import InvalidScan
 from tests.pipeline.readers.shared_data import shared_scan
 
 TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "u2": "ushort", "i4": "int32", "i2": "short"}
@@ -128,14 +128,25 @@ def test_ply__nan_and_infinity_may_be_written_as_on_windows(tmp_path, word, valu
     np.testing.assert_array_equal(read(tmp_path / "a.ply")["position"][1], [1, value, 2])
 
 
-@pytest.mark.parametrize(("kind", "value"), [("f4", 200.0), ("i4", 256), ("i4", -1)])
-def test_ply__refuses_a_colour_out_of_range_naming_vertex_and_value(tmp_path, kind, value):
-    rows = table(6, [("x", "f4"), ("y", "f4"), ("z", "f4")] + [(c, kind) for c in ("red", "green", "blue")])
+@pytest.mark.parametrize("top", [1.0, 255, 4095, 65535])
+@pytest.mark.parametrize("kind", ["f4", "i4", "u2"])
+def test_ply__colours_range_over_what_their_values_say(tmp_path, kind, top):
+    if top == 1.0 and kind != "f4":
+        return
+    rows = table(300, [("x", "f4"), ("y", "f4"), ("z", "f4")] + [(c, kind) for c in ("red", "green", "blue")])
     for channel in ("red", "green", "blue"):
-        rows[channel] = 0
-    rows["blue"][5] = value
-    with pytest.raises(InvalidScan, match=rf"vertex 5: a colour of {value}.*0 to (1.0|255)"):
-        read(write(tmp_path / "a.ply", rows), 4)
+        rows[channel] = np.linspace(0, top, 300)
+    for encoding in ("ascii", "binary_little_endian", "binary_big_endian"):
+        got = read(write(tmp_path / "a.ply", rows, encoding))["color"]
+        np.testing.assert_allclose(got[:, 2], rows["blue"] * (255 / top), atol=0.51)
+
+
+def test_ply__colours_below_zero_are_drawn_as_zero_and_said(tmp_path):
+    rows = table(6, [("x", "f4"), ("y", "f4"), ("z", "f4")] + [(c, "i4") for c in ("red", "green", "blue")])
+    rows["blue"][5] = -1
+    path = write(tmp_path / "a.ply", rows)
+    assert read(path)["color"][5, 2] == 0
+    assert "1 of its colour values are below 0" in " ".join(open_scan(path).warnings)
 
 
 def test_ply__nan_positions_are_handed_on(tmp_path):
@@ -162,11 +173,46 @@ def test_ply__lists_after_the_vertices_are_ignored(tmp_path):
     assert source.details["elements"] == {"vertex": 4, "face": 7}
 
 
-@pytest.mark.parametrize("place", ["before", "extra"])
-def test_ply__refuses_lists_before_or_in_the_vertices(tmp_path, place):
-    lines = {"before": ("element face 1", "property list uchar int i"), "extra": ("property list uchar int i",)}[place]
-    with pytest.raises(UnsupportedScan, match="list"):
-        open_scan(write(tmp_path / "a.ply", table(4), **{place: lines}))
+XYZ_LISTS = (
+    "property float x\nproperty list uchar int views\nproperty float y\nproperty float z\nproperty list uint float w\n"
+)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_ply__lists_in_and_before_the_vertices_are_skipped(tmp_path, encoding):
+    order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[encoding]
+    head = f"ply\nformat {encoding} 1.0\nelement face 2\nproperty list uchar int i\nelement vertex 50\n{XYZ_LISTS}end_header\n"
+    random = np.random.default_rng(0)
+    rows = [
+        (random.normal(size=3).astype(np.float32), random.integers(0, 9, i % 7), random.normal(size=i % 3))
+        for i in range(50)
+    ]
+    faces = [[0, 1, 2], [3, 4, 5, 6]]
+    if encoding == "ascii":
+        lines = [" ".join(map(str, [len(f), *f])) for f in faces]
+        lines += [" ".join(map(str, [p[0], len(v), *v, p[1], p[2], len(w), *w])) for p, v, w in rows]
+        data = "\n".join(lines).encode()
+    else:
+        packed = [np.uint8(len(f)).tobytes() + np.array(f, f"{order}i4").tobytes() for f in faces]
+        for p, v, w in rows:
+            packed += [
+                p[:1].astype(f"{order}f4").tobytes(),
+                np.uint8(len(v)).tobytes(),
+                v.astype(f"{order}i4").tobytes(),
+            ]
+            packed += [p[1:].astype(f"{order}f4").tobytes(), np.array([len(w)], f"{order}u4").tobytes()]
+            packed += [w.astype(f"{order}f4").tobytes()]
+        data = b"".join(packed)
+    (tmp_path / "a.ply").write_bytes(head.encode() + data)
+    for n in (1, 7, 50):
+        np.testing.assert_array_equal(
+            read(tmp_path / "a.ply", n)["position"].astype(np.float32), [p for p, _, _ in rows]
+        )
+    assert set(open_scan(tmp_path / "a.ply").unused) == {"views", "w"}
+    for cut in range(1, 60, 7) if encoding != "ascii" else ():
+        (tmp_path / "cut.ply").write_bytes((head.encode() + data)[:-cut])
+        with pytest.raises(InvalidScan, match="cut.ply"):
+            read(tmp_path / "cut.ply")
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
@@ -196,12 +242,45 @@ def test_ply__names_the_byte_where_a_stream_ends_early(tmp_path):
         list(source.pieces(2))
 
 
-@pytest.mark.parametrize("line", ["1 2", "1 2 3 4", "1 2 three", ""])
-def test_ply__refuses_an_ascii_row_naming_vertex_and_line(tmp_path, line):
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ("1 2", ":line 9: 2 values"),
+        ("1 2 3 4", ":line 9: 4 values"),
+        ("1 2 three", ":line 9, column 5: 'three'"),
+        ("1,5 2 3", "'1,5'"),
+    ],
+)
+def test_ply__refuses_an_ascii_row_naming_line_and_column(tmp_path, line, found):
     text = f"ply\nformat ascii 1.0\nelement vertex 3\n{XYZ}end_header\n0 0 0\n{line}\n1 1 1\n1 1 1\n"
     (tmp_path / "a.ply").write_text(text)
-    with pytest.raises(InvalidScan, match=f"vertex 1: line '{line}'.*3 numbers"):
+    with pytest.raises(InvalidScan, match=f"{found}.*3 numbers"):
         read(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r", "\n\r"])
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
+def test_ply__lines_may_end_with_anything(tmp_path, end, encoding):
+    rows = table(20)
+    whole = write(tmp_path / "a.ply", rows, encoding).read_bytes()
+    at = whole.index(b"end_header\n") + 11
+    head, data = whole[:at].replace(b"\n", end.encode()), whole[at:]
+    for first in (b"", b"\n", b"\r"):  # data that begins like an end of a line
+        begun = data if encoding == "ascii" else first + data[len(first) :]
+        body = begun.replace(b"\n", end.encode()) if encoding == "ascii" else begun
+        (tmp_path / "b.ply").write_bytes(head + body)
+        got = read(tmp_path / "b.ply")["position"]
+        if encoding == "ascii" or not first:
+            np.testing.assert_array_equal(got, np.stack([rows[c] for c in "xyz"], 1).astype(float))
+        assert len(got) == 20 and not any("ignored" in w for w in open_scan(tmp_path / "b.ply").warnings)
+
+
+def test_ply__comments_and_empty_lines_between_vertices_are_passed_over(tmp_path):
+    text = (
+        f"ply\nformat ascii 1.0\n\nelement vertex 3\n{XYZ}end_header\n\n0 0 0\ncomment here\n\n1 2 3\n# there\n4 5 6\n"
+    )
+    (tmp_path / "a.ply").write_text(text)
+    assert read(tmp_path / "a.ply")["position"].tolist() == [[0, 0, 0], [1, 2, 3], [4, 5, 6]]
 
 
 XYZ = "property float x\nproperty float y\nproperty float z\n"
@@ -260,18 +339,20 @@ def test_ply__source_can_be_sent_to_another_process_and_read_twice(tmp_path):
     np.testing.assert_array_equal(first, second)
 
 
-def test_ply__open_reads_the_header_alone(tmp_path):
-    path = write(tmp_path / "a.ply", table(1000))
-    longest = 0
+@pytest.mark.parametrize("with_color", [False, True])
+def test_ply__open_reads_the_header_and_of_colours_a_few_runs(tmp_path, with_color):
+    fields = FIELDS if with_color else [("x", "f4"), ("y", "f4"), ("z", "f4")]
+    path = write(tmp_path / "a.ply", table(600_000, fields))
+    n_read = 0
 
     class Counting(io.BytesIO):
         def read(self, n=-1):
-            nonlocal longest
-            longest = max(longest, n if n >= 0 else 1 << 40)
+            nonlocal n_read
+            n_read += n if n >= 0 else 1 << 40
             return super().read(n)
 
     open_vertices(partial(Counting, path.read_bytes()), path.stat().st_size, "stream")
-    assert longest < 100
+    assert n_read < (1 << 19 if with_color else 1 << 14)
 
 
 @pytest.mark.parametrize(
