@@ -66,7 +66,7 @@ def small(monkeypatch):
     monkeypatch.setattr(ingest, "PIECE", 17)
     monkeypatch.setattr(ingest, "LEAST_SAMPLE", 5)
     monkeypatch.setattr(ingest, "SAMPLE", 8)
-    ingest._source.cache_clear()
+    ingest._opened.cache_clear()
 
 
 def assert_same(one: tuple[Path, dict], other: tuple[Path, dict]) -> None:
@@ -124,5 +124,5 @@ def test_ingest__slices_are_whole_runs_of_what_is_decoded_at_once(n, decoded_at_
 def test_ingest__a_scan_without_any_finite_point_is_refused(tmp_path, small):
     rows = table(300)
     rows["y"] = np.inf
-    with pytest.raises(InvalidScan, match="none of its 300 points has a finite position"):
+    with pytest.raises(InvalidScan, match="none of its 300 points is left: 300 have a position that is not finite"):
         made(test_ply.write(tmp_path / "a.ply", rows), tmp_path)
