@@ -22,6 +22,7 @@ class Task(StrEnum):
     SAMPLE = "one of at most 16 blocks"
     PHOTO = "a photograph"
     BY_PHOTO = "the splats of a photograph"
+    STATION = "the points of a station"
     TRAINING = "a training block of about 4,096 patches"
     ONCE = "all of the training set"
 
@@ -119,6 +120,19 @@ CATALOGUE = (
     StageEntry(
         "exposure", "effects/exposure/stage.py", Phase.EFFECTS, Task.PHOTO,
         "photographs in one light", ("ingest",), when="the plan has it on",
+    ),
+    StageEntry(
+        "panoramas", "stages/texture/panoramas.py", Phase.TEXTURE, Task.STATION,
+        "what each station saw: colour, alpha and distance, drawn from all points", ("partition", "neighbours"), share=8,
+        when="station maps",
+    ),
+    StageEntry(
+        "station-light", "effects/exposure/stations.py", Phase.TEXTURE, Task.SAMPLE,
+        "a gain for each station's light", ("panoramas", "splats"), share=3, when="maps of several stations",
+    ),
+    StageEntry(
+        "resample-maps", "stages/texture/resample_maps.py", Phase.TEXTURE, Task.BLOCK,
+        "32x32 patches from the map that shows a splat best", ("panoramas", "splats"), share=12, when="station maps",
     ),
     StageEntry(
         "resample", "stages/texture/resample.py", Phase.TEXTURE, Task.BLOCK,

@@ -86,6 +86,7 @@ class Job:
     iterations: int = 4
     n_indices: int = KILO  # of atoms in all their turns
     atom_size: int = SMALLEST  # texels to a side
+    n_stations: int = 0  # of a laser scan that is textured from their maps
 
 
 @dataclass(frozen=True)
@@ -168,6 +169,8 @@ def _units(name: str, job: Job) -> float:
     kind = TASKS[name]
     if kind == Task.PHOTO:
         return job.n_photographs * job.megapixels
+    if kind == Task.STATION and not job.n_stations:
+        return 0
     if kind == Task.SAMPLE:
         return min(job.n_splats, SAMPLED * BLOCK)
     return min(job.training_splats, job.n_splats) if kind in (Task.TRAINING, Task.ONCE) else job.n_splats
@@ -177,6 +180,8 @@ def _n_tasks(name: str, job: Job) -> int:
     kind = TASKS[name]
     if kind in (Task.PHOTO, Task.BY_PHOTO):
         return job.n_photographs
+    if kind == Task.STATION:
+        return job.n_stations
     rows = {
         Task.SLICE: max(SLICE, job.n_splats // MOST_SLICES),
         Task.PART: max(PART, job.n_splats // MOST_PARTS) if name in BEYOND_MEMORY else MOST_HELD,

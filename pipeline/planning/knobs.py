@@ -358,6 +358,16 @@ KNOBS = (
         optional=True,
     ),
     Knob(
+        "texture",
+        str,
+        "where colours come from: one a splat; or atoms, of photographs, or of maps of what a laser scan's stations saw; "
+        "auto: atoms where there are photographs, or where a splat stands for 4 points of a scan with stations",
+        "atoms: with --density 0.1 a laser scan looks as with all its points",
+        "atoms: bytes and time of coding; maps are drawn from all points, whatever the density",
+        "panoramas",
+        choices=("auto", "color", "atoms"),
+    ),
+    Knob(
         "seed",
         int,
         "of all random choices",

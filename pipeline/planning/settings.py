@@ -36,6 +36,7 @@ class Settings:
     spacing: str = ""
     component: int | None = None
     time: int | None = None
+    texture: str = "auto"
     seed: int = 0
     marked_points: str = ""  # what is asked of points that the scan marks, as readers.attributes.marks writes it
     station: str = ""  # x,y,z of a scanner that saw all points; "" leaves stations to the scan
@@ -47,6 +48,14 @@ class Settings:
     def reading(self) -> ReadOptions:
         """What of it decides how a scan is read."""
         return ReadOptions(self.marked_points, self.station, self.sparse_model, self.height_scale)
+
+    @property
+    def asked_effects(self) -> str:
+        """What is asked of effects, with what `texture` says of station maps."""
+        from pipeline.effects.plan.request import canonical_request  # finds all effects, which `inspect` can do without
+
+        asked = {"color": "off", "atoms": "on"}.get(self.texture)
+        return canonical_request([self.effects] + ([f"station_maps={asked}"] if asked else []))
 
 
 PRESETS = {

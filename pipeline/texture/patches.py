@@ -68,9 +68,14 @@ def make_patches(
         error += float(resampling_error(texel, rows, window, h, first_splat).sum())
         n_probes += 3 * PROBES * len(rows)
     texel[unseen] = np.tile(color[unseen], PATCH_SIZE * PATCH_SIZE)
+    return Patches(texel, *measured(texel), error, n_probes, n_flagged)
+
+
+def measured(texel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Averages (n, 3) float32 in 255ths, exact, and energies (n,) float32 of patches (n, PATCH_DIM) uint8."""
     average, energy = np.empty((len(texel), 3), np.float32), np.empty(len(texel), np.float32)
     _measure(texel.reshape(len(texel), -1, 3), average, energy)
-    return Patches(texel, average, energy, error, n_probes, n_flagged)
+    return average, energy
 
 
 def centred(texel: np.ndarray, average: np.ndarray) -> np.ndarray:

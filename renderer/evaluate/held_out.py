@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.effects.exposure.light import linear_of, srgb_of
 from pipeline.effects.exposure.solve import DARKEST
+from pipeline.numerics.srgb import linear_of, srgb_of
 from renderer.evaluate.compare import flip, psnr_db, ssim
 from renderer.evaluate.previews import limited_view, safe_names
 from renderer.pictures import resized, save_picture

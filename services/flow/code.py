@@ -7,6 +7,7 @@ from pipeline.geometry.frame import directions_of
 from pipeline.planning.settings import Settings
 from pipeline.stages.texture.prices import price_for
 from pipeline.stages.texture.resample import Resample
+from pipeline.stages.texture.resample_maps import ResampleMaps
 from services.flow.budget import NO_ATOMS, Trial, check_budget, within_budget
 from services.flow.pack import pack, packed_gpu_bytes, texels_of_levels
 from services.flow.prepare import Prepared
@@ -15,8 +16,12 @@ from services.flow.textures import Coded, code_patches
 
 
 def resample(run: Run, prepared: Prepared) -> StageRecord:
-    """Sample the photographs into patches."""
-    scan = prepared.scan
+    """Sample the photographs, or the maps of stations, into patches."""
+    scan, maps = prepared.scan, prepared.maps
+    if maps is not None:
+        splats, directions = prepared.splats.folder, directions_of(scan.summary["cameras"])
+        partition, radius = prepared.partition.folder, prepared.radius
+        return run.do(ResampleMaps(maps.folder, partition, splats, radius, *directions, maps.log_gain))
     return run.do(
         Resample(
             prepared.photos,

@@ -11,6 +11,7 @@ from pipeline.effects.block import Sources
 from pipeline.effects.plan.plan import EffectPlan, measured_effects, plan_effects
 from pipeline.effects.plan.registry import effects
 from pipeline.effects.plan.request import AUTO, ON, parse_request
+from pipeline.effects.station_maps import has_maps
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
 from pipeline.readers.attributes.options import ReadOptions
@@ -24,6 +25,7 @@ from pipeline.stages.points.partition import Partition
 from pipeline.stages.points.splats import Splats
 from pipeline.volumes.open import is_volume
 from pipeline.volumes.request import SurfaceRequest
+from services.flow.maps import StationMaps, draw_maps, maps_for
 from services.flow.run import Run
 from services.flow.volumes import refuse_surfaces, surface_points
 from storage.errors import InvalidScan
@@ -42,6 +44,7 @@ class Prepared:
     held_out: tuple[int, ...] = ()  # photographs that texture nothing
     effects: EffectPlan = EffectPlan((), {})
     built: tuple[tuple[str, Path], ...] = ()  # by effect, what its encoder made
+    maps: StationMaps | None = None  # of a laser scan's stations, where they texture its splats
 
     @property
     def photos(self) -> Path:
@@ -72,7 +75,25 @@ def prepare(
 ) -> Prepared:
     """The scan as splats, and with the effects that they call for; the photographs `held_out` texture none, and
     `surface` is what is asked of a volume."""
-    return with_effects(run, splats_of(run, scan, radius, held_out, density, surface, reading), request)
+    return with_maps(run, with_effects(run, splats_of(run, scan, radius, held_out, density, surface, reading), request))
+
+
+def with_maps(run: Run, prepared: Prepared) -> Prepared:
+    """Splats with the maps of their stations, where the plan has them on."""
+    if "station_maps" not in prepared.effects.enabled or not has_maps(prepared.scan.summary):
+        return prepared
+    drawn = draw_maps(run, prepared.scan, *_all_points(run, prepared))
+    splats, directions = prepared.splats.folder, directions_of(prepared.scan.summary["cameras"])
+    maps = maps_for(run, drawn.folder, prepared.partition.folder, splats, prepared.radius, directions)
+    return replace(prepared, maps=maps)
+
+
+def _all_points(run: Run, prepared: Prepared) -> tuple[StageRecord, StageRecord]:
+    """All points of the scan in chunk order, and their neighbours, whatever share of them became splats."""
+    if prepared.partition.summary["n_splats"] == prepared.scan.summary["n_points"]:
+        return prepared.partition, prepared.neighbours
+    partition = _in_chunk_order(run, prepared.scan, 1.0)
+    return partition, run.do(Neighbourhoods(partition.folder))
 
 
 def with_effects(run: Run, prepared: Prepared, request: str) -> Prepared:
@@ -136,13 +157,17 @@ def points_of(
     else:
         refuse_surfaces(scan, surface)
         ingest = ingest_of(run, scan, reading)
+    return ingest, _in_chunk_order(run, ingest, density)
+
+
+def _in_chunk_order(run: Run, ingest: StageRecord, density: float) -> StageRecord:
     if density * ingest.summary["n_points"] <= IN_MEMORY:
-        return ingest, run.do(Partition(ingest.folder, density))
+        return run.do(Partition(ingest.folder, density))
     counts = run.do(GridCounts(ingest.folder, density))
     if counts.summary["n_leaves"] == 1:
-        return ingest, run.do(Partition(ingest.folder, density))
+        return run.do(Partition(ingest.folder, density))
     dealt = run.do(DealtLeaves(ingest.folder, counts.folder, density))
-    return ingest, run.do(Partition(ingest.folder, density, counts.folder, dealt.folder))
+    return run.do(Partition(ingest.folder, density, counts.folder, dealt.folder))
 
 
 def splats_from(
@@ -187,6 +212,26 @@ def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[Effe
     return plan_effects(measures_of(found), request, sources.n_splats), dict(surveys)
 
 
-def is_textured(prepared: Prepared) -> bool:
+def has_photographs(prepared: Prepared) -> bool:
     """Whether any splat has a photograph."""
     return prepared.splats.summary["n_without_camera"] < prepared.splats.summary["n_splats"]
+
+
+def is_textured(prepared: Prepared) -> bool:
+    """Whether splats have photographs, or station maps, to be textured from."""
+    return has_photographs(prepared) or prepared.maps is not None
+
+
+def wants_texture(prepared: Prepared, texture: str) -> bool:
+    """Whether splats are to be textured, as the knob `texture` has it.
+
+    Raises: InvalidScan where atoms are asked for, and there is nothing that they could show.
+    """
+    if texture == "atoms" and not is_textured(prepared):
+        raise InvalidScan(
+            "texture",
+            "atoms, of a scan with neither photographs that see its points nor stations with colours",
+            "auto, color",
+            "--station x,y,z says where the scanner of a merged scan stood",
+        )
+    return texture != "color" and is_textured(prepared)

@@ -15,7 +15,7 @@ from services.flow.code import code
 from services.flow.estimate_cache import against, known_estimate
 from services.flow.outputs import placed_whole, write_outputs
 from services.flow.pack import pack, packed_gpu_bytes
-from services.flow.prepare import Prepared, is_textured, prepare
+from services.flow.prepare import Prepared, prepare, wants_texture
 from services.flow.run import Run
 from services.flow.textures import Coded
 from services.flow.volumes import surface_request
@@ -67,12 +67,12 @@ def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = Tru
         run,
         scan,
         settings.radius,
-        settings.effects,
+        settings.asked_effects,
         density=settings.density,
         surface=surface_request(settings),
         reading=settings.reading,
     )
-    coded = code(run, prepared, settings) if is_textured(prepared) else None
+    coded = code(run, prepared, settings) if wants_texture(prepared, settings.texture) else None
     packed = pack(run, prepared, coded, settings, name, path)
     if settings.budget_bytes is not None:
         check_budget(settings.budget_bytes, prepared.splats.summary["n_splats"], packed_gpu_bytes(packed))

@@ -16,7 +16,7 @@ from renderer.evaluate.variants import Variant, compare_variants
 from renderer.files import write_json
 from services.flow.code import code
 from services.flow.pack import pack
-from services.flow.prepare import is_textured, plan_scan, prepare, splats_of
+from services.flow.prepare import has_photographs, plan_scan, prepare, splats_of
 from services.flow.run import Run
 from services.flow.volumes import surface_request
 from storage.packed.packed import SUFFIX
@@ -70,7 +70,7 @@ def worth_of_effects(
                 surface=surface_request(asked),
                 reading=asked.reading,
             )
-            coded = code(run, prepared, asked) if is_textured(prepared) else None
+            coded = code(run, prepared, asked) if has_photographs(prepared) else None
             path = Path(folder) / f"{len(variants)}{SUFFIX}"
             pack(run, prepared, coded, asked, scan.stem, path)
             variants.append(Variant(name, path, prepared.photos))

@@ -30,7 +30,7 @@ from renderer.report.report import sizes_of
 from services.flow.code import code_prepared, resample
 from services.flow.estimate_cache import keep_estimate
 from services.flow.pack import pack
-from services.flow.prepare import Prepared, is_textured, prepare
+from services.flow.prepare import Prepared, prepare, wants_texture
 from services.flow.run import Run
 from services.flow.stage_lock import stage_lock
 from services.flow.textures import PATCHES_AN_ATOM, Coded, index_bits
@@ -108,7 +108,7 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
         run,
         scan,
         settings.radius,
-        settings.effects,
+        settings.asked_effects,
         density=settings.density,
         surface=surface_request(settings),
         reading=settings.reading,
@@ -124,7 +124,7 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
     pilot.work.mkdir(parents=True, exist_ok=True)
     sampled = _sampled(pilot, prepared)
     coded, own = None, settings
-    if is_textured(prepared):
+    if wants_texture(prepared, settings.texture):
         patches = resample(pilot, sampled)
         own = _affordable(settings, patches, prepared)
         coded = code_prepared(pilot, sampled, patches, own, prepared.splats.summary["n_splats"])

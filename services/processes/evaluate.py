@@ -20,7 +20,7 @@ from renderer.report.evaluation_page import write_evaluation
 from services.flow.code import code, resample
 from services.flow.outputs import put_in_place
 from services.flow.pack import pack
-from services.flow.prepare import Prepared, is_textured, prepare
+from services.flow.prepare import Prepared, has_photographs, prepare
 from services.flow.run import Run
 from services.flow.textures import encode
 from services.flow.volumes import surface_request
@@ -98,7 +98,7 @@ def _measure(
         surface=surface_request(settings),
         reading=settings.reading,
     )
-    if not is_textured(prepared):
+    if not has_photographs(prepared):
         raise InvalidScan(
             str(scan),
             "no photograph that sees any of its points",

@@ -20,7 +20,7 @@ from renderer.report.tradeoff_page import summarised, write_tradeoff
 from services.flow.code import code_prepared, resample
 from services.flow.outputs import placed_whole
 from services.flow.pack import pack
-from services.flow.prepare import is_textured, prepare
+from services.flow.prepare import has_photographs, prepare
 from services.flow.run import Run
 from services.flow.volumes import surface_request
 from services.processes.kinds import BUDGET_S
@@ -176,7 +176,7 @@ def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
         surface=surface_request(step.settings),
         reading=step.settings.reading,
     )
-    if not is_textured(prepared):
+    if not has_photographs(prepared):
         raise InvalidScan(
             str(scan),
             "no photograph that sees any of its points",

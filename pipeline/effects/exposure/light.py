@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.execution.compiled import kernel
+from pipeline.numerics.srgb import LINEAR_OF_LEVEL, srgb_of
 
 N_TERMS = 6  # 1, x, y, x^2, xy, y^2; x and y run over [-1, 1] across the photograph
 MOST_GAIN = 4.0  # two stops; a field that goes beyond between its splats was not measured there
@@ -22,23 +23,12 @@ def terms(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
 
-def linear_of(srgb: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB, both in [0, 1]."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
-def srgb_of(linear: np.ndarray) -> np.ndarray:
-    """sRGB of linear light, both in [0, 1]."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
-
-
 def relit(pixels: np.ndarray, log_gain: np.ndarray) -> np.ndarray:
     """A photograph (h, w, 3) uint8 with its light times exp(log_gain (3, N_TERMS) @ terms), rounded and clipped."""
-    by_level = linear_of(np.arange(256) / 255)
     # Indexed by the root of linear light, in which sRGB is nearly even: a step is a thirtieth of a level at most.
     by_root = 255 * srgb_of((np.arange(STEPS + 1) / STEPS) ** 2)
     result = np.empty_like(pixels)
-    _relight(pixels, np.ascontiguousarray(log_gain, np.float64), np.log(MOST_GAIN), by_level, by_root, result)
+    _relight(pixels, np.ascontiguousarray(log_gain, np.float64), np.log(MOST_GAIN), LINEAR_OF_LEVEL, by_root, result)
     return result
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.effects.block import Block
-from pipeline.effects.exposure.light import linear_of
+from pipeline.numerics.srgb import LINEAR_OF_LEVEL
 from storage.packed.schema import Camera
 
 EVERY = 32  # splats of a block: 512
 STEEPEST = 0.3  # cosine: beyond 73 degrees a disc is a smear of what lies about it
-LINEAR = linear_of(np.arange(256) / 255.0)  # light by level
 RINGS = ((0.0, 1), (0.5, 6), (0.9, 10))  # radius and number of lookups on the disc
 
 
@@ -50,7 +49,7 @@ def _in_photo(block: Block, index: int, camera: Camera, rows: np.ndarray) -> tup
     if len(row):
         left, top = int(column.min()), int(row.min())
         window = block.photo(index, left, top, int(column.max()) + 1, int(row.max()) + 1)
-        light = LINEAR[window[row - top, column - left]].mean(axis=1)
+        light = LINEAR_OF_LEVEL[window[row - top, column - left]].mean(axis=1)
     return (
         usable[whole],
         np.full(len(row), index),

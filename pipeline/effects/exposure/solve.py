@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS, srgb_of, terms
+from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS, terms
 from pipeline.execution.compiled import kernel
+from pipeline.numerics.srgb import srgb_of
 
 ROUNDS = 40  # of medians and fits in turn; the last of 40 moves no gain of monstree by 0.1 %
 MORE_ROUNDS = 10  # from fields that are near

@@ -12,15 +12,11 @@ from pipeline.geometry.frame import directions_of
 from pipeline.geometry.normals import decode_normals, encode_normals
 from pipeline.geometry.positions import Boxes, decode_positions, encode_positions, fit_boxes
 from pipeline.splats.cameras import best_cameras
+from pipeline.splats.colors import point_colors
 from pipeline.splats.decoded import seen_by_cameras
 from pipeline.splats.normals import turned_to, usable_normals
 from storage.packed.schema import CHUNK, ELLIPSOID_FIELDS, NO_CAMERA, Camera
 from storage.work import arrays, work
-
-# A scan with neither colour nor intensity is shown as grey plaster under a lamp above and to the side: a flat grey
-# would show its outline only.
-LAMP = np.array([0.42, 0.28, 0.86])
-DARKEST, BRIGHTEST = 0.15, 0.85
 
 
 @dataclass(frozen=True)
@@ -61,7 +57,7 @@ class Splats:
         normal = arrays.read(self.neighbours, "normal", start, stop).astype(np.float64)
         camera = self._cameras(scan, absolute, normal, start, stop)
         towards = self._towards_viewer(scan, absolute, normal, camera, start, stop)
-        color = self._colors(scan, turned_to(normal, towards), start, stop)
+        color = point_colors(scan, self.partition, turned_to(normal, towards), start, stop)
         if self.ellipsoids:
             self._take_ellipsoids(position, normal, start, stop)
         normal = turned_to(normal, towards)
@@ -137,15 +133,3 @@ class Splats:
             has = camera != NO_CAMERA
             towards[has] = np.array([c["centre"] for c in scan["cameras"]])[camera[has]] - absolute[has]
         return towards
-
-    def _colors(self, scan: dict, normal: np.ndarray, start: int, stop: int) -> np.ndarray:
-        """The scan's own colour, else grey from its intensity, else grey from its normals."""
-        if arrays.exists(self.partition, "color"):
-            return arrays.read(self.partition, "color", start, stop)
-        if scan["intensity_range"] is not None:
-            low, high = scan["intensity_range"]
-            intensity = arrays.read(self.partition, "intensity", start, stop).astype(np.float64)
-            grey = np.clip(np.nan_to_num((intensity - low) / max(high - low, np.finfo(float).tiny)), 0, 1)
-        else:
-            grey = DARKEST + (BRIGHTEST - DARKEST) * (1 + normal @ LAMP / np.linalg.norm(LAMP)) / 2
-        return np.repeat(np.round(grey * 255).astype(np.uint8)[:, None], 3, axis=1)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from pipeline.effects.exposure import exposed
-from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS, linear_of, relit, srgb_of, terms
+from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS, relit, terms
 from pipeline.effects.exposure.solve import Observations, _by_splat, _medians, solve_fields, spread
 from pipeline.execution.executors import SerialExecutor
+from pipeline.numerics.srgb import linear_of, srgb_of
 from pipeline.planning.settings import settings_for
 from renderer.evaluate.held_out import matched
 from services.flow.prepare import prepare

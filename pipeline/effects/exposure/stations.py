@@ -1,0 +1,103 @@
+"""Stations brought to one light, from splats that the maps of several of them show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS
+from pipeline.effects.exposure.solve import Observations, solve_fields, spread
+from pipeline.geometry.frame import Direction
+from pipeline.maps.choice import sharpness
+from pipeline.maps.sample import Squares, sample_patches, seen_at_centre
+from pipeline.maps.station_map import StationMap
+from pipeline.numerics.srgb import LINEAR_OF_LEVEL
+from pipeline.stages.texture.resample_maps import MappedSplats
+from pipeline.texture.resample import disc_weights
+from storage.packed.schema import PATCH_SIZE
+from storage.work import arrays, work
+
+MOST_BLOCKS = 16
+EVERY = 32  # splats of a block
+LEAST_SHARE = 0.9  # of a splat's square that a map must show
+# Levels of 255 by which the median spread of a splat's colours across stations must fall: less is what rounding makes of
+# equal ones.
+LEAST_FALL = 1.0
+
+
+@dataclass(frozen=True)
+class StationLight:
+    """A task a block, of at most MOST_BLOCKS blocks. The summary has `log_gain` (n_stations, 3): zeros where gains solved
+    from half of the splats do not bring the other half together by LEAST_FALL."""
+
+    maps: Path
+    partition: Path
+    splats: Path
+    radius: float
+    up: Direction
+    ahead: Direction
+    name = "station-light"
+
+    def init(self, folder: Path) -> int:
+        return min(MOST_BLOCKS, arrays.n_blocks(work.summary(self.splats)["n_splats"]))
+
+    def run(self, folder: Path, index: int) -> dict:
+        n = work.summary(self.splats)["n_splats"]
+        n_blocks = arrays.n_blocks(n)
+        chosen = index * n_blocks // min(MOST_BLOCKS, n_blocks)
+        start, stop = arrays.block_range(chosen, n)
+        block = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
+        rows = np.arange(0, stop - start, EVERY)
+        seen = {"splat": [], "station": [], "light": []}
+        for station in range(block.n_stations):
+            station_map = block.map_of(station)
+            if station_map is None:
+                continue
+            found, light = _light_of(station_map, block.squares(station_map).only(rows))
+            seen["splat"] += found.tolist()
+            seen["station"] += [station] * len(found)
+            seen["light"] += light.round(6).ravel().tolist()
+        return seen | {"n_splats": stop - start}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        n_stations = len(work.summary(self.maps)["frames"])
+        splat = np.concatenate([np.array(r["splat"], np.int64) + (i << 20) for i, r in enumerate(results)])
+        station = np.concatenate([np.array(r["station"], np.int64) for r in results])
+        light = np.concatenate([np.array(r["light"], float).reshape(-1, 3) for r in results])
+        several = _several(splat)
+        nowhere = np.zeros(int(several.sum()))  # a station's light is the same all around
+        seen = Observations(splat[several], station[several], nowhere, nowhere, light[several])
+        return _gains(seen, n_stations)
+
+
+def _gains(seen: Observations, n_stations: int) -> dict:
+    none = {"log_gain": np.zeros((n_stations, 3)).tolist(), "n_splats": len(np.unique(seen.splat))}
+    if not len(seen.splat):
+        return none | {"spread_before": None, "spread_after": None}
+    even = seen.splat % 2 == 0
+    of_half = solve_fields(seen.only(even), n_stations)
+    before, after = spread(seen.only(~even)), spread(seen.only(~even), of_half)
+    found = none | {"spread_before": before, "spread_after": after}
+    if before - after < LEAST_FALL:
+        return found
+    most = np.log(MOST_GAIN)
+    fields = solve_fields(seen, n_stations, of_half).reshape(n_stations, 3, N_TERMS)
+    return found | {"log_gain": np.clip(fields[:, :, 0], -most, most).round(5).tolist()}
+
+
+def _light_of(station_map: StationMap, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
+    """Which splats a map shows nearly whole, and their mean light (m, 3) over their discs."""
+    found = np.flatnonzero(seen_at_centre(station_map, squares) & (sharpness(station_map, squares) > 0))
+    patches, share = sample_patches(station_map, squares.only(found))
+    whole = share >= LEAST_SHARE
+    weight = disc_weights()[::3]
+    light = LINEAR_OF_LEVEL[patches[whole].reshape(-1, PATCH_SIZE * PATCH_SIZE, 3)]
+    return found[whole], (light * weight[:, None]).sum(axis=1) / weight.sum()
+
+
+def _several(splat: np.ndarray) -> np.ndarray:
+    """(m,) bool: rows whose splat has another row."""
+    _, at, count = np.unique(splat, return_inverse=True, return_counts=True)
+    return count[at] > 1

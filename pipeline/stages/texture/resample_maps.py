@@ -1,0 +1,113 @@
+"""Station maps -> patches: each splat's square in the map of the station that shows it best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.geometry.frame import Direction
+from pipeline.maps.choice import NO_STATION, best_stations
+from pipeline.maps.light import levels_with
+from pipeline.maps.sample import Squares, sample_patches
+from pipeline.maps.station_map import StationMap
+from pipeline.splats.decoded import decoded_squares
+from pipeline.stages.texture.panoramas import read_map
+from pipeline.texture.patches import measured
+from pipeline.texture.resample import PATCH_DIM
+from storage.packed.schema import PATCH_SIZE
+from storage.work import arrays, work
+
+LEAST_SHARE = 0.02  # of a patch that a map must show: 20 of 1,024 texels
+Gains = tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class ResampleMaps:
+    """A task a block. Arrays as those of `Resample`: texel, average, energy, point."""
+
+    maps: Path  # as those of `Panoramas`
+    partition: Path
+    splats: Path
+    radius: float
+    up: Direction
+    ahead: Direction
+    log_gain: Gains  # of each station's light, by channel
+    name = "resample-maps"
+
+    def init(self, folder: Path) -> int:
+        n = work.summary(self.splats)["n_splats"]
+        arrays.create(folder, "texel", (n, PATCH_DIM), "uint8")
+        arrays.create(folder, "average", (n, 3), "float32")
+        arrays.create(folder, "energy", (n,), "float32")
+        arrays.create(folder, "point", (n,), "uint32")
+        return arrays.n_blocks(n)
+
+    def run(self, folder: Path, index: int) -> dict:
+        start, stop = arrays.block_range(index, work.summary(self.partition)["n_splats"])
+        splats = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
+        texel = np.empty((stop - start, PATCH_DIM), np.uint8)
+        shown = np.zeros(stop - start)
+        best = best_stations(splats.map_of, splats.n_stations, splats.squares, splats.own)
+        for station in np.unique(best[best != NO_STATION]):
+            station_map, rows = splats.map_of(int(station)), np.flatnonzero(best == station)
+            levels = levels_with(self.log_gain[station])
+            patches, shown[rows] = sample_patches(station_map, splats.squares(station_map).only(rows), levels)
+            texel[rows] = patches.reshape(len(rows), PATCH_DIM)
+        blind = shown < LEAST_SHARE
+        color = arrays.read(self.splats, "color", start, stop)[blind]
+        texel[blind] = np.tile(color, PATCH_SIZE * PATCH_SIZE)
+        average, energy = measured(texel)
+        for name, rows in (("texel", texel), ("average", average), ("energy", energy)):
+            arrays.write(folder, name, start, rows)
+        arrays.write(folder, "point", start, arrays.read(self.partition, "point", start, stop))
+        return {
+            "n_splats": stop - start,
+            "n_flagged": int((shown < 1).sum()),
+            "n_blind": int(blind.sum()),
+            "n_other_station": int(((best != splats.own) & ~blind).sum()),
+            "energy": float(energy.sum(dtype=np.float64)),
+        }
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        sums = {k: sum(r[k] for r in results) for k in ("energy", "n_flagged", "n_blind", "n_other_station")}
+        return sums | {"resampling_psnr_db": None}
+
+
+@dataclass(frozen=True)
+class MappedSplats:
+    """The splats of a block of whole chunks, as maps look at them."""
+
+    maps: Path
+    partition: Path
+    splats: Path
+    radius: float
+    up: Direction
+    ahead: Direction
+    start: int
+    stop: int
+
+    @property
+    def n_stations(self) -> int:
+        return len(work.summary(self.maps)["frames"])
+
+    @property
+    def own(self) -> np.ndarray:  # (n,) int64
+        if not arrays.exists(self.partition, "station"):
+            return np.full(self.stop - self.start, NO_STATION)
+        return arrays.read(self.partition, "station", self.start, self.stop).astype(np.int64)
+
+    def map_of(self, station: int) -> StationMap | None:
+        return read_map(self.maps, station)
+
+    def squares(self, station_map: StationMap) -> Squares:
+        """All of them, against the map's station."""
+        centre, (u, v) = self._decoded
+        offset = np.array(work.summary(self.partition)["origin"]) - np.array(station_map.frame.centre)
+        return Squares(centre + offset, u, v, np.full(len(centre), self.radius))
+
+    @cached_property
+    def _decoded(self) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        return decoded_squares(self.splats, self.up, self.ahead, self.radius, self.start, self.stop)

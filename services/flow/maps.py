@@ -1,0 +1,38 @@
+"""Maps of a laser scan's stations, drawn from all of its points, whatever share of them became splats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.effects.exposure.stations import StationLight
+from pipeline.execution.stage import StageRecord
+from pipeline.geometry.frame import Direction
+from pipeline.stages.texture.panoramas import Panoramas
+from services.flow.run import Run
+from storage.work import work
+
+
+@dataclass(frozen=True)
+class StationMaps:
+    """Where splats are textured from in place of photographs."""
+
+    folder: Path  # color_<i> and depth_<i> of each station
+    log_gain: tuple[tuple[float, float, float], ...]  # of each station's light, by channel
+    light: dict | None  # what the gains were told from; None for one station
+
+
+def draw_maps(run: Run, ingest: StageRecord, partition: StageRecord, neighbours: StageRecord) -> StageRecord:
+    """The maps of all stations; `partition` and `neighbours` have all points of the scan."""
+    return run.do(Panoramas(ingest.folder, partition.folder, neighbours.folder))
+
+
+def maps_for(
+    run: Run, maps: Path, partition: Path, splats: Path, radius: float, directions: tuple[Direction, Direction]
+) -> StationMaps:
+    """Maps as texture: the light of several stations brought together."""
+    n_stations = len(work.summary(maps)["frames"])
+    if n_stations < 2:
+        return StationMaps(maps, ((0.0, 0.0, 0.0),) * n_stations, None)
+    light = run.do(StationLight(maps, partition, splats, radius, *directions)).summary
+    return StationMaps(maps, tuple(tuple(gain) for gain in light["log_gain"]), light)

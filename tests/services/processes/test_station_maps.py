@@ -1,0 +1,115 @@
+"""Laser scans with textures: a tenth of the points show what all of them show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.execution.executors import DaskExecutor, SerialExecutor
+from pipeline.planning.settings import settings_for
+from renderer.evaluate.compare import psnr_of_error
+from renderer.splats.renderer import Renderer
+from renderer.splats.scene import GpuScene
+from services.processes.compress import compress
+from storage.errors import InvalidScan
+from storage.packed.packed import PackedFile
+from storage.packed.schema import Camera
+from storage.work import work
+from tests.pipeline.execution.test_stage import Heard
+from tests.services.scans import point_scan
+from tests.stations import cast, room_color, scanned, write_e57
+
+SETTINGS = settings_for("draft", density=0.1, radius=0.25, training_splats=4000, iterations=2)
+STATIONS = [[-1.0, -0.8, 0.2], [0.4, 1.3, -0.1]]
+MAP_STAGES = {"panoramas", "station-light", "resample-maps"}
+VIEW = Camera(
+    "near", 320, 240, 200.0, 200.0, 160.0, 120.0, ((0.0, -1, 0), (0, 0, -1), (1, 0, 0)), (-0.8, -0.9, 0.1)
+)  # along +x
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("stations") / "room.e57"
+    return write_e57(path, scanned(STATIONS[0], 1.2), scanned(STATIONS[1], 1.2, gain=0.8))
+
+
+@pytest.fixture(scope="module")
+def made(scan, tmp_path_factory):
+    """A function from settings to the report, the packed file and the work folder."""
+    folder = tmp_path_factory.mktemp("made")
+    known: dict = {}
+
+    def make(settings, executor=None, name=""):
+        key = (settings, name)
+        if key not in known:
+            out, kept = folder / f"out-{len(known)}", folder / (f"work-{name}" if name else "work")
+            report = compress(scan, out, settings, executor or SerialExecutor(), Heard(), render=False, work=kept)
+            known[key] = report, out / "room.splatpress", kept
+        return known[key]
+
+    return make
+
+
+def stages_of(report: dict) -> set[str]:
+    return {stage["name"] for stage in report["stages"]}
+
+
+def picture_psnr_db(path: Path, renderer: Renderer) -> float:
+    """Of the picture from VIEW against rays cast at the room itself, where splats cover it."""
+    with PackedFile(path) as packed:
+        gpu_scene = GpuScene(packed.load(), renderer.context)
+    picture = renderer.render(gpu_scene, VIEW)
+    gpu_scene.release()
+    column, row = np.meshgrid(np.arange(VIEW.width_px) + 0.5, np.arange(VIEW.height_px) + 0.5)
+    local = np.stack([(column - VIEW.cx_px) / VIEW.fx_px, (row - VIEW.cy_px) / VIEW.fy_px, np.ones_like(row)], axis=-1)
+    point, _ = cast(np.array(VIEW.centre), local.reshape(-1, 3) @ np.array(VIEW.rotation))
+    truth = room_color(point).reshape(*row.shape, 3)
+    assert picture.coverage.mean() > 0.85
+    error = (picture.rgb.astype(float) - truth)[picture.coverage]
+    return psnr_of_error(float((error**2).mean()))
+
+
+def test_maps__a_tenth_of_the_points_with_texture_is_4_db_above_one_colour_a_splat(made, renderer):
+    with_maps, flat = made(SETTINGS), made(replace(SETTINGS, texture="color"))
+    assert stages_of(with_maps[0]) >= MAP_STAGES and not stages_of(flat[0]) & MAP_STAGES
+    assert with_maps[0]["quality"]["texture_psnr_db"] > 28 and flat[0]["quality"]["texture_psnr_db"] is None
+    textured_db, flat_db = (picture_psnr_db(path, renderer) for path in (with_maps[1], flat[1]))
+    assert textured_db > flat_db + 4
+
+
+def test_maps__the_plan_says_whether_and_why(made):
+    def row_of(report: dict) -> dict:
+        return next(row for row in report["effects"] if row["effect"] == "station_maps")
+
+    asked = row_of(made(SETTINGS)[0])
+    assert asked["enabled"] and asked["request"] == "auto" and asked["measure"] == pytest.approx(10, rel=0.05)
+    whole = made(replace(SETTINGS, density=1.0))[0]
+    assert not row_of(whole)["enabled"] and row_of(whole)["measure"] == 1 and not stages_of(whole) & MAP_STAGES
+    assert row_of(made(replace(SETTINGS, texture="color"))[0])["request"] == "off"
+
+
+def test_maps__stations_are_brought_to_one_light(made):
+    _, _, folder = made(SETTINGS)
+    (light,) = folder.glob("station-light-*")
+    found = work.summary(light)
+    assert found["spread_after"] < found["spread_before"] / 2
+    gain = np.array(found["log_gain"])
+    # 0.8 of a level is about 0.8^2.2 of linear light
+    np.testing.assert_allclose(gain[1] - gain[0], np.log(0.8**-2.2), atol=0.12)
+
+
+def test_maps__bytes_do_not_depend_on_the_executor(made):
+    _, path, _ = made(SETTINGS)
+    with DaskExecutor(2) as executor:
+        _, other, _ = made(SETTINGS, executor, "dask")
+    assert path.read_bytes() == other.read_bytes()
+
+
+def test_maps__atoms_of_a_scan_without_stations_are_an_error_that_says_what_to_do(tmp_path):
+    scan = point_scan(tmp_path / "points.ply")
+    with pytest.raises(InvalidScan, match=r"texture.*neither photographs.*--station") as caught:
+        compress(scan, tmp_path / "out", replace(SETTINGS, density=1.0, texture="atoms"), SerialExecutor(), Heard())
+    assert caught.value.kind == "data" and not (tmp_path / "out").exists()
