@@ -12,6 +12,10 @@ from storage.errors import SplatpressError
 DATA, RESOURCE, INTERNAL = "data", "resource", "internal"
 
 
+_OGC = "http://www.opengis.net/def/exceptions/ogcapi-processes-1/1.0/"
+_OGC_TYPES = {slug: _OGC + slug for slug in ("no-such-process", "no-such-job", "result-not-ready")}
+
+
 class Problem(Exception):
     """`slug` names the type of the problem, for programs; `kind` says whose turn it is."""
 
@@ -32,7 +36,7 @@ class Problem(Exception):
 
     def body(self) -> dict:
         return {
-            "type": f"urn:splatpress:problem:{self.slug}",
+            "type": _OGC_TYPES.get(self.slug, f"urn:splatpress:problem:{self.slug}"),
             "title": self.slug.replace("-", " "),
             "status": self.status,
             "detail": self.detail,

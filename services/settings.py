@@ -38,6 +38,8 @@ class ServiceSettings:
     headers_s: float = 20.0  # a connection whose request has no whole headers by then is closed
     body_idle_s: float = 60.0  # a request whose body stands still for so long is ended; what arrived of an upload stays
     retention_s: float = 30 * DAY_S  # after a job's end; pinned jobs stay
+    audit_s: float = 365 * DAY_S  # how long it is kept who did what
+    access_log: bool = False  # a line a request on the API's standard error
     reserve_bytes: int = 1 << 30  # no stage begins with less disk than this
     performance_from_s: float = (
         5.0  # shorter jobs get no page of Dask's: it takes the scheduler 0.8 s, all jobs waiting

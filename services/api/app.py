@@ -8,14 +8,18 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from sqlalchemy.exc import InterfaceError, OperationalError
+from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 
-from services.api import artifacts, estimates, events, health, jobs, page, scans, uploads, words
+from services.api import artifacts, estimates, events, health, jobs, ogc, owners, page, scans, uploads, words
 from services.api.context import owner_of
-from services.api.limits import MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyGuard, Guard, cap, first_look, room
+from services.api.door.body import CHANGING, MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyGuard, Guard, cap, first_look, room
+from services.api.door.head import Head
+from services.api.door.schema import add_schema, allowed_methods
 from services.problems import RESOURCE, Problem, is_of_database, mistake
 from services.settings import ServiceSettings
 from services.store.store import Store
+from services.store.tokens import note_action
 from storage.version import VERSION
 
 PROBLEM_JSON = "application/problem+json"
@@ -58,7 +62,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         responses={"4XX": _PROBLEM},
     )
     app.state.settings, app.state.store = settings, Store(settings.database_url)
-    for module in (scans, uploads, estimates, jobs, events, artifacts, words):
+    for module in (scans, uploads, estimates, ogc, jobs, events, artifacts, words, owners):
         app.include_router(module.router, prefix="/v1")
     app.include_router(health.router)
     app.include_router(page.router)
@@ -71,7 +75,9 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     app.add_middleware(
         BodyGuard, admit=owner_of, guards=lambda *request: _guards(settings, *request), idle_s=settings.body_idle_s
     )
+    app.add_middleware(Head)
     app.middleware("http")(_secured)
+    add_schema(app)
     return app
 
 
@@ -91,7 +97,22 @@ async def _secured(request: Request, call_next):
     response = await call_next(request)
     for name, value in _SECURITY.items():
         response.headers.setdefault(name, value)
+    if request.method in CHANGING and response.status_code < 400 and hasattr(request.state, "owner"):
+        await run_in_threadpool(_note, request)
     return response
+
+
+def _note(request: Request) -> None:
+    """Who did what. A piece of an upload is no deed of its own."""
+    path = request.url.path
+    if request.method == "PATCH" and path.startswith("/v1/uploads/"):
+        return
+    client = request.client.host if request.client else ""
+    kind, _, target = path.removeprefix("/v1/").partition("/")
+    try:
+        note_action(request.app.state.store, request.state.owner, f"{request.method} {kind}", target, client)
+    except (OperationalError, InterfaceError):
+        pass  # what was done is done, and the database away since
 
 
 def _answer(problem: Problem) -> JSONResponse:
@@ -107,7 +128,9 @@ async def _invalid(_: Request, error: RequestValidationError) -> JSONResponse:
     return _answer(Problem(422, "invalid-request", found))
 
 
-async def _http(_: Request, error: HTTPException) -> JSONResponse:
+async def _http(request: Request, error: HTTPException) -> JSONResponse:
+    if error.status_code == 405:
+        error.headers = {**(error.headers or {}), "Allow": allowed_methods(request)}
     slug = {404: "not-found", 405: "method-not-allowed", 400: "bad-request"}.get(error.status_code, "http-error")
     return _answer(Problem(error.status_code, slug, str(error.detail), headers=dict(error.headers or {})))
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from typing import Annotated, Literal
+from urllib.parse import quote
 
-from fastapi import APIRouter, Query, Response
-from fastapi.responses import FileResponse
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.responses import FileResponse, StreamingResponse
 
 from pipeline.exports.formats import FORMATS
 from services.api.context import Database, Job, Settings
+from services.jobs.archive import zipped
 from services.jobs.documents import artifact_document
 from services.jobs.workflow import job_folder
 from services.problems import Problem
 from services.store.exports import export_name, packed_artifact, want_export
 from services.store.store import LIVE
+from services.uploads.scans import safe_name
 
 router = APIRouter(tags=["artifacts"])
 # A report is a page of ours that names things a stranger chose: it may run its plots, and reach nothing else.
@@ -57,11 +60,32 @@ def get_artifacts(
 
 
 @router.get(
-    "/jobs/{id}/artifacts/{name:path}",
-    response_class=FileResponse,
-    responses={200: {"content": {"application/octet-stream": {}}, "description": "the file, or a range of it"}},
+    "/jobs/{id}/archive",
+    response_class=StreamingResponse,
+    responses={200: {"content": {"application/zip": {}}, "description": "a .zip of all artifacts, made as it is sent"}},
 )
-def get_artifact(job: Job, name: str, settings: Settings, store: Database) -> FileResponse:
+def get_archive(job: Job, settings: Settings, store: Database) -> StreamingResponse:
+    """Everything that a job made, in one file."""
+    rows = store.artifacts(job["id"])
+    if not rows:
+        raise _absent(job, "artifact")
+    folder = job_folder(settings, job["id"])
+    name = safe_name(job["name"] + ".zip")
+    headers = {"content-disposition": f"attachment; filename*=UTF-8''{quote(name)}"}
+    files = [(row["name"], folder / row["path"]) for row in rows]
+    return StreamingResponse(zipped(files), media_type="application/zip", headers=headers)
+
+
+_FILE = {
+    200: {"content": {"application/octet-stream": {}}, "description": "the file"},
+    206: {"content": {"application/octet-stream": {}}, "description": "a range of it"},
+    304: {"description": "it is still what If-None-Match names"},
+}
+
+
+@router.head("/jobs/{id}/artifacts/{name:path}", response_class=FileResponse, responses=_FILE)  # type: ignore[arg-type]
+@router.get("/jobs/{id}/artifacts/{name:path}", response_class=FileResponse, responses=_FILE)  # type: ignore[arg-type]
+def get_artifact(job: Job, name: str, settings: Settings, store: Database, request: Request) -> Response:
     artifact = store.artifact(job["id"], name) if len(name) <= 300 and name.isprintable() else None
     if artifact is None:
         raise _absent(job, repr(name))
@@ -69,9 +93,17 @@ def get_artifact(job: Job, name: str, settings: Settings, store: Database) -> Fi
     if not path.is_file():
         raise Problem(410, "expired", f"{name} has expired")
     headers = {"etag": f'"{artifact["sha256"]}"', "cache-control": "private, max-age=0, must-revalidate"}
+    if is_known(request, headers["etag"]):
+        return Response(status_code=304, headers=headers)
     if path.suffix == ".html":
         headers["content-security-policy"] = _PAGE
     return FileResponse(path, headers=headers)
+
+
+def is_known(request: Request, etag: str) -> bool:
+    """Whether If-None-Match names it, weakly compared (RFC 9110, 13.1.2)."""
+    named = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
+    return etag in named or "*" in named
 
 
 def _absent(job: dict, what: str, tail: str = "") -> Problem:

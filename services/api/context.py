@@ -34,7 +34,8 @@ def owner_of(request: Request) -> str:
     if token:
         owner = store_of(request).owner_of(token.strip()) if scheme.lower() == "bearer" else None
         if owner is None:
-            raise _unauthorised("the token is not known")
+            raise _unauthorised("the token is not known, or no longer good")
+        request.state.owner = owner
         return owner
     if settings_of(request).needs_tokens or _FORWARDED & set(request.headers.keys()):
         raise _unauthorised("no token")
@@ -43,6 +44,7 @@ def owner_of(request: Request) -> str:
     site = request.headers.get("sec-fetch-site", "none")
     if request.method not in ("GET", "HEAD", "OPTIONS") and site not in ("none", "same-origin"):
         raise Problem(403, "foreign-site", "without a token, only this service's own page may change anything")
+    request.state.owner = LOCAL_OWNER
     return LOCAL_OWNER
 
 

@@ -23,6 +23,7 @@ from services.store.store import DISMISSED, FAILED, LEVELS, LIVE, STATES, SUCCES
 
 router = APIRouter(tags=["jobs"])
 Offset = Annotated[int, Query(ge=0, le=1 << 31)]
+IdempotencyKey = Annotated[str | None, Header(pattern=r"^[\x21-\x7e]{1,255}$")]
 
 
 # What a preset is changed by; `GET /v1/options` says what each allows.
@@ -52,7 +53,8 @@ class JobRequest(BaseModel):
 class JobChange(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
-    pinned: bool
+    pinned: bool | None = None
+    name: str | None = Field(None, min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")
 
 
 @router.post("/jobs", status_code=201)
@@ -62,7 +64,7 @@ def post_job(
     owner: Owner,
     settings: Settings,
     store: Database,
-    idempotency_key: Annotated[str | None, Header(pattern=r"^[\x21-\x7e]{1,255}$")] = None,
+    idempotency_key: IdempotencyKey = None,
 ) -> dict:
     """Submit a job. The same Idempotency-Key with the same request gives the same job, with another request 422."""
     scan = store.scan(request.scan, owner)
@@ -126,10 +128,12 @@ def get_jobs(
     store: Database,
     status: Literal[*STATES] | None = None,  # type: ignore[valid-type]
     scan: Annotated[str | None, Query(pattern="^[0-9a-f]{64}$")] = None,
+    q: Annotated[str, Query(max_length=200, description="words that the name has, whatever their case")] = "",
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
     offset: Offset = 0,
 ) -> dict:
-    rows, n_matched = store.jobs(owner, limit, offset, status, scan)
+    """Newest first."""
+    rows, n_matched = store.jobs(owner, limit, offset, status, scan, q)
     return {
         "jobs": [job_document(row, settings) for row in rows],
         "numberMatched": n_matched,
@@ -144,8 +148,8 @@ def get_job(job: Job, settings: Settings) -> dict:
 
 @router.patch("/jobs/{id}")
 def patch_job(job: Job, change: JobChange, settings: Settings, store: Database) -> dict:
-    """Pin a job, and its artifacts do not expire."""
-    store.pin(job["id"], change.pinned)
+    """Pin a job, and its artifacts do not expire; or give it another name."""
+    store.change_job(job["id"], **change.model_dump(exclude_none=True))
     return job_document(store.job(job["id"]), settings)
 
 

@@ -16,7 +16,7 @@ GROUPS = {
     "how large, how long": ("plan",),
     "the service": ("serve", "api", "runner", "token", "backup", "restore"),
     "a service's user": (
-        "login", "upload", "submit", "watch", "status", "cancel", "retry", "logs", "fetch", "ls", "regress",
+        "login", "logout", "upload", "submit", "watch", "status", "cancel", "retry", "logs", "fetch", "ls", "regress",
     ),
 }  # fmt: skip
 EXAMPLES = """examples:

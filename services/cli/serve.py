@@ -23,7 +23,7 @@ def run_api(settings: ServiceSettings) -> None:
     import uvicorn
 
     from services.api.app import create_app
-    from services.api.connection import protocol
+    from services.api.door.connection import protocol
 
     make_data_folder(settings.data)
     tempfile.tempdir = str(settings.data / "incoming")  # bodies of a form: as large as scans, so on the disk for scans
@@ -31,7 +31,8 @@ def run_api(settings: ServiceSettings) -> None:
         create_app(settings),
         host=settings.host,
         port=settings.port,
-        log_level="warning",
+        log_level="info" if settings.access_log else "warning",
+        access_log=settings.access_log,
         timeout_graceful_shutdown=3,
         server_header=False,
         http=protocol(settings.headers_s),

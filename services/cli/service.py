@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import sys
+import time
 from pathlib import Path
 
 from pipeline.planning.knobs import BY_NAME
@@ -40,9 +41,14 @@ def add_service_verbs(commands) -> None:
     token = commands.add_parser("token", help="make a token for an owner of scans and jobs")
     token.add_argument("owner")
     token.add_argument("--data", type=Path, metavar="DIR")
+    token.add_argument("--label", default="", help="to tell it from others")
+    token.add_argument("--days", type=float, help="how long it is good; default: for ever")
+    token.add_argument("--list", action="store_true", help="the owner's tokens by their ids, instead")
+    token.add_argument("--revoke", metavar="ID", help="a token of the owner's, instead")
     token.set_defaults(command=_token)
     login = _verb(commands, "login", "remember a service and a token", _login)
     login.add_argument("--token", help="default: asked for")
+    _verb(commands, "logout", "forget service and token", _logout)
     upload = _verb(commands, "upload", "upload a scan; prints its id", _upload)
     upload.add_argument("scan", type=Path)
     submit = _verb(commands, "submit", "a job on a scan, by its id or its path; prints the job's id", _submit)
@@ -133,8 +139,21 @@ def _runner(options: argparse.Namespace) -> int:
 
 def _token(options: argparse.Namespace) -> int:
     from services.store.store import Store
+    from services.store.tokens import ID_LENGTH, add_token, revoke_token, tokens_of
 
-    print(Store(_settings(options).database_url).add_token(options.owner))
+    store = Store(_settings(options).database_url)
+    if options.revoke:
+        if not revoke_token(store, options.owner, options.revoke):
+            raise WrongArgument(f"{options.owner} has no token {options.revoke!r}; --list names them")
+        print(f"revoked {options.revoke}")
+    elif options.list:
+        day = lambda seconds: time.strftime("%Y-%m-%d", time.gmtime(seconds)) if seconds else "never"
+        for row in tokens_of(store, options.owner):
+            id, made, used, ends = row["hash"][:ID_LENGTH], row["created"], row["used"], row["expires"]
+            print(f"{id}  made {day(made)}  used {day(used):<10}  expires {day(ends):<10}  {row['label']}")
+    else:
+        lasts_s = None if options.days is None else options.days * 86_400
+        print(add_token(store, options.owner, options.label, lasts_s)[0])
     return OK
 
 
@@ -161,6 +180,12 @@ def _login(options: argparse.Namespace) -> int:
     with open(os.open(path, os.O_WRONLY | os.O_CREAT, 0o600), "w") as stream:
         json.dump({"url": url, "token": token}, stream)
     print(f"logged in at {url}")
+    return OK
+
+
+def _logout(options: argparse.Namespace) -> int:
+    _login_file().unlink(missing_ok=True)
+    print("logged out")
     return OK
 
 

@@ -44,7 +44,14 @@ def job_document(job: dict, settings: ServiceSettings) -> dict:
         "expires_at": expires(job, settings),
         "links": [
             {"rel": rel, "href": f"/v1/jobs/{job['id']}{tail}"}
-            for rel, tail in (("self", ""), ("events", "/events"), ("logs", "/logs"), ("results", "/artifacts"))
+            for rel, tail in (
+                ("self", ""),
+                ("events", "/events"),
+                ("logs", "/logs"),
+                ("results", "/artifacts"),
+                ("archive", "/archive"),
+                ("http://www.opengis.net/def/rel/ogc/1.0/results", "/results"),
+            )
         ],
     }
 

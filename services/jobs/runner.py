@@ -27,6 +27,7 @@ from services.jobs.webhooks import deliver_due
 from services.jobs.workflow import JobRunner, job_folder
 from services.settings import ServiceSettings
 from services.store.store import Store
+from services.store.tokens import forget_actions
 from services.uploads.scans import discard_unused_scans
 
 APPLICATION_VERSION = "1"  # raised when the steps of a job change; workflows of another version are not resumed
@@ -184,6 +185,7 @@ def tidy(settings: ServiceSettings, store: Store) -> None:
     for job in store.expired_jobs(before):
         if store.forget_job(job["id"]):
             shutil.rmtree(job_folder(settings, job["id"]), ignore_errors=True)
+    forget_actions(store, time.time() - settings.audit_s)
     store.disown_expired_scans(before)
     discard_unused_scans(settings, store)
     for upload in store.expired_uploads():

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
-import hmac
 import secrets
 import time
 
@@ -12,7 +10,8 @@ import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
 from services.problems import is_of_database
-from services.store.tables import ARTIFACTS, EVENTS, JOBS, SCAN_OWNERS, SCANS, STAGE_TOTALS, TOKENS, UPLOADS, engine_for
+from services.store import tokens
+from services.store.tables import ARTIFACTS, EVENTS, JOBS, SCAN_OWNERS, SCANS, STAGE_TOTALS, UPLOADS, engine_for
 
 ACCEPTED, RUNNING, SUCCESSFUL, FAILED, DISMISSED = STATES = ("accepted", "running", "successful", "failed", "dismissed")
 LIVE = (ACCEPTED, RUNNING)
@@ -26,10 +25,6 @@ class KeyReused(Exception):
 
 class TooManyJobs(Exception):
     """The owner has as many jobs in flight as are allowed."""
-
-
-def token_hash(token: str) -> str:
-    return hashlib.sha256(token.encode()).hexdigest()
 
 
 def _patient(method):
@@ -85,14 +80,10 @@ class Store:
     # --- tokens
 
     def add_token(self, owner: str) -> str:
-        token = "sp_" + secrets.token_urlsafe(32)
-        self._write(TOKENS.insert().values(hash=token_hash(token), owner=owner, created=time.time()))
-        return token
+        return tokens.add_token(self, owner)[0]
 
     def owner_of(self, token: str) -> str | None:
-        mine = token_hash(token)
-        row = self._one(sa.select(TOKENS).where(TOKENS.c.hash == mine))
-        return row["owner"] if row and hmac.compare_digest(row["hash"], mine) else None
+        return tokens.owner_of(self, token)
 
     # --- scans
 
@@ -188,13 +179,14 @@ class Store:
         return self._one(query if owner is None else query.where(JOBS.c.owner == owner))
 
     def jobs(
-        self, owner: str, limit: int, offset: int, status: str | None = None, scan: str | None = None
+        self, owner: str, limit: int, offset: int, status: str | None = None, scan: str | None = None, words: str = ""
     ) -> tuple[list[dict], int]:
         """One page, newest first, and how many there are in all."""
         wanted = [
             JOBS.c.owner == owner,
             *([JOBS.c.status == status] if status else []),
             *([JOBS.c.scan == scan] if scan else []),
+            *(JOBS.c.name.icontains(word, autoescape=True) for word in words.split()),
         ]
         rows = self._all(
             sa.select(JOBS).where(*wanted).order_by(JOBS.c.created.desc(), JOBS.c.id).limit(limit).offset(offset)
@@ -324,8 +316,9 @@ class Store:
                 connection.execute(_event(id, "status", {"status": ACCEPTED, "attempt": attempt}))
             return done
 
-    def pin(self, id: str, pinned: bool) -> None:
-        self._write(JOBS.update().where(JOBS.c.id == id).values(pinned=pinned, updated=time.time()))
+    def change_job(self, id: str, **values) -> None:
+        """What its owner may change at any time: pinned, name."""
+        self._write(JOBS.update().where(JOBS.c.id == id).values(**values, updated=time.time()))
 
     def expired_jobs(self, before: float) -> list[dict]:
         return self._all(

@@ -1,0 +1,64 @@
+"""Tokens of an owner: made, listed, revoked; and who did what. Only the hash of a token is kept."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import secrets
+import time
+
+import sqlalchemy as sa
+
+from services.store.tables import AUDIT, TOKENS
+
+ID_LENGTH = 12  # of the hash's hexadecimal digits
+NOTE_USE_S = 60.0
+
+
+def token_hash(token: str) -> str:
+    return hashlib.sha256(token.encode()).hexdigest()
+
+
+def add_token(store, owner: str, label: str = "", lasts_s: float | None = None) -> tuple[str, dict]:
+    """The token, which is told this once, and its row."""
+    token, now = "sp_" + secrets.token_urlsafe(32), time.time()
+    expires = now + lasts_s if lasts_s is not None else None
+    row = {"hash": token_hash(token), "owner": owner, "created": now, "label": label, "expires": expires, "used": None}
+    store._write(TOKENS.insert().values(row))
+    return token, row
+
+
+def owner_of(store, token: str) -> str | None:
+    """None for a token that is not known or no longer good."""
+    mine, now = token_hash(token), time.time()
+    row = store._one(sa.select(TOKENS).where(TOKENS.c.hash == mine))
+    if row is None or not hmac.compare_digest(row["hash"], mine) or (row["expires"] or now + 1) <= now:
+        return None
+    if now - (row["used"] or 0) > NOTE_USE_S:
+        store._write(TOKENS.update().where(TOKENS.c.hash == mine).values(used=now))
+    return row["owner"]
+
+
+def tokens_of(store, owner: str) -> list[dict]:
+    return store._all(sa.select(TOKENS).where(TOKENS.c.owner == owner).order_by(TOKENS.c.created))
+
+
+def revoke_token(store, owner: str, id: str) -> bool:
+    mine = TOKENS.c.hash.startswith(id, autoescape=True) & (TOKENS.c.owner == owner)
+    return len(id) >= ID_LENGTH and store._write(TOKENS.delete().where(mine)) == 1
+
+
+def note_action(store, owner: str, action: str, target: str, client: str) -> None:
+    row = {"time": time.time(), "owner": owner, "action": action[:40], "target": target[:100], "client": client[:100]}
+    store._write(AUDIT.insert().values(row))
+
+
+def actions_of(store, owner: str, limit: int, before: int | None = None) -> list[dict]:
+    """Newest first."""
+    query = sa.select(AUDIT).where(AUDIT.c.owner == owner)
+    query = query if before is None else query.where(AUDIT.c.id < before)
+    return store._all(query.order_by(AUDIT.c.id.desc()).limit(limit))
+
+
+def forget_actions(store, before: float) -> None:
+    store._write(AUDIT.delete().where(AUDIT.c.time < before))
