@@ -364,10 +364,10 @@ def _scan_path(text: str) -> Path:
 
 def _look_first(scan: Path, draws: bool, reading: ReadOptions) -> None:
     """What takes a second is looked at before workers start: the scan's header, and OpenGL where pictures are wanted."""
-    from pipeline.readers import open_scan
     from renderer.splats.context import gl_context
+    from services.processes.inspect import inspect
 
-    open_scan(scan, reading)
+    inspect(scan, reading)
     if draws:
         try:
             gl_context().release()

@@ -165,3 +165,10 @@ def test_compress__real_volumes_lie_on_the_trilinear_surface(name, iso, mean, p9
     position = packed_of(tmp_path / "out")[0]
     far = cKDTree(np.concatenate([corners, corners[triangles].mean(axis=1)])).query(position)[0] / volume.spacing[0]
     assert far.mean() < mean and np.quantile(far, 0.99) < p99
+
+
+def test_cli__compress_takes_a_volume_by_its_relative_name(volume, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(volume.parent)
+    arguments = ["compress", volume.name, "--iso", "20", "--out", str(tmp_path / "aus gabe"), "--executor", "serial"]
+    assert main([*arguments, "--preset", "draft", "--no-render"]) == 0, capsys.readouterr().err
+    assert (tmp_path / "aus gabe" / "ball.splatpress").is_file()
