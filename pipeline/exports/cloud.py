@@ -13,7 +13,7 @@ from pipeline.texture.colors import ColorBoxes, decode_colors
 from storage.packed.packed import PackedScene
 from storage.packed.schema import GROUP, MIP_SIZES
 
-SIGMA_IN_RADII = 0.35  # of a Gaussian that stands for a disc, and of the window that its colour is seen through
+WINDOW_IN_RADII = 0.35  # sigma of the window on a patch that a splat's one colour is seen through
 GRID = 4  # samples to a side of a splat's square, where its texture is kept as more points
 GRID_RADIUS = 0.35  # of such a point in radii: neighbours are half a radius apart
 
@@ -46,7 +46,7 @@ class Cloud:
 def cloud_of(scene: PackedScene) -> Cloud:
     """Every splat, in the file's order, with the colour that its patch has in the middle.
 
-    The middle is the patch seen through a Gaussian window of SIGMA_IN_RADII, so atoms count in any turn alike.
+    The middle is the patch seen through a Gaussian window of WINDOW_IN_RADII, so atoms count in any turn alike.
     """
     header = scene.header
     u, v, normal = tangent_frames(scene.arrays["normal"], header.up, header.ahead)
@@ -95,7 +95,7 @@ def _middle_colors(scene: PackedScene) -> np.ndarray:
     atoms = scene.arrays[f"atoms_{scene.header.atom_size}"]
     size = atoms.shape[1]
     middle = (np.arange(size) + 0.5) * 2 / size - 1
-    window = np.exp(-(middle**2) / (2 * SIGMA_IN_RADII**2))
+    window = np.exp(-(middle**2) / (2 * WINDOW_IN_RADII**2))
     weight = np.outer(window, window)
     seen = (
         np.einsum("kijc,ij->kc", atoms.astype(np.float64), weight / weight.sum()) * scene.arrays["atom_scale"][:, None]

@@ -13,10 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.exports.cloud import SIGMA_IN_RADII, Cloud
+from pipeline.exports.cloud import Cloud
 
+# Tried from 0.3 to 0.8 on photographs of fountain_p11 that textured nothing (benchmarks/exports.py): below 0.5 what lies
+# behind shines through, above 0.6 textures blur.
+SIGMA_IN_RADII = 0.55
 FLATNESS = 0.02  # sigma along the normal over that across it; no viewer divides by nothing then
-OPACITY = 0.95
+OPACITY = 0.99  # the most that such programs draw
 SH_0 = 0.28209479177387814  # the constant spherical harmonic: color = 0.5 + SH_0 * dc
 
 

@@ -61,8 +61,8 @@ export class Viewer {
 
   stand(photo) {
     this.camera.stand(this.scene.header.cameras[photo]);
-    $("photos").value = photo;
     this.moved();
+    $("photos").value = photo;
   }
 
   key(event) {
@@ -127,7 +127,7 @@ export class Viewer {
 
   moved() {
     this.lastMove = performance.now();
-    if (this.controls?.isMoving === false) $("photos").value = "";
+    $("photos").value = "";
     this.draw();
     clearTimeout(this.settling);
     this.settling = setTimeout(() => { this.draw(); this.toAddress(); }, STILL_MS);

@@ -230,6 +230,7 @@ def test_viewer__stands_where_photographs_were_taken(page, served, renderer):
         == "photographs,-0.4.jpg,0.1.jpg"
     )
     page.look("(viewer.stand(1), null)")
+    assert page.look("document.getElementById('photos').value") == "1"
     camera = scene.header.cameras[1]
     found = json.loads(page.look(f"JSON.stringify(viewer.camera.view({camera.width_px}, {camera.height_px}))"))
     np.testing.assert_allclose(found["rotation"], camera.rotation, atol=1e-9)
