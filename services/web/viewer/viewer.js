@@ -55,6 +55,7 @@ export class Viewer {
     $("measure").onclick = () => this.toggleMeasuring();
     $("save").onclick = () => this.save();
     this.canvas.addEventListener("keydown", (event) => this.key(event));
+    this.light(Boolean(header.effects.relighting?.lamp)); // colours that have no light in them, as those of iso-surfaces
   }
 
   // --- what one does
@@ -104,9 +105,9 @@ export class Viewer {
     this.draw();
   }
 
-  /** A lamp from above, to the left of the viewer; or as photographed. */
+  /** The product's usual lamp (renderer/effects/relighting.py); or as photographed. */
   light(on) {
-    this.lamp = on ? { towards: unit([-0.5, -0.6, -0.7]), ambient: 0.3, diffuse: 0.7 } : null;
+    this.lamp = on ? { towards: unit([-0.4, -0.7, -1]), ambient: 0.3, diffuse: 0.7 } : null;
     $("light").setAttribute("aria-pressed", on);
     this.draw();
   }
