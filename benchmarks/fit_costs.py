@@ -6,7 +6,8 @@ seen.
     python -m benchmarks.fit_costs rows.jsonl --write           # pipeline/planning/costs.json
     python -m benchmarks.fit_costs others.jsonl --check [--json]
 
-Rows with different numbers of indices tell what each costs. Tasks cost the processor seconds they took: a busy machine
+Rows are measured with `--pursuit omp`; what a beam adds is measured by `benchmarks/beam.py`, and kept. Rows with
+different numbers of indices tell what each costs. Tasks cost the processor seconds they took: a busy machine
 leaves those almost as they are. What a stage does besides is what its seconds exceed those of its tasks by, kernels
 that each worker loads once among it, and means something only where the machine was quiet.
 """
@@ -146,6 +147,11 @@ def _rows_of(name: str, row: dict, splats: np.ndarray) -> float:
     return float(row["splats"])
 
 
+def _of_beams(known: StageCost | None) -> dict[str, float]:
+    """What is measured apart."""
+    return {name: getattr(known, name) for name in ("task_us_a_unit_a_node_a_kilo", "task_us_a_unit_a_child") if known}
+
+
 def _photograph_bytes(name: str, row: dict) -> float:
     return 3e6 * np.prod(_photographs(row)) if name == "ingest" else 0.0
 
@@ -205,7 +211,8 @@ def main() -> None:
     if options.photographs:
         PHOTOGRAPHS.update({row["scan"]: (int(options.photographs[0]), options.photographs[1]) for row in rows})
     if options.write:
-        costs = {name: asdict(cost) for name, cost in fitted(rows).items()}
+        known = known_costs()
+        costs = {name: asdict(cost) | _of_beams(known.get(name)) for name, cost in fitted(rows).items()}
         about = sorted(
             {
                 f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers, {row['indices']:,} indices of "

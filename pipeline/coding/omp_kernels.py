@@ -107,7 +107,7 @@ def bound_groups(product, rest, rho, upper):
 
 
 @part(fastmath=FAST)
-def _largest(values):
+def largest_of(values):
     largest = np.float32(0)
     for i in range(values.shape[0]):
         largest = max(largest, values[i])
@@ -117,7 +117,7 @@ def _largest(values):
 @part()
 def _of_highest_bound(correlation, slack, upper):
     """The atom of the highest bound, of equals the first of the first group that has it; -1 for none above zero."""
-    top, best, highest = _largest(upper), -1, np.float32(-1)
+    top, best, highest = largest_of(upper), -1, np.float32(-1)
     if top > 0:
         g = 0
         while upper[g] < top:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from pipeline.catalogue import CATALOGUE, Phase, Task
+from pipeline.coding.beam.form import Beam, beam_of
 from pipeline.coding.ksvd import BLOCK as TRAINING_BLOCK
 from pipeline.execution.executors import MOST_A_CALL, calls_of
 from pipeline.execution.task import CALL_S
@@ -72,6 +73,10 @@ class StageCost:
     task_us_a_unit_a_kilo: float = 0.0
     once_s_a_kilo: float = 0.0
     written_bytes_a_kilo: float = 0.0
+    # Of a beam, beside what OMP takes (`benchmarks/beam.py`): a support that is followed takes a row of products with all
+    # indices a step, a child its weights.
+    task_us_a_unit_a_node_a_kilo: float = 0.0
+    task_us_a_unit_a_child: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -83,10 +88,11 @@ class Job:
     n_photographs: int = 0
     megapixels: float = 10.0  # of a photograph
     training_splats: int = 20_000
-    iterations: int = 4
+    iterations: int = 12
     n_indices: int = KILO  # of atoms in all their turns
     atom_size: int = SMALLEST  # texels to a side
     n_stations: int = 0  # of a laser scan that is textured from their maps
+    pursuit: str = "omp"  # a word of `pipeline.coding.beam.form`
 
 
 @dataclass(frozen=True)
@@ -141,6 +147,7 @@ def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dic
     passes = job.iterations if name == "ksvd-update" else 1
     units, n_tasks = _units(name, job), _n_tasks(name, job)
     task_s = 1e-6 * (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos) * units / max(1, n_tasks)
+    task_s += 1e-6 * _beam_us(cost, beam_of(job.pursuit), kilos) * units / max(1, n_tasks)
     task_s *= CROWDED if min(n_tasks, job.n_workers) > 1 else 1.0
     once_s = cost.once_s + 1e-6 * cost.once_us_a_unit * units + cost.once_s_a_kilo * kilos
     calls = calls_of(n_tasks, job.n_workers)
@@ -163,6 +170,13 @@ def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dic
         passes * written[name],
         cost.memory_bytes + cost.memory_bytes_a_unit * min(units, MOST_HELD),
     )
+
+
+def _beam_us(cost: StageCost, beam: Beam | None, kilos: float) -> float:
+    """What a beam adds to each unit."""
+    if beam is None:
+        return 0.0
+    return beam.width * (cost.task_us_a_unit_a_node_a_kilo * kilos + cost.task_us_a_unit_a_child * beam.candidates)
 
 
 def _units(name: str, job: Job) -> float:

@@ -22,7 +22,8 @@ class Settings:
     target_psnr_db: float = 40.0
     budget_bytes: float | None = None
     atom_search: str = "certified"
-    iterations: int = 4
+    pursuit: str = "2x2"
+    iterations: int = 12
     least_gain_db: float = 0.01
     training_splats: int = 20_000
     subspace_floor_db: float = 10.0
@@ -59,10 +60,16 @@ class Settings:
 
 
 PRESETS = {
-    "draft": Settings("draft", target_psnr_db=36.0, iterations=3, training_splats=10_000),
+    "draft": Settings("draft", target_psnr_db=36.0, iterations=6, training_splats=10_000),
     "balanced": Settings("balanced"),
     "high": Settings(
-        "high", dictionary_bits=12, max_atoms=MAX_ATOMS, target_psnr_db=44.0, iterations=12, training_splats=80_000
+        "high",
+        dictionary_bits=12,
+        max_atoms=MAX_ATOMS,
+        target_psnr_db=44.0,
+        pursuit="4x4",
+        iterations=12,
+        training_splats=80_000,
     ),
     "archive": Settings(
         "archive",
@@ -70,6 +77,7 @@ PRESETS = {
         weight_bits=6,
         max_atoms=MAX_ATOMS,
         target_psnr_db=48.0,
+        pursuit="8x4",
         iterations=16,
         least_gain_db=0.005,
         training_splats=80_000,

@@ -96,7 +96,8 @@ def code_patches(
     n_taken_back += sum(not row["accepted"] for row in learning)
     price = 0.0
     if form is not None:
-        ladder = run.do(Prices(space.folder, training.folder, quantized.folder, settings.max_atoms, tolerance)).summary
+        stage = Prices(space.folder, training.folder, quantized.folder, settings.max_atoms, tolerance, settings.pursuit)
+        ladder = run.do(stage).summary
         price = priced(ladder, training.summary)
     codes = encode(run, patches.folder, colors.folder, quantized, settings, price)
     return Coded(patches, colors, codes, quantized, learning, quantized.summary["n_atoms"], n_taken_back)
@@ -160,6 +161,7 @@ def encode(
             price,
             form,
             settings.atom_search,
+            settings.pursuit,
         )
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.coding.beam.nodes import TIE, Nodes, Products, keep_best, new_pool, try_children
-from pipeline.coding.beam.scores import Scores, explain, explain_first, score_beside, score_first
+from pipeline.coding.beam.scores import Scores, score_beside, score_first
 from pipeline.coding.omp_kernels import TRUSTED, n_groups
 from pipeline.execution.compiled import FAST, kernel, part
 
@@ -75,7 +75,7 @@ def pursue_beam(
         s = Scores(initial[i], slack, score, upper)
         t, n_nodes = 0, 1
         path[i, 0] = nodes.exact[0] = energy[i]
-        while t < most and path[i, t] > tolerance[i]:
+        while t < most and path[i, t] > max(tolerance[i], price):
             now, n_found = t % 2, 0
             for b in range(n_nodes):
                 if t == 0:
@@ -84,20 +84,11 @@ def pursue_beam(
                     last, parent, chol = t - 1, nodes.slot[b, t - 1], nodes.chol[b]
                     row, along = rows[last, b], unit * nodes.along[b, last]
                     _gram_row(row, gram, turns, nodes.support[b, last], chol[last, last])
-                    if t == 1:
-                        explain_first(row, along, explained[now, b], norm[now, b])
-                    else:
+                    if t > 1:
                         _subtract_earlier(row, chol, rows, nodes.slot[b], last)
-                        explain(
-                            row,
-                            along,
-                            explained[1 - now, parent],
-                            norm[1 - now, parent],
-                            explained[now, b],
-                            norm[now, b],
-                        )
+                    parents = (explained[1 - now, parent], norm[1 - now, parent])
+                    score_beside(s, row, along, parents, explained[now, b], norm[now, b], nodes.support[b], t)
                     nodes.slot[b, last] = b
-                    score_beside(s, explained[now, b], norm[now, b], nodes.support[b], t)
                 n_found = try_children(
                     nodes, b, t, s, explained[now, b], norm[now, b], candidates if t else max(candidates, width),
                     path[i, t] - price, patches[i], energy[i], unit, products, levels, pool, n_found,

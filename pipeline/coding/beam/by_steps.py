@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.coding.beam.nodes import TIE, Nodes, Products, keep_best, new_pool, try_children
-from pipeline.coding.beam.scores import Scores, explain, explain_first, score_beside, score_first
+from pipeline.coding.beam.scores import Scores, score_beside, score_first
 from pipeline.coding.certified import ShortDictionary
 from pipeline.coding.omp_kernels import NO_TURNS, n_groups
 from pipeline.execution.compiled import FAST, kernel, part
@@ -116,15 +116,9 @@ def _advance(
                 score_first(s)
             else:
                 parent, along = nodes.slot[b, t - 1], unit * nodes.along[b, t - 1]
-                if t == 1:
-                    explain_first(row[at], along, explained[now, i, b], norm[now, i, b])
-                else:
-                    explain(
-                        row[at], along, explained[1 - now, i, parent], norm[1 - now, i, parent], explained[now, i, b],
-                        norm[now, i, b],
-                    )  # fmt: skip
+                parents = (explained[1 - now, i, parent], norm[1 - now, i, parent])
+                score_beside(s, row[at], along, parents, explained[now, i, b], norm[now, i, b], nodes.support[b], t)
                 nodes.slot[b, t - 1] = b
-                score_beside(s, explained[now, i, b], norm[now, i, b], nodes.support[b], t)
             n_found = try_children(
                 nodes, b, t, s, explained[now, i, b], norm[now, i, b], candidates if t else max(candidates, width),
                 path[i, t] - price, patches[i], energy[i], unit, products, levels, pool, n_found,
@@ -136,5 +130,5 @@ def _advance(
         if n_nodes[i] > 0:
             n_atoms[i] = t + 1
             path[i, t + 1] = error
-            if t + 1 == most or error <= tolerance[i]:
+            if t + 1 == most or error <= max(tolerance[i], price):
                 n_nodes[i] = 0

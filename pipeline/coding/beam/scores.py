@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.coding.omp_kernels import SMALLEST_CORRELATION, SMALLEST_PIVOT, dot
+from pipeline.coding.omp_kernels import SMALLEST_CORRELATION, SMALLEST_PIVOT, dot, largest_of
 from pipeline.execution.compiled import FAST, part
 
 
@@ -33,60 +33,66 @@ class Scores(NamedTuple):
 
 
 @part(fastmath=FAST)
-def explain_first(row, along, explained, norm):
-    """`explain` of a support of one atom."""
-    x = np.float32(along)
-    for i in range(np.uintp(row.shape[0])):
-        explained[i] = x * row[i]
-        norm[i] = np.float32(1) - row[i] * row[i]
-
-
-@part(fastmath=FAST)
-def explain(row, along, old_explained, old_norm, explained, norm):
-    """What a support one atom larger explains of every correlation, and how much of every atom's squared norm lies outside
-    its span; row = <q_t, a> of all atoms, along = <y, q_t>."""
-    x = np.float32(along)
-    for i in range(np.uintp(row.shape[0])):
-        explained[i] = old_explained[i] + x * row[i]
-        norm[i] = old_norm[i] - row[i] * row[i]
-
-
-@part(fastmath=FAST)
-def score_first(s):
-    """Upper bounds of <y, a>^2."""
+def _highest_of_groups(s):
     n_atoms, width, start = np.uintp(s.score.shape[0]), np.uintp(s.upper.shape[0]), np.uintp(0)
     for g in range(width):
         s.upper[g] = 0
     while start < n_atoms:
         for g in range(min(width, n_atoms - start)):
-            size = abs(s.initial[start + g]) + s.slack[start + g]
-            s.score[start + g] = size * size
-            s.upper[g] = max(s.upper[g], size * size)
+            s.upper[g] = max(s.upper[g], s.score[start + g])
         start += width
 
 
 @part(fastmath=FAST)
-def _score_all(s, explained, norm):
-    n_atoms, width, start = np.uintp(s.score.shape[0]), np.uintp(s.upper.shape[0]), np.uintp(0)
-    least = np.float32(SMALLEST_PIVOT)
-    for g in range(width):
-        s.upper[g] = 0
-    while start < n_atoms:
-        for g in range(min(width, n_atoms - start)):
-            size = abs(s.initial[start + g] - explained[start + g]) + s.slack[start + g]
-            value = size * size / max(norm[start + g], least)
-            value = value if norm[start + g] > least else np.float32(0)
-            s.score[start + g] = value
-            s.upper[g] = max(s.upper[g], value)
-        start += width
+def _squares(s):
+    for i in range(np.uintp(s.score.shape[0])):
+        size = abs(s.initial[i]) + s.slack[i]
+        s.score[i] = size * size
+
+
+@part(fastmath=FAST)
+def _ratios_of_one(s, row, along, explained, norm):
+    x, least = np.float32(along), np.float32(SMALLEST_PIVOT)
+    for i in range(np.uintp(row.shape[0])):
+        told, outside = x * row[i], np.float32(1) - row[i] * row[i]
+        explained[i], norm[i] = told, outside
+        size = abs(s.initial[i] - told) + s.slack[i]
+        value = size * size / max(outside, least)
+        s.score[i] = value if outside > least else np.float32(0)
+
+
+@part(fastmath=FAST)
+def _ratios(s, row, along, old_explained, old_norm, explained, norm):
+    x, least = np.float32(along), np.float32(SMALLEST_PIVOT)
+    for i in range(np.uintp(row.shape[0])):
+        told, outside = old_explained[i] + x * row[i], old_norm[i] - row[i] * row[i]
+        explained[i], norm[i] = told, outside
+        size = abs(s.initial[i] - told) + s.slack[i]
+        value = size * size / max(outside, least)
+        s.score[i] = value if outside > least else np.float32(0)
 
 
 @part()
-def score_beside(s, explained, norm, support, t):
-    """Upper bounds of <r, a>^2 / |a - P a|^2; zero for atoms in the span of the support."""
-    _score_all(s, explained, norm)
+def score_first(s):
+    """Upper bounds of <y, a>^2."""
+    _squares(s)
+    _highest_of_groups(s)
+
+
+@part()
+def score_beside(s, row, along, parent, explained, norm, support, t):
+    """Upper bounds of <r, a>^2 / |a - P a|^2, zero for atoms in the span of the support.
+
+    row = <q_(t-1), a> of all atoms, along = <y, q_(t-1)>; explained and norm (k,) become what the support explains of every
+    correlation and what of every atom's squared norm lies outside its span, from `parent`, the same of one atom fewer.
+    """
+    if t == 1:
+        _ratios_of_one(s, row, along, explained, norm)
+    else:
+        _ratios(s, row, along, parent[0], parent[1], explained, norm)
     for j in range(t):
-        _rescore(s, support[j], np.float32(0))
+        s.score[support[j]] = 0
+    _highest_of_groups(s)
 
 
 @part()
@@ -106,13 +112,11 @@ def take_best(s, patch, dictionary, unit, explained, norm, t):
     equals the first of the first group. `unit` times the patch has norm 1.
     """
     while True:
-        top, largest = 0, np.float32(0)
-        for g in range(s.upper.shape[0]):
-            if s.upper[g] > largest:
-                top, largest = g, s.upper[g]
+        best, largest = 0, largest_of(s.upper)
         if largest <= SMALLEST_CORRELATION**2:
             return -1, 0.0
-        best = top
+        while s.upper[best] < largest:
+            best += 1
         while s.score[best] < largest:
             best += s.upper.shape[0]
         settled = s.slack[best] == 0

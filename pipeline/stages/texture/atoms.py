@@ -50,6 +50,7 @@ class Atoms:
         levels: np.ndarray | None = None,
         price: float = 0.0,
         search: str = "certified",
+        pursuit: str = "omp",
     ) -> Pursuit:
         """The pursuit of patches (n, d) on one thread, with the atoms that exact search takes; an approximate `search`
         takes those that short products tell, of a dictionary that was split when it was stored: of others it is
@@ -62,6 +63,7 @@ class Atoms:
             price=price,
             weight_levels=levels,
             search=search,
+            pursuit=pursuit,
         )
 
     @cached_property

@@ -32,6 +32,7 @@ class Encode:
     price: float = 0.0
     form: AtomForm | None = None  # None: atoms are coded with as patches, else as coefficients
     search: str = "certified"  # of pipeline.coding.omp.SEARCHES
+    pursuit: str = "omp"  # a word of pipeline.coding.beam.form
     name = "encode"
 
     def init(self, folder: Path) -> int:
@@ -81,11 +82,13 @@ class Encode:
 
         def encode(patches: np.ndarray) -> tuple[Pursuit, np.ndarray]:
             if self.form is None:
-                found = atoms.pursue(patches, self.max_atoms, self.tolerance, levels, search=self.search)
+                found = atoms.pursue(
+                    patches, self.max_atoms, self.tolerance, levels, search=self.search, pursuit=self.pursuit
+                )
                 return found, reconstruct(found.codes, atoms.dictionary)
             size = self.form.size
             short = coefficients(patches, size)
-            found = atoms.pursue(short, self.max_atoms, self.tolerance, levels, self.price, self.search)
+            found = atoms.pursue(short, self.max_atoms, self.tolerance, levels, self.price, self.search, self.pursuit)
             beyond = np.maximum(squared_norms(patches) - squared_norms(short), 0)  # what atoms of this size cannot show
             return found.beside(beyond), patches_of(reconstruct(found.codes, atoms.dictionary), size)
 

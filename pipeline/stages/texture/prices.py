@@ -48,6 +48,7 @@ class Prices:
     quantized: Path
     max_atoms: int
     tolerance: float  # the squared error of a patch at the target
+    pursuit: str = "omp"  # that of `Encode`
     name = "prices"
     most_patches = SAMPLE
 
@@ -65,9 +66,8 @@ class Prices:
         share = np.array(work.read_json(self.chosen / "share.json")["share"])
         weight = 1 / share[octave_of(squared_norms(patches) + rest)].clip(share[share > 0].min())
         atoms, levels = load_atoms(self.quantized), arrays.read(self.quantized, "weight_levels")
-        found = atoms.pursue(
-            patches, self.max_atoms, 0.0, levels, min(LADDER) * self.tolerance
-        )  # at others it ends on the way
+        least = min(LADDER) * self.tolerance  # at other prices it ends on the way
+        found = atoms.pursue(patches, self.max_atoms, 0.0, levels, least, pursuit=self.pursuit)
         error, n_atoms = [], []
         for rung in LADDER:
             taken = found.atoms_at(rung * self.tolerance)

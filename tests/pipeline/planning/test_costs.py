@@ -78,6 +78,30 @@ def test_plan__indices_cost_where_atoms_are_searched_and_nowhere_else():
         assert b.task_s == pytest.approx(per_task), a.name
 
 
+def test_plan__a_beam_costs_by_its_supports_and_its_children_and_only_where_codes_are_made():
+    costs = FLAT | {"encode": replace(FLAT["encode"], task_us_a_unit_a_node_a_kilo=2.0, task_us_a_unit_a_child=0.5)}
+    job = Job(10**6, 1, 10, n_indices=3 * KILO)
+    plain, two, eight = (plan_job(replace(job, pursuit=pursuit), costs) for pursuit in ("omp", "2x2", "8x4"))
+    for a, b, c in zip(plain, two, eight):
+        added = (2 * 2.0 * 3 + 4 * 0.5, 8 * 2.0 * 3 + 32 * 0.5) if a.name == "encode" else (0.0, 0.0)
+        assert b.task_s == pytest.approx(a.task_s * (10 + added[0]) / 10), a.name
+        assert c.task_s == pytest.approx(a.task_s * (10 + added[1]) / 10), a.name
+    assert (
+        known_costs(speed=2.0)["encode"].task_us_a_unit_a_child
+        == 2 * known_costs()["encode"].task_us_a_unit_a_child
+        > 0
+    )
+
+
+def test_plan__a_wider_beam_makes_a_longer_job_and_the_published_coder_has_none():
+    seconds = [
+        plan(10**6, 4, Settings(pursuit=pursuit), 10, 9.0)["seconds"] for pursuit in ("omp", "2x2", "4x4", "8x4")
+    ]
+    assert seconds == sorted(seconds) and seconds[0] < seconds[-1]
+    paper = [plan(10**6, 4, Settings(coder="paper", pursuit=pursuit), 10, 9.0)["seconds"] for pursuit in ("omp", "8x4")]
+    assert paper[0] == paper[1]
+
+
 def test_plan__a_machine_half_as_fast_takes_twice_as_long_and_the_same_bytes():
     ours, slower = (known_costs(speed=speed) for speed in (1.0, 2.0))
     for name, cost in ours.items():
