@@ -39,7 +39,7 @@ def plan(
         settings.iterations,
         2 ** index_bits(settings, form, n_splats),
         form.size if form else PATCH_SIZE,
-        settings.pursuit if form else "omp",
+        pursuit=settings.pursuit if form else "omp",
     )
     costs = known_costs(speed=speed)
     stages = plan_job(job, costs)

@@ -204,10 +204,11 @@ def test_whole__intensities_that_are_not_finite_are_black_and_break_nothing(tmp_
 @pytest.fixture(scope="module")
 def wall(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wall")
-    return compressed(photographed_wall(folder / "scan", n_side=N_SIDE), folder / "out")
+    return compressed(photographed_wall(folder / "scan", n_side=N_SIDE), folder / "out", LEARNED)
 
 
-N_SIDE = 50  # of the wall: what fewer splats teach a dictionary hangs on the last digit of each
+N_SIDE = 70  # of the wall: what fewer splats teach a dictionary hangs on the last digit of each
+LEARNED = replace(QUICK, training_splats=4000)
 QUARTER = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
 
 
@@ -223,7 +224,7 @@ QUARTER = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
     ids=["far", "tiny", "huge", "turned by axes", "all three"],
 )
 def test_whole__moving_turning_and_scaling_leave_psnr(tmp_path, wall, placed):
-    report, packed = compressed(photographed_wall(tmp_path / "scan", placed, N_SIDE), tmp_path / "out")
+    report, packed = compressed(photographed_wall(tmp_path / "scan", placed, N_SIDE), tmp_path / "out", LEARNED)
     for figure in ("texture_psnr_db", "visible_psnr_db"):
         assert report["quality"][figure] == pytest.approx(wall[0]["quality"][figure], abs=0.05)
     mine, moved = (r["quality"]["geometry"]["mean_position_error_in_radii"] for r in (wall[0], report))
