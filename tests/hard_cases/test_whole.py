@@ -286,7 +286,7 @@ def test_whole__bytes_do_not_depend_on_the_order_of_tasks(tmp_path, wall, monkey
     compress(
         photographed_wall(tmp_path / "scan", n_side=N_SIDE),
         tmp_path / "out",
-        QUICK,
+        LEARNED,
         _Backwards(),
         Heard(),
         render=False,
