@@ -11,12 +11,13 @@ import { dot, unit } from "./vectors.js";
 const TARGET_MS = 50; // of a frame while one moves
 const COARSEST = 0.25; // of the resolution, while one moves
 const STILL_MS = 250; // after the last move, before a frame of full resolution
+const MOST_ATOMS = 16; // of a splat, by the format
 const $ = (id) => document.getElementById(id);
 
 export class Viewer {
   /** `shaders` is the document of renderer/splats/gles.py. */
   constructor(shaders, options = {}) {
-    Object.assign(this, { canvas: $("canvas"), options, scale: 1, lamp: null, isMeasuring: false, wanted: false, times: {} });
+    Object.assign(this, { canvas: $("canvas"), options, scale: 1, lamp: null, maxAtoms: MOST_ATOMS, isMeasuring: false, wanted: false, times: {} });
     this.renderer = new Renderer(this.canvas, shaders, options);
     new ResizeObserver(() => this.draw()).observe(this.canvas);
   }
@@ -52,6 +53,10 @@ export class Viewer {
     $("photos").onchange = () => { if ($("photos").value !== "") this.stand(Number($("photos").value)); };
     $("home").onclick = () => { this.camera.home(); this.moved(); };
     $("light").onclick = () => this.light(!this.lamp);
+    const most = Math.max(0, ...header.batches.map((batch) => batch.n_atoms));
+    Object.assign($("atoms"), { max: most, value: most, oninput: () => this.limit(Number($("atoms").value)) });
+    $("atoms-shown").textContent = most;
+    $("atoms-label").hidden = !most;
     $("measure").onclick = () => this.toggleMeasuring();
     $("save").onclick = () => this.save();
     this.canvas.addEventListener("keydown", (event) => this.key(event));
@@ -112,6 +117,13 @@ export class Viewer {
     this.draw();
   }
 
+  /** Draw each splat with so many of its atoms at most: 0 are average colours alone. */
+  limit(atoms) {
+    this.maxAtoms = atoms;
+    $("atoms-shown").textContent = atoms;
+    this.moved();
+  }
+
   save() {
     this.frame(1);
     const { width, height } = this.shownView(), pixels = new Uint8ClampedArray(this.renderer.pixels().buffer);
@@ -165,7 +177,7 @@ export class Viewer {
     const [width, height] = this.size(1), started = performance.now();
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
     const view = this.camera.view(...this.size(scale));
-    this.splats = this.renderer.render(this.scene, view, { light: this.lamp });
+    this.splats = this.renderer.render(this.scene, view, { light: this.lamp, maxAtoms: this.maxAtoms });
     this.renderer.present();
     this.renderer.wait();
     this.frameMs = performance.now() - started;
@@ -177,7 +189,7 @@ export class Viewer {
   /** The pixels (RGBA, top row first) that a camera of the header's kind would see: what tests compare. */
   picture({ width_px, height_px, fx_px, fy_px, cx_px, cy_px, rotation, centre }) {
     const eye = centre.map((x, i) => x - this.scene.header.origin[i]);
-    this.renderer.render(this.scene, { rotation, eye, width: width_px, height: height_px, fx: fx_px, fy: fy_px, cx: cx_px, cy: cy_px }, { light: this.lamp });
+    this.renderer.render(this.scene, { rotation, eye, width: width_px, height: height_px, fx: fx_px, fy: fy_px, cx: cx_px, cy: cy_px }, { light: this.lamp, maxAtoms: this.maxAtoms });
     return this.renderer.pixels();
   }
 

@@ -17,9 +17,9 @@ from services.processes.export import export
 from storage.errors import UnsupportedScan
 from storage.packed.packed import PackedFile
 from tests.packed_files import Case, write_arrays
+from tests.programs_of_others import complaints_of_gltf_validator, read_by_splat_transform
 from tests.reference_packed import decode_ellipsoid, decode_patch, decode_position
 from tests.scenes import Dictionary, Settings, build_scene, coded, random_dictionary, sheet
-from tests.services.processes.others import complaints_of_gltf_validator, read_by_splat_transform
 
 UTM = (450000.25, 5400000.5, 100.0)
 

@@ -12,8 +12,9 @@ import pytest
 from renderer.effects.relighting import AS_PHOTOGRAPHED, Light
 from renderer.splats.scene import GpuScene
 from renderer.splats.views import orbit_views, up_direction
-from storage.packed.schema import GROUP
+from storage.packed.schema import GROUP, MAX_ATOMS
 from tests.packed_files import write_arrays
+from tests.programs_of_others import node_module
 from tests.scenes import Dictionary, Settings, build_scene, camera_looking, coded, random_dictionary, sheet
 from tests.services.chromium import Page, chromium_path
 from tests.services.web.served import open_viewer, picture_of, serving, small
@@ -79,7 +80,7 @@ def psnr_db(squared: np.ndarray) -> float:
     return 10 * np.log10(255**2 / max(float(squared.mean()), 1e-9))
 
 
-def assert_alike(page, renderer, scene, view, light=AS_PHOTOGRAPHED):
+def assert_alike(page, renderer, scene, view, light=AS_PHOTOGRAPHED, max_atoms=MAX_ATOMS):
     """50 dB where both see something, coverage within 0.001. Where corners are rounded decides about pixels on rims: so each pixel is
     compared with the nearest of the product's picture and eight of it moved by what SwiftShader rounds, and the two pixels, or one of a
     thousand, that differ most are left out: a rim's corners are rounded one by one."""
@@ -88,7 +89,7 @@ def assert_alike(page, renderer, scene, view, light=AS_PHOTOGRAPHED):
     moved = [
         replace(view, cx_px=view.cx_px + x, cy_px=view.cy_px + y) for x in (-s, 0, s) for y in (-s, 0, s) if x or y
     ]
-    pictures = [renderer.render(gpu_scene, each, light=light) for each in (view, *moved)]
+    pictures = [renderer.render(gpu_scene, each, max_atoms, light) for each in (view, *moved)]
     gpu_scene.release()
     both = covered & pictures[0].coverage
     assert both.mean() > 0.05
@@ -137,6 +138,16 @@ def test_viewer__lights_from_the_side_that_is_chosen(page, served, renderer):
     page.look("document.getElementById('light').click()")
     eye, size, focal = VIEWS["near"]
     assert_alike(page, renderer, scene, camera_looking(eye, (0, 0, 0), size, (focal, focal)), LAMP)
+
+
+@pytest.mark.parametrize("atoms", [0, 2])
+def test_viewer__draws_as_few_atoms_as_are_asked_for(page, served, renderer, atoms):
+    url, scene = served["atoms"]
+    open_viewer(page, url)
+    assert page.look("document.getElementById('atoms').max") == "8"
+    page.look(f"const slider = document.getElementById('atoms'); slider.value = {atoms}; slider.oninput()")
+    eye, size, focal = VIEWS["near"]
+    assert_alike(page, renderer, scene, camera_looking(eye, (0, 0, 0), size, (focal, focal)), max_atoms=atoms)
 
 
 def test_viewer__begins_where_render_orbits(page, served):
@@ -252,3 +263,23 @@ def test_viewer__fits_phones_and_dark_rooms(page, served, width, scheme, tmp_pat
     finally:
         small(page)
         page.call("Emulation.setEmulatedMedia", features=[])
+
+
+@pytest.mark.parametrize("state", ["plain", "measuring", "problem"])
+def test_viewer__is_for_everyone(page, served, state):
+    """axe finds nothing serious."""
+    axe = (node_module("axe-core") / "axe.min.js").read_text()
+    open_viewer(page, served["groups"][0])
+    if state == "measuring":
+        page.look("document.getElementById('measure').click()")
+    if state == "problem":
+        page.look(
+            "document.getElementById('problem').hidden = false; document.getElementById('problem').textContent = 'a problem'"
+        )
+    page.call("Runtime.evaluate", expression=axe)
+    found = json.loads(
+        page.look(
+            "axe.run().then((r) => JSON.stringify(r.violations.map((v) => [v.id, v.impact, v.nodes.map((n) => n.html)])))"
+        )
+    )
+    assert [each for each in found if each[1] in ("serious", "critical")] == []
