@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from renderer.effects.relighting import AS_PHOTOGRAPHED, Light
+from renderer.effects.relighting import USUAL_LAMP, lamp
 from renderer.splats.scene import GpuScene
 from renderer.splats.views import orbit_views, up_direction
 from storage.packed.schema import GROUP, MAX_ATOMS
@@ -22,7 +22,7 @@ from tests.services.web.served import open_viewer, picture_of, serving, small
 pytestmark = pytest.mark.skipif(chromium_path() is None, reason="needs Chromium (apt-get install chromium)")
 UTM = (450000.25, 5400000.5, 100.0)
 SNAPPED_PX = 1 / 32  # how far SwiftShader, which draws here, moves a corner at most: it rounds to a sixteenth
-LAMP = Light((-0.5 / 1.1**0.5, -0.6 / 1.1**0.5, -0.7 / 1.1**0.5), 0.3, 0.7)  # of Viewer.light
+LAMP = lamp(*USUAL_LAMP)
 
 
 def scene_of(name: str):
