@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from renderer.effects.relighting import USUAL_LAMP, lamp
+from renderer.effects.relighting import AS_PHOTOGRAPHED, USUAL_LAMP, lamp
 from renderer.splats.scene import GpuScene
 from renderer.splats.views import orbit_views, up_direction
 from storage.packed.schema import GROUP, MAX_ATOMS
