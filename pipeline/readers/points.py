@@ -14,6 +14,7 @@ import numpy as np
 from pipeline.readers.attributes.looks import Looks
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.readers.files.spelling import plain_path, shown
+from pipeline.readers.guard.guard import call, guarded
 from pipeline.scan import Piece, ScanSource
 from storage.errors import InvalidScan, UnsupportedScan
 
@@ -26,6 +27,7 @@ READERS = {
 }
 HANDLED = f"a COLMAP dense workspace (folder or .zip), {', '.join(READERS)}"
 _VOLUMES = (".mha", ".mhd", ".vti", ".slc", ".dcm")
+_POINT_FORMAT_AT, _PACKED = 104, 0xC0  # in a LAS header
 _HINTS = {
     **dict.fromkeys(_VOLUMES, "write the volume as .nrrd or .nii"),
     **dict.fromkeys((".obj", ".stl", ".glb", ".gltf"), "meshes are not handled; sample points into a .ply"),
@@ -47,8 +49,24 @@ def open_points(path: str, options: ReadOptions, called: str | None = None) -> S
 
 
 def _open(path: str, options: ReadOptions) -> ScanSource:
-    module, function = READERS[os.path.splitext(path)[1].lower()]
+    suffix = os.path.splitext(path)[1].lower()
+    if _may_crash(path, suffix):
+        return guarded(call(path, _open_here, path, suffix, options))
+    return _open_here(path, suffix, options)
+
+
+def _open_here(path: str, suffix: str, options: ReadOptions) -> ScanSource:
+    module, function = READERS[suffix]
     return getattr(import_module(f"pipeline.readers.{module}"), function)(path, options)
+
+
+def _may_crash(path: str, suffix: str) -> bool:
+    """Whether a library parses the file that ends its process on some broken bytes: E57, and LAS that is packed."""
+    if suffix not in (".las", ".laz"):
+        return suffix == ".e57"
+    with open(path, "rb") as stream:
+        stream.seek(_POINT_FORMAT_AT)
+        return (stream.read(1) or b"\0")[0] & _PACKED != 0
 
 
 @dataclass(frozen=True)

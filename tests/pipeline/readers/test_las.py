@@ -201,7 +201,7 @@ def test_las__a_panic_of_the_decoder_is_an_invalid_scan(tmp_path, monkeypatch):
     path = write(tmp_path / "a.laz")[0]
     monkeypatch.setattr(las._Packed, "read", panic)
     with pytest.raises(InvalidScan, match="PanicException: index out of bounds"):
-        open_scan(path)
+        las.open_las(str(path))
 
 
 def test_las__an_interrupt_is_not_an_invalid_scan(tmp_path, monkeypatch):
@@ -211,7 +211,7 @@ def test_las__an_interrupt_is_not_an_invalid_scan(tmp_path, monkeypatch):
     path = write(tmp_path / "a.laz")[0]
     monkeypatch.setattr(las._Packed, "read", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        open_scan(path)
+        las.open_las(str(path))
 
 
 @pytest.mark.parametrize("value", [0.0, float("nan"), float("inf")])
