@@ -24,8 +24,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.effects.ellipsoids.corners import are_corners
 from pipeline.effects.ellipsoids.fit import moments, principal_axes
 from pipeline.effects.ellipsoids.neighbourhoods import LEAST_AFTER_OUTLIERS, OUTLIER_REACHES, Neighbourhood, gather
+from pipeline.effects.ellipsoids.wide import are_wide
 from pipeline.execution.compiled import kernel
 from pipeline.numerics.hashing import FIRST, STEP
 
@@ -76,7 +78,7 @@ def decide(around: Neighbourhood, deviation: np.ndarray, radius: float, noise: f
     Guarantees: a point without a neighbourhood is a disc; equal neighbourhoods are decided equally, in any unit.
     """
     sigma = deviation / radius
-    tolerance = min(max(TOLERANCE_RADII, TOLERANCE_SIGMAS * noise / radius), MOST_TOLERANCE_RADII)
+    tolerance = _tolerance(radius, noise)
     enough = around.count >= LEAST_AFTER_OUTLIERS
     line = sigma[:, 1] <= LINE_RADII
     flat = (sigma[:, 2] <= 0.5 * tolerance) & (sigma[:, 1] >= WIDE_RADII)
@@ -92,7 +94,19 @@ def thin_splats(
 ) -> np.ndarray:
     """Which of `point` (n, 3) call for an ellipsoid, (n,) bool. `around` (m, 3) are the scan's points, thinned by
     CELL_RADII, to WIDEST_RADII about them; `near` their neighbourhoods of REACH_RADII, if they are known."""
-    near = gather(point, around, REACH_RADII * radius) if near is None else near
+    if near is not None:
+        return _thin_of_open(point, around, radius, noise, near)
+    thin = ~are_wide(point, around, REACH_RADII * radius, CROSSING_WIDE_RADII * radius)
+    open_ = np.flatnonzero(thin)
+    if len(open_):
+        near = gather(point[open_], around, REACH_RADII * radius)
+        thin[open_] = _thin_of_open(point[open_], around, radius, noise, near)
+    return thin
+
+
+def _thin_of_open(
+    point: np.ndarray, around: np.ndarray, radius: float, noise: float, near: Neighbourhood
+) -> np.ndarray:  # (n,) bool
     deviation, _ = principal_axes(moments(near.offset, near.count)[1])
     thin = decide(near, deviation, radius, noise).ellipsoid
     rows = np.flatnonzero(
@@ -101,13 +115,23 @@ def thin_splats(
     thin[rows] = at_crossings(near.offset[rows] / radius)
     for scale in WIDER:
         rows = np.flatnonzero(thin)
-        thin[rows] = ~flat_further_out(gather(point[rows], around, scale * REACH_RADII * radius), scale * radius, noise)
+        further = gather(point[rows], around, scale * REACH_RADII * radius)
+        thin[rows] = ~flat_further_out(further, scale * radius, noise)
+        if scale == WIDER[0]:
+            flatness = 0.5 * _tolerance(radius, noise) * radius
+            least, inner = LINE_RADII * radius, REACH_RADII * radius
+            thin[rows] &= ~are_corners(further, deviation[rows], least, inner, flatness)
     return thin
+
+
+def _tolerance(radius: float, noise: float) -> float:
+    """How far from a plane, in radii, what it explains may lie."""
+    return min(max(TOLERANCE_RADII, TOLERANCE_SIGMAS * noise / radius), MOST_TOLERANCE_RADII)
 
 
 def flat_further_out(around: Neighbourhood, radius: float, noise: float) -> np.ndarray:
     """Where a plane explains nearly all directions, (n,) bool, for splats as large as `radius`."""
-    tolerance = min(max(TOLERANCE_RADII, TOLERANCE_SIGMAS * noise / radius), MOST_TOLERANCE_RADII)
+    tolerance = _tolerance(radius, noise)
     return _best_arcs(around.offset / radius, around.count, tolerance, WIDER_ARC) >= WIDER_ARC
 
 

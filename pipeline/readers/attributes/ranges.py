@@ -151,12 +151,12 @@ def _range(evidence: Evidence, top: float, usual_top: float, what: str) -> Range
 
 
 def to_8_bits(values: np.ndarray, top: float) -> np.ndarray:  # (..., 3) to uint8
-    """Values of 0 to `top` as 0 to 255, those beyond as bright, or as dark, as can be shown; NaN is black."""
+    """Values of 0 to `top` as 0 to 255, those beyond as bright, or as dark, as can be shown; what is not finite is black."""
     if values.dtype == np.uint8 and top == 255:
         return values
     if values.dtype in (np.uint8, np.uint16):
         return _table(float(top), values.dtype.itemsize)[values]
-    known = np.nan_to_num(values.astype(np.float64), nan=0.0)
+    known = np.nan_to_num(values.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
     return np.rint(np.clip(known * (255 / top), 0, 255)).astype(np.uint8)
 
 

@@ -6,6 +6,7 @@ a generator has one to itself until it ends.
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import socket
@@ -68,6 +69,14 @@ def _take() -> _Worker:
             if worker.owner == os.getpid() and worker.process.poll() is None:
                 return worker
     return _start()
+
+
+@atexit.register
+def _end_idle() -> None:
+    while _idle:
+        worker = _idle.pop()
+        if worker.owner == os.getpid():
+            worker.end()
 
 
 def _give(worker: _Worker) -> None:

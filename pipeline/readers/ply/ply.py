@@ -177,7 +177,7 @@ def _piece(rows: dict[str, np.ndarray], columns: Columns, decision: Decision) ->
     if decision.top is not None:
         values = _native(_color(rows, columns))
         color = to_8_bits(values, decision.top)
-        colorless = np.isnan(values).any(axis=1) if values.dtype.kind == "f" else None
+        colorless = ~np.isfinite(values).all(axis=1) if values.dtype.kind == "f" else None
     elif columns.harmonic:
         color = to_8_bits(0.5 + HARMONIC * stack(columns.harmonic, np.float64), 1.0)
     intensity = rows[columns.intensity[0]].astype(np.float32) if decision.intensity else None

@@ -58,7 +58,9 @@ class Splats:
         camera = self._cameras(scan, absolute, normal, start, stop)
         towards = self._towards_viewer(scan, absolute, normal, camera, start, stop)
         color = point_colors(scan, self.partition, turned_to(normal, towards), start, stop)
+        scanned = position
         if self.ellipsoids:
+            position = position.copy()
             self._take_ellipsoids(position, normal, start, stop)
         normal = turned_to(normal, towards)
         boxes, normal_code = fit_boxes(position), encode_normals(normal)
@@ -66,7 +68,8 @@ class Splats:
         self._write(folder, start, code, normal_code, camera, color, boxes)
         if self.ellipsoids:
             self._write_ellipsoids(folder, scan, normal_code, start, stop)
-        off = np.linalg.norm(decode_positions(code, boxes) - position, axis=1)
+        # What is drawn against what was scanned: an ellipsoid's centre lies away from its point.
+        off = np.linalg.norm(decode_positions(code, boxes) - scanned, axis=1)
         cosine = np.clip((decode_normals(normal_code) * normal).sum(axis=1), -1, 1)
         return {
             "n_splats": stop - start,

@@ -154,9 +154,6 @@ BAD = {
         "sparse|cameras|fused|images",
     ),
     "overlapping": ("a.zip", _overlapping, 422, "overlap|unpacked"),
-    "huge photo": ("a.zip", lambda w: _with_member(w, "images/0000.png", _png_header(60_000, 60_000)), 422, "0000.png"),
-    "no photo": ("a.zip", lambda w: _with_member(w, "images/0000.png", b"not a photo"), 422, "0000.png"),
-    "short vis": ("a.zip", lambda w: _with_member(w, "fused.ply.vis", bytes(9)), 422, "vis"),
     "a billion points": (
         "a.ply",
         lambda w: (
