@@ -11,7 +11,6 @@ import stat
 import struct
 import time
 import zipfile
-import zlib
 from pathlib import Path
 
 import httpx
@@ -119,11 +118,6 @@ def _with_member(workspace: bytes, name: str, content: bytes) -> bytes:
         members = {n: archive.read(n) for n in archive.namelist()}
     assert name in members
     return _zip(*(members | {name: content}).items())
-
-
-def _png_header(width: int, height: int) -> bytes:
-    body = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + body + struct.pack(">I", zlib.crc32(body))
 
 
 def _overlapping(workspace: bytes) -> bytes:
