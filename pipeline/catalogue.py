@@ -127,6 +127,10 @@ CATALOGUE = (
         when="station maps",
     ),
     StageEntry(
+        "edited-maps", "stages/texture/edited_maps.py", Phase.TEXTURE, Task.STATION,
+        "maps whose pictures somebody edited", ("panoramas",), when="`compress --maps`",
+    ),
+    StageEntry(
         "station-light", "effects/exposure/stations.py", Phase.TEXTURE, Task.SAMPLE,
         "a gain for each station's light", ("panoramas", "splats"), share=3, when="maps of several stations",
     ),

@@ -18,6 +18,7 @@ from pathlib import Path
 from pipeline.planning.settings import DEFAULT_PRESET
 from pipeline.readers.attributes.options import ReadOptions
 from services.cli.arguments import WrongArgument, add_knobs, add_preset, add_settings, add_view_knobs, settings_of
+from services.cli.maps import add_edited_maps, add_map, settings_with_maps
 from services.cli.packed_files import add_export, add_view
 from services.cli.parser import ARGUMENTS, Parser
 from services.cli.service import add_service_verbs
@@ -88,7 +89,7 @@ def _asked(error: Exception) -> str:
 def _compress(options: argparse.Namespace) -> int:
     from services.processes.compress import compress
 
-    settings = settings_of(options)
+    settings = settings_with_maps(options)
     scan, out = _scan_path(options.scan), Path(options.out)
     _refuse_to_overwrite(out, options.overwrite)
     _look_first(scan, draws=not options.no_render, reading=settings.reading)
@@ -102,6 +103,7 @@ def _compress(options: argparse.Namespace) -> int:
             render=not options.no_render,
             work=Path(options.work) if options.work else None,
             strict=options.strict,
+            edited_maps=Path(options.maps) if options.maps else None,
         )
     return _show_report(report, out, options)
 
@@ -533,6 +535,7 @@ def _parser() -> argparse.ArgumentParser:
     add_view(commands)
     add_export(commands)
     add_iso(commands, _add_executor)
+    add_map(commands, _add_executor, _add_output)
     add_service_verbs(commands)
     return parser
 
@@ -578,6 +581,7 @@ def _add_compress(commands) -> None:
     )
     _add_output(compress)
     add_settings(compress)
+    add_edited_maps(compress)
     _add_strict(compress)
     _add_running(compress)
     compress.set_defaults(command=_compress)

@@ -8,7 +8,9 @@ from pathlib import Path
 from pipeline.effects.exposure.stations import StationLight
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import Direction
+from pipeline.stages.texture.edited_maps import EditedMaps
 from pipeline.stages.texture.panoramas import Panoramas
+from services.flow.fingerprint import fingerprint
 from services.flow.run import Run
 from storage.work import work
 
@@ -25,6 +27,15 @@ class StationMaps:
 def draw_maps(run: Run, ingest: StageRecord, partition: StageRecord, neighbours: StageRecord) -> StageRecord:
     """The maps of all stations; `partition` and `neighbours` have all points of the scan."""
     return run.do(Panoramas(ingest.folder, partition.folder, neighbours.folder))
+
+
+def with_edits(run: Run, maps: Path, edited: Path | None) -> Path:
+    """The folder of maps, with the pictures of `edited` in place of those that were drawn."""
+    if edited is None:
+        return maps
+    if not edited.is_dir():
+        raise FileNotFoundError(f"{edited}: no such folder of maps")
+    return run.do(EditedMaps(maps, str(edited.resolve()), fingerprint(edited))).folder
 
 
 def maps_for(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,7 +23,8 @@ from pipeline.stages.points.partition import Partition
 from pipeline.stages.points.splats import Splats
 from pipeline.volumes.open import is_volume
 from pipeline.volumes.request import SurfaceRequest
-from services.flow.maps import StationMaps, draw_maps, maps_for
+from services.flow.fingerprint import fingerprint
+from services.flow.maps import StationMaps, draw_maps, maps_for, with_edits
 from services.flow.run import Run
 from services.flow.volumes import refuse_surfaces, surface_points
 from storage.errors import InvalidScan
@@ -52,17 +51,6 @@ class Prepared:
         return dict(self.built).get("exposure", self.scan.folder)
 
 
-def fingerprint(scan: Path) -> str:
-    """A hash of the names, sizes and times of a scan's files: changes when they do."""
-    files = sorted(p for p in scan.rglob("*") if p.is_file()) if scan.is_dir() else [scan]
-    state = hashlib.sha256()
-    for path in files:
-        stat = path.stat()
-        name = os.fsencode(path.relative_to(scan))
-        state.update(name + f"\0{stat.st_size}\0{stat.st_mtime_ns}\n".encode())
-    return state.hexdigest()
-
-
 def prepare(
     run: Run,
     scan: Path,
@@ -72,19 +60,33 @@ def prepare(
     density: float = 1.0,
     surface: SurfaceRequest = SurfaceRequest(),
     reading: ReadOptions = ReadOptions(),
+    edited_maps: Path | None = None,
 ) -> Prepared:
-    """The scan as splats, and with the effects that they call for; the photographs `held_out` texture none, and
-    `surface` is what is asked of a volume."""
-    return with_maps(run, with_effects(run, splats_of(run, scan, radius, held_out, density, surface, reading), request))
+    """The scan as splats, and with the effects that they call for; the photographs `held_out` texture none,
+    `surface` is what is asked of a volume, and `edited_maps` a folder of edited pictures of stations' maps."""
+    return with_maps(
+        run, with_effects(run, splats_of(run, scan, radius, held_out, density, surface, reading), request), edited_maps
+    )
 
 
-def with_maps(run: Run, prepared: Prepared) -> Prepared:
-    """Splats with the maps of their stations, where the plan has them on."""
+def with_maps(run: Run, prepared: Prepared, edited: Path | None = None) -> Prepared:
+    """Splats with the maps of their stations, where the plan has them on; `edited` pictures in place of those drawn.
+
+    Raises: InvalidScan for edited pictures of a scan that no maps are drawn of.
+    """
     if "station_maps" not in prepared.effects.enabled or not has_maps(prepared.scan.summary):
+        if edited is not None:
+            raise InvalidScan(
+                str(edited),
+                "maps for a scan that none texture",
+                "maps of a laser scan with stations and colours",
+                "`splatpress effects` says whether they are on",
+            )
         return prepared
     drawn = draw_maps(run, prepared.scan, *_all_points(run, prepared))
     splats, directions = prepared.splats.folder, directions_of(prepared.scan.summary["cameras"])
-    maps = maps_for(run, drawn.folder, prepared.partition.folder, splats, prepared.radius, directions)
+    folder = with_edits(run, drawn.folder, edited)
+    maps = maps_for(run, folder, prepared.partition.folder, splats, prepared.radius, directions)
     return replace(prepared, maps=maps)
 
 

@@ -32,19 +32,21 @@ def compress(
     render: bool = True,
     work: Path | None = None,
     strict: bool = False,
+    edited_maps: Path | None = None,
 ) -> dict:
     """Compress a scan into `out`: NAME.splatpress, report.json, report.html and previews/. Returns the report.
 
     `out` appears with all of it, or not at all; only where the packed file is whole and its pictures or its report
     fail, `out` appears with what there is, and the error says so in a note. With `work` the outputs of the stages stay
-    there and are used again; else they are thrown away. Raises InvalidScan for a warning about the scan if `strict`.
+    there and are used again; else they are thrown away. `edited_maps` is a folder that `map` wrote, whose pictures
+    somebody edited. Raises InvalidScan for a warning about the scan if `strict`.
     """
     failed: Exception | None = None
     report: dict = {}
     with placed_whole(out) as made:
         run = Run(work or made / "work", executor, progress, strict=strict)
         try:
-            report = make(run, scan, settings, made, render)
+            report = make(run, scan, settings, made, render, edited_maps=edited_maps)
         except Exception as error:
             packed = next(made.glob(f"*{SUFFIX}"), None)
             if packed is None:
@@ -58,7 +60,15 @@ def compress(
     return report
 
 
-def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = True, name: str | None = None) -> dict:
+def make(
+    run: Run,
+    scan: Path,
+    settings: Settings,
+    out: Path,
+    render: bool = True,
+    name: str | None = None,
+    edited_maps: Path | None = None,
+) -> dict:
     """All of a job, into the folder `out`, which is there; the packed file is called `name`, else as the scan.
     Returns the report."""
     name = name or shown(scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem)
@@ -71,6 +81,7 @@ def make(run: Run, scan: Path, settings: Settings, out: Path, render: bool = Tru
         density=settings.density,
         surface=surface_request(settings),
         reading=settings.reading,
+        edited_maps=edited_maps,
     )
     coded = code(run, prepared, settings) if wants_texture(prepared, settings.texture) else None
     packed = pack(run, prepared, coded, settings, name, path)

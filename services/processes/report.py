@@ -8,8 +8,9 @@ from pathlib import Path
 from pipeline.effects.exposure import exposed
 from pipeline.execution.stage import Executor, Progress
 from pipeline.stages.packed.measure import Measure, ingest_fits
+from services.flow.fingerprint import fingerprint
 from services.flow.outputs import write_outputs
-from services.flow.prepare import fingerprint, ingest_of
+from services.flow.prepare import ingest_of
 from services.flow.run import Run
 from storage.errors import InvalidScan
 from storage.packed.packed import PackedFile

@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from pipeline.execution.executors import DaskExecutor, SerialExecutor
 from pipeline.planning.settings import settings_for
+from pipeline.readers.attributes.options import ReadOptions
 from renderer.evaluate.compare import psnr_of_error
 from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
 from services.processes.compress import compress
+from services.processes.map import map_scan
 from storage.errors import InvalidScan
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Camera
@@ -113,3 +116,65 @@ def test_maps__atoms_of_a_scan_without_stations_are_an_error_that_says_what_to_d
     with pytest.raises(InvalidScan, match=r"texture.*neither photographs.*--station") as caught:
         compress(scan, tmp_path / "out", replace(SETTINGS, density=1.0, texture="atoms"), SerialExecutor(), Heard())
     assert caught.value.kind == "data" and not (tmp_path / "out").exists()
+
+
+# --- maps as pictures ------------------------------------------------------------------------------------------------
+
+
+def test_map__writes_a_picture_a_station_and_takes_it_back_edited(scan, made, tmp_path, renderer):
+    """What is painted on the maps is what the packed file shows there: all of the wall that VIEW looks at, in green."""
+    rows = map_scan(scan, tmp_path / "maps", SerialExecutor(), Heard(), work=tmp_path / "work")
+    assert [row["station"] for row in rows] == [0, 1] and all(0.9 < row["covered"] <= 1 for row in rows)
+    assert sorted(p.name for p in (tmp_path / "maps").iterdir()) == sorted(sum((row["files"] for row in rows), []))
+    for i in range(2):
+        paint(tmp_path / "maps" / f"station_{i:03d}.color.png")
+    out = tmp_path / "out"
+    settings = replace(SETTINGS, texture="atoms")
+    compress(
+        scan,
+        out,
+        settings,
+        SerialExecutor(),
+        Heard(),
+        render=False,
+        work=tmp_path / "work",
+        edited_maps=tmp_path / "maps",
+    )
+    with PackedFile(out / "room.splatpress") as packed:
+        gpu_scene = GpuScene(packed.load(), renderer.context)
+    rgb, coverage = (picture := renderer.render(gpu_scene, VIEW)).rgb, picture.coverage
+    gpu_scene.release()
+    is_green = np.abs(rgb[coverage].astype(int) - [0, 200, 60]).max(axis=1) < 30
+    assert is_green.mean() > 0.95
+
+
+def paint(path: Path) -> None:
+    """All that was seen becomes green."""
+    with Image.open(path) as picture:
+        pixels = np.array(picture)
+    pixels[..., :3] = [0, 200, 60]
+    Image.fromarray(pixels).save(path)
+
+
+def test_map__of_a_scan_without_stations_is_an_error_and_leaves_nothing(tmp_path):
+    scan = point_scan(tmp_path / "points.ply")
+    with pytest.raises(InvalidScan, match=r"no station.*--station"):
+        map_scan(scan, tmp_path / "maps", SerialExecutor(), Heard())
+    assert not (tmp_path / "maps").exists()
+
+
+def test_map__with_the_scanner_s_place_a_merged_scan_has_one(tmp_path):
+    scan = point_scan(tmp_path / "points.ply")  # a ball of radius 2
+    rows = map_scan(scan, tmp_path / "maps", SerialExecutor(), Heard(), reading=ReadOptions(station="0,0,0"))
+    assert len(rows) == 1 and rows[0]["covered"] > 0.95 and rows[0]["centre"] == [0, 0, 0]
+
+
+def test_compress__an_empty_folder_of_maps_is_an_error_that_names_what_it_should_hold(scan, made, tmp_path):
+    (tmp_path / "maps").mkdir()
+    _, _, work_folder = made(SETTINGS)
+    run = {"render": False, "work": work_folder, "edited_maps": tmp_path / "maps"}
+    with pytest.raises(InvalidScan, match=r"no map.*station_000.color.png to station_001.color.png"):
+        compress(scan, tmp_path / "out", replace(SETTINGS, texture="atoms"), SerialExecutor(), Heard(), **run)
+    with pytest.raises(InvalidScan, match="none texture"):
+        settings = replace(SETTINGS, texture="color")
+        compress(scan, tmp_path / "out", settings, SerialExecutor(), Heard(), **run)
