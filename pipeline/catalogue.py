@@ -122,12 +122,12 @@ CATALOGUE = (
         "photographs in one light", ("ingest",), when="the plan has it on",
     ),
     StageEntry(
-        "panoramas", "stages/texture/panoramas.py", Phase.TEXTURE, Task.STATION,
+        "panoramas", "stages/maps/panoramas.py", Phase.TEXTURE, Task.STATION,
         "what each station saw: colour, alpha and distance, drawn from all points", ("partition", "neighbours"), share=8,
         when="station maps",
     ),
     StageEntry(
-        "edited-maps", "stages/texture/edited_maps.py", Phase.TEXTURE, Task.STATION,
+        "edited-maps", "stages/maps/edited_maps.py", Phase.TEXTURE, Task.STATION,
         "maps whose pictures somebody edited", ("panoramas",), when="`compress --maps`",
     ),
     StageEntry(
@@ -135,7 +135,7 @@ CATALOGUE = (
         "a gain for each station's light", ("panoramas", "splats"), share=3, when="maps of several stations",
     ),
     StageEntry(
-        "resample-maps", "stages/texture/resample_maps.py", Phase.TEXTURE, Task.BLOCK,
+        "resample-maps", "stages/maps/resample_maps.py", Phase.TEXTURE, Task.BLOCK,
         "32x32 patches from the map that shows a splat best", ("panoramas", "splats"), share=12, when="station maps",
     ),
     StageEntry(

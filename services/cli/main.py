@@ -18,11 +18,10 @@ from pathlib import Path
 from pipeline.planning.settings import DEFAULT_PRESET
 from pipeline.readers.attributes.options import ReadOptions
 from services.cli.arguments import WrongArgument, add_knobs, add_preset, add_settings, add_view_knobs, settings_of
-from services.cli.maps import add_edited_maps, add_map, settings_with_maps
+from services.cli.looks import add_edited_maps, add_iso, add_map, settings_with_maps
 from services.cli.packed_files import add_export, add_view
 from services.cli.parser import ARGUMENTS, Parser
 from services.cli.service import add_service_verbs
-from services.cli.volumes import add_iso
 from storage.errors import ResourceExhausted, SplatpressError
 from storage.version import VERSION
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
 from pipeline.planning.settings import Settings
+from pipeline.stages.maps.resample_maps import ResampleMaps
 from pipeline.stages.texture.prices import price_for
 from pipeline.stages.texture.resample import Resample
-from pipeline.stages.texture.resample_maps import ResampleMaps
 from services.flow.budget import NO_ATOMS, Trial, check_budget, within_budget
 from services.flow.pack import pack, packed_gpu_bytes, texels_of_levels
 from services.flow.prepare import Prepared

@@ -8,8 +8,8 @@ from pathlib import Path
 from pipeline.effects.exposure.stations import StationLight
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import Direction
-from pipeline.stages.texture.edited_maps import EditedMaps
-from pipeline.stages.texture.panoramas import Panoramas
+from pipeline.stages.maps.edited_maps import EditedMaps
+from pipeline.stages.maps.panoramas import Panoramas
 from services.flow.fingerprint import fingerprint
 from services.flow.run import Run
 from storage.work import work

@@ -9,8 +9,8 @@ import pytest
 
 from pipeline.execution.executors import SerialExecutor
 from pipeline.planning.settings import settings_for
-from pipeline.stages.texture.panoramas import read_map
-from pipeline.stages.texture.resample_maps import LEAST_SHARE, MappedSplats
+from pipeline.stages.maps.panoramas import read_map
+from pipeline.stages.maps.resample_maps import LEAST_SHARE, MappedSplats
 from pipeline.texture.resample import PATCH_DIM
 from services.flow.code import resample
 from services.flow.prepare import Prepared, prepare

@@ -14,7 +14,7 @@ from pipeline.maps.choice import sharpness
 from pipeline.maps.sample import Squares, sample_patches, seen_at_centre
 from pipeline.maps.station_map import StationMap
 from pipeline.numerics.srgb import LINEAR_OF_LEVEL
-from pipeline.stages.texture.resample_maps import MappedSplats
+from pipeline.stages.maps.resample_maps import MappedSplats
 from pipeline.texture.resample import disc_weights
 from storage.packed.schema import PATCH_SIZE
 from storage.work import arrays, work

@@ -15,8 +15,8 @@ from pipeline.readers.attributes.options import ReadOptions
 from renderer.evaluate.compare import psnr_of_error
 from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
+from services.flow.map_pictures import map_scan
 from services.processes.compress import compress
-from services.processes.map import map_scan
 from storage.errors import InvalidScan
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Camera

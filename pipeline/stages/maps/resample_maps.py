@@ -14,7 +14,7 @@ from pipeline.maps.light import levels_with
 from pipeline.maps.sample import Squares, sample_patches
 from pipeline.maps.station_map import StationMap
 from pipeline.splats.decoded import decoded_squares
-from pipeline.stages.texture.panoramas import read_map
+from pipeline.stages.maps.panoramas import read_map
 from pipeline.texture.patches import measured
 from pipeline.texture.resample import PATCH_DIM
 from storage.packed.schema import PATCH_SIZE

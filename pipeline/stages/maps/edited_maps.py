@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.maps.files import COLOR, has_map, name_of, read_edited
-from pipeline.stages.texture.panoramas import read_map
+from pipeline.stages.maps.panoramas import read_map
 from storage.errors import InvalidScan
 from storage.work import arrays, work
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from pipeline.execution.stage import Executor, Progress
 from pipeline.maps.files import write_map
 from pipeline.readers.attributes.options import ReadOptions
+from pipeline.stages.maps.panoramas import read_map
 from pipeline.stages.points.neighbours import Neighbourhoods
-from pipeline.stages.texture.panoramas import read_map
 from services.flow.maps import draw_maps
 from services.flow.outputs import placed_whole
 from services.flow.prepare import points_of
