@@ -90,6 +90,10 @@ CATALOGUE = (
         "spacing; normals where there are none", ("partition",), share=4,
     ),
     StageEntry(
+        "sizes", "stages/points/sizes.py", Phase.POINTS, Task.BLOCK,
+        "the size that each splat needs, in 3 bits; decided before splats are made", ("partition", "neighbours"),
+    ),
+    StageEntry(
         "sampled", "stages/points/sampled.py", Phase.EVALUATION, Task.BLOCK,
         "whole chunks, spread over the scan: what a pilot is run on", ("partition",), when="`estimate`",
     ),

@@ -34,6 +34,7 @@ class Decoded:
     """One splat: all lengths in the header's unit."""
 
     position: np.ndarray  # (3,) absolute
+    radius: float
     frame: np.ndarray  # (3, 3) u, v, normal as rows
     color: np.ndarray  # (3,) sRGB
     atoms: list[tuple[int, int, float]]  # atom, turn, what its texels are times
@@ -101,6 +102,14 @@ class Packed:
         u = u / np.linalg.norm(u)
         return np.array([u, np.cross(normal, u), normal])
 
+    def radius(self, i: int) -> float:
+        bits, (chunk, place) = self.header["size_bits"], divmod(i, 128)
+        if bits == 0:
+            return self.header["radius"]
+        words, (low, high) = self.arrays["sizes"][chunk], self.arrays["size_scale"][chunk].tolist()
+        q = int.from_bytes(words.astype("<u4").tobytes(), "little") >> place * bits & (1 << bits) - 1
+        return self.header["radius"] * 2.0 ** ((low + (high - low) * q / (2**bits - 1)) / 16 - 8)
+
     def color(self, i: int) -> np.ndarray:
         step, chunk = self.header["color_step"], i // 128
         if step == 0:
@@ -137,12 +146,10 @@ class Packed:
         if batch.get("ellipsoid"):
             word = self.field("ellipsoids", "ellipsoid_word", i // 8192, 32 * self.before(i, "ellipsoid"), 32)
             t = (word & 255) * np.pi / 256
-            lengths = self.header["radius"] * 2.0 ** (
-                (np.array([word >> 8 & 255, word >> 16 & 255, word >> 24]) - 191) / 32
-            )
+            lengths = self.radius(i) * 2.0 ** ((np.array([word >> 8 & 255, word >> 16 & 255, word >> 24]) - 191) / 32)
             u, v, normal = frame
             axes = lengths[:, None] * np.array([np.cos(t) * u + np.sin(t) * v, np.cos(t) * v - np.sin(t) * u, normal])
-        return Decoded(self.position(i), frame, self.color(i), self.atoms(i), line, axes)
+        return Decoded(self.position(i), self.radius(i), frame, self.color(i), self.atoms(i), line, axes)
 
     def sum_of_atoms(self, atoms: list[tuple[int, int, float]], place: np.ndarray, level: int) -> np.ndarray:
         """(m, 3) at the places (m, 2), at a level: 0 has 32 texels to a side."""
@@ -187,7 +194,10 @@ def to_srgb(linear: np.ndarray) -> np.ndarray:
 def render(packed: Packed, view: View) -> tuple[np.ndarray, np.ndarray]:
     """The picture (h, w, 3) in [0, 1], sRGB, and where it is covered (h, w)."""
     splats = [packed.splat(i) for i in range(len(packed))]
-    drawn = [fragments(splat, view, packed.header["radius"], packed.header["depth_margin"]) for splat in splats]
+    drawn = [
+        fragments(splat, view, NEAR_IN_RADII * packed.header["radius"], packed.header["margin_radii"])
+        for splat in splats
+    ]
     n_pixels = view.width_px * view.height_px
     surface, light, weights = np.full(n_pixels, np.inf), np.zeros((n_pixels, 3)), np.zeros(n_pixels)
     for found in drawn:
@@ -203,7 +213,8 @@ def render(packed: Packed, view: View) -> tuple[np.ndarray, np.ndarray]:
     return picture.reshape(view.height_px, view.width_px, 3), covered.reshape(view.height_px, view.width_px)
 
 
-def fragments(splat: Decoded, view: View, radius: float, margin: float) -> Fragments:
+def fragments(splat: Decoded, view: View, near: float, margin_radii: float) -> Fragments:
+    radius, margin = splat.radius, margin_radii * splat.radius
     middle = view.rotation @ (splat.position - view.centre)
     if splat.axes is None:
         return _of_disc(
@@ -212,7 +223,7 @@ def fragments(splat: Decoded, view: View, radius: float, margin: float) -> Fragm
             radius,
             splat.clipline,
             view,
-            NEAR_IN_RADII * radius,
+            near,
             margin,
         )
     axes = splat.axes @ view.rotation.T
@@ -225,9 +236,7 @@ def fragments(splat: Decoded, view: View, radius: float, margin: float) -> Fragm
     x /= np.linalg.norm(x)
     across = np.array([x, np.cross(e, x)])
     half_axes = np.sqrt((distance - 1) / (distance + 1)) * across @ axes
-    found = _of_disc(
-        middle + e @ axes, half_axes, np.sqrt((half_axes**2).sum()), None, view, NEAR_IN_RADII * radius, margin
-    )
+    found = _of_disc(middle + e @ axes, half_axes, np.sqrt((half_axes**2).sum()), None, view, near, margin)
     on_rim = found.place / np.maximum(1, np.linalg.norm(found.place, axis=1, keepdims=True))
     k = np.sqrt((1 - (on_rim**2).sum(axis=1)).clip(0))
     ball = (np.sqrt(distance**2 - 1) * on_rim @ across + (1 + distance * k)[:, None] * e) / (distance + k)[:, None]

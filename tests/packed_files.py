@@ -39,6 +39,7 @@ class Case:
     coarsest_size: int = 1
     n_ranks: int = 8
     color_step: int = 0
+    size_bits: int = 0
 
 
 def noise(n: int, seed: int, below: int, period: int = 1 << 40) -> np.ndarray:
@@ -60,7 +61,8 @@ def header_of(case: Case) -> Header:
         origin=(450000.0, 5400000.0, 100.0),
         up=case.up,
         ahead=case.ahead,
-        depth_margin=0.5,
+        margin_radii=2.0,
+        size_bits=case.size_bits,
         n_dictionary=case.n_dictionary,
         dictionary_bits=case.dictionary_bits,
         weight_bits=case.weight_bits,
@@ -89,6 +91,11 @@ def arrays_for(case: Case, header: Header) -> dict[str, np.ndarray]:
         "normal": (_bytes(case, 5, 255)[:, :2].astype(np.int64) - 127).astype(np.int8),
         "batch_count": _batch_count(case, header),
     }
+    if header.size_bits:
+        low = noise(c, 14, 100) + 60
+        arrays["size_scale"] = np.stack([low, low + noise(c, 15, 90)], axis=1).astype(np.uint8)
+        field = noise(c * CHUNK, 16, 2**header.size_bits, case.period)
+        arrays["sizes"] = _packed(field, header.size_bits).reshape(c, -1)
     arrays |= _color_boxes(case, header) if header.color_step else {"color": _bytes(case, 6, 256)}
     arrays |= _streams(case, header, arrays["batch_count"])
     if header.n_dictionary:

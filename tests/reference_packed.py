@@ -65,8 +65,19 @@ def decode_ellipsoid(scene: PackedScene, splat: int) -> list[list[float]] | None
         rows[0] for rows in tangent_frames(scene.arrays["normal"][splat : splat + 1], header.up, header.ahead)
     )
     rotation = Rotation.from_rotvec(np.radians(180 * turn / 256) * normal)
-    lengths = [header.radius * 2 ** (step / 32) / 2 ** (191 / 32) for step in steps]
+    radius = decode_radius(scene, splat)
+    lengths = [radius * 2 ** (step / 32) / 2 ** (191 / 32) for step in steps]
     return [(length * rotation.apply(axis)).tolist() for length, axis in zip(lengths, (u, v, normal))]
+
+
+def decode_radius(scene: PackedScene, splat: int) -> float:
+    header, (chunk, place) = scene.header, divmod(splat, CHUNK)
+    if not header.size_bits:
+        return header.radius
+    field = int.from_bytes(scene.arrays["sizes"][chunk].astype("<u4").tobytes(), "little") >> place * header.size_bits
+    low, high = scene.arrays["size_scale"][chunk].tolist()
+    step = low + (high - low) * (field % 2**header.size_bits) / (2**header.size_bits - 1)
+    return header.radius * 2.0 ** (step / 16) / 2**8
 
 
 def decode_position(scene: PackedScene, splat: int) -> list[float]:

@@ -11,6 +11,7 @@ from pipeline.geometry.cliplines import encode_cliplines
 from pipeline.geometry.ellipsoids import encode_ellipsoids
 from pipeline.geometry.normals import encode_normals
 from pipeline.geometry.positions import encode_positions, fit_boxes
+from pipeline.geometry.sizes import encode_sizes, fit_scales
 from pipeline.texture.colors import encode_colors, fit_color_boxes
 from storage.packed.batches import CHUNKS_PER_GROUP, count_batches, rows_of
 from storage.packed.bits import pack_bits
@@ -18,6 +19,7 @@ from storage.packed.codes import pack_codes
 from storage.packed.colors import pack_colors
 from storage.packed.packed import PackedScene
 from storage.packed.schema import CHUNK, CLIPLINE_BITS, GROUP, MAX_ATOMS, MIP_SIZES, NO_CAMERA, Batch, Camera, Header
+from storage.packed.sizes import pack_sizes
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Splats:
     axes: np.ndarray | None = (
         None  # (n, 3, 3) half axes of ellipsoids as rows, the third along the normal; NaN where it is a disc
     )
+    size: np.ndarray | None = None  # (n,) radii; the one of the settings
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class Settings:
     ahead: tuple[int, int, int] = (1, 0, 0)
     depth_margin: float = 0.05
     cameras: tuple[Camera, ...] = field(default=())
+    size_bits: int = 3  # where splats have sizes of their own
     color_step: int = 0  # 0: colours in whole bytes, else in boxes
 
 
@@ -134,7 +138,8 @@ def build_scene_and_order(
         origin=settings.origin,
         up=settings.up,
         ahead=settings.ahead,
-        depth_margin=settings.depth_margin,
+        margin_radii=settings.depth_margin / settings.radius,
+        size_bits=0 if splats.size is None else settings.size_bits,
         n_dictionary=len(dictionary.atoms) if dictionary else 0,
         dictionary_bits=dictionary.dictionary_bits if dictionary else 8,
         weight_bits=dictionary.weight_levels.shape[1].bit_length() - 1 if dictionary else 4,
@@ -164,6 +169,10 @@ def build_scene_and_order(
         "normal": encode_normals(splats.normal[order]),
         "batch_count": count_batches(batch, len(batches)),
     }
+    if header.size_bits:
+        scales = fit_scales(splats.size[order], settings.radius, header.size_bits)
+        codes = encode_sizes(splats.size[order], scales)
+        arrays |= {"size_scale": scales.step, "sizes": pack_sizes(codes, header.size_bits)}
     arrays |= color_boxes(color[order], settings.color_step) if settings.color_step else {"color": color[order]}
     rows = rows_of(arrays["batch_count"], batches)
     groups = [slice(start, start + GROUP) for start in range(0, n, GROUP)]

@@ -8,18 +8,20 @@ import numpy as np
 import pytest
 
 from pipeline.geometry.ellipsoids import decode_ellipsoids
+from pipeline.splats.decoded import scene_radii
 from renderer.splats.scene import GpuScene
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Camera
 from tests import format_decoder
 from tests.format_decoder import Packed, View, render
 from tests.packed_files import Case, write_arrays, write_packed_file
-from tests.reference_packed import decode_clipline, decode_patch, decode_position
+from tests.reference_packed import decode_clipline, decode_patch, decode_position, decode_radius
 from tests.renderer.reference_renderer import agreement_db
 from tests.scenes import Dictionary, Settings, build_scene, camera_looking, coded, random_dictionary, sheet
 
 CASES = [
     Case(n_splats=300),
+    Case(size_bits=3, ellipsoids=True),
     Case(dictionary_bits=12, n_dictionary=300, atom_size=8, n_turns=8, cliplines=True),
     Case(n_dictionary=0, atom_counts=(0,), color_step=112, cliplines=True, ellipsoids=True),
     Case(
@@ -49,7 +51,7 @@ def test_format_decoder__decodes_what_the_product_does(case, tmp_path):
         scene = opened.load()
     some, fields = scene.ellipsoids
     axes = (
-        decode_ellipsoids(fields, scene.arrays["normal"][some], case.up, case.ahead, scene.header.radius)
+        decode_ellipsoids(fields, scene.arrays["normal"][some], case.up, case.ahead, scene_radii(scene)[some])
         if len(some)
         else []
     )
@@ -57,6 +59,7 @@ def test_format_decoder__decodes_what_the_product_does(case, tmp_path):
     for i in (0, 1, 127, 128, 200, case.n_splats - 1):
         splat = packed.splat(i)
         assert np.array_equal(splat.position, np.array(scene.header.origin) + decode_position(scene, i))
+        assert splat.radius == decode_radius(scene, i)
         assert (splat.clipline is None) == (decode_clipline(scene, i) is None)
         if splat.clipline is not None:
             np.testing.assert_allclose(splat.clipline, decode_clipline(scene, i), atol=1e-12)
@@ -92,6 +95,9 @@ def scene_of(name):
         line = np.tile([0.8, 0.6, 0.1], (100, 1))
         line[rng.random(100) < 0.5] = np.nan
         return build_scene(sheet(rng, 100, clipline=line, **coded(rng, 100)), Settings(radius=0.15), plain)
+    if name == "sizes":
+        sizes = {"size": 0.15 * 2 ** rng.uniform(-1, 0.3, 100), "axes": thin_axes(rng, 100)}
+        return build_scene(sheet(rng, 100, **sizes, **coded(rng, 100)), Settings(radius=0.12), plain)
     if name == "ellipsoids":
         return build_scene(sheet(rng, 100, axes=thin_axes(rng, 100), **coded(rng, 100)), Settings(radius=0.1), plain)
     scene = build_scene(sheet(rng, 100, **coded(rng, 100)), Settings(radius=0.15), plain)
@@ -99,7 +105,7 @@ def scene_of(name):
 
 
 @pytest.mark.parametrize("distance", [0.9, 4.0, 12.0])
-@pytest.mark.parametrize("name", ["atoms", "turned", "cliplines", "ellipsoids", "blended"])
+@pytest.mark.parametrize("name", ["atoms", "turned", "cliplines", "ellipsoids", "sizes", "blended"])
 def test_format_decoder__draws_what_the_product_does(renderer, name, distance, tmp_path):
     scene = scene_of(name)
     packed = Packed(write_arrays(scene.header, scene.arrays, tmp_path / "a.splatpress"))

@@ -8,26 +8,26 @@ drawn so from the start.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from pipeline.effects.block import Block, Sources
 from pipeline.effects.effect import Effect, Measured, Worth
+from pipeline.effects.pairs import pairs_within
 
 EVERY = 32  # splats of a block
 OVERDRAWN = 16.0  # weight of a pixel from which 16-bit sums may be off by 1/255, as in resolve.frag.glsl
 
 
-def overdraw(position: np.ndarray, radius: float, every: int = EVERY) -> np.ndarray:
-    """The summed blending weights 1 - d^2 at the centres of every n-th splat."""
-    tree = cKDTree(position)
-    rows = position[::every]
-    pairs = tree.sparse_distance_matrix(cKDTree(rows), radius, output_type="coo_matrix")
-    weight = 1 - (pairs.data / radius) ** 2
-    return np.bincount(pairs.col, weight, minlength=len(rows))
+def overdraw(position: np.ndarray, radius: float | np.ndarray, every: int = EVERY) -> np.ndarray:
+    """The summed blending weights 1 - d^2 at the centres of every n-th splat; those about it count as large as itself."""
+    rows = np.arange(0, len(position), every)
+    reach = np.broadcast_to(radius, len(position))
+    at, other = pairs_within(position, rows, reach[rows])
+    weight = 1 - ((position[other] - position[at]) ** 2).sum(axis=1) / reach[at] ** 2
+    return np.bincount(at // every, weight, minlength=len(rows))
 
 
 def _measure_block(block: Block) -> dict:
-    found = overdraw(block.centre, block.sources.radius)
+    found = overdraw(block.centre, block.radius)
     return {"n": len(found), "n_overdrawn": int((found > OVERDRAWN).sum()), "most": float(np.quantile(found, 0.99))}
 
 

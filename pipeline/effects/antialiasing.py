@@ -22,7 +22,8 @@ def _measure_block(block: Block) -> dict:
     rows = np.arange(0, len(block.centre), EVERY)
     for i, camera in enumerate(s.cameras):
         own = rows[block.camera[rows] == i]
-        h = homographies(camera, tuple(s.origin), block.centre[own], block.frame[0][own], block.frame[1][own], s.radius)
+        u, v, _ = block.frame
+        h = homographies(camera, tuple(s.origin), block.centre[own], u[own], v[own], block.radius[own])
         found = lookups_a_texel(h[is_in_front(h)])
         n, n_coarse = n + len(found), n_coarse + int((found > 1).any(axis=1).sum())
     return {"n": n, "n_coarse": n_coarse}

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.geometry.frame import Direction, tangent_frames
-from pipeline.splats.decoded import decoded_centres, seen_by_cameras
+from pipeline.splats.decoded import decoded_centres, seen_by_cameras, splat_radii
 from storage.packed.schema import NO_CAMERA, Camera
 from storage.work import arrays, work
 
@@ -28,10 +28,15 @@ class Sources:
     up: Direction
     ahead: Direction
     held_out: tuple[int, ...] = ()  # cameras whose photographs nothing is made from
+    sizes: Path | None = None  # what sizes its splats need, whether or not they have them
 
     @cached_property
     def scan(self) -> dict:
         return work.summary(self.ingest)
+
+    @cached_property
+    def used_sizes(self) -> Path | None:
+        return self.sizes if arrays.exists(self.splats, "size_code") else None
 
     @cached_property
     def n_splats(self) -> int:
@@ -73,6 +78,10 @@ class Block:
         return decoded_centres(self.sources.splats, *self.rows)
 
     @cached_property
+    def radius(self) -> np.ndarray:  # (n,) float64
+        return splat_radii(self.sources.splats, self.sources.radius, *self.rows)
+
+    @cached_property
     def frame(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Tangent u, tangent v and normal, (n, 3) float64 each, as the renderer decodes them."""
         return tangent_frames(self.read(self.sources.splats, "normal_code"), self.sources.up, self.sources.ahead)
@@ -99,7 +108,7 @@ class Block:
     def seen(self) -> np.ndarray:  # (n, n_cameras) bool: which cameras see each splat, at most the 8 sharpest
         s = self.sources
         return seen_by_cameras(
-            s.partition, s.depth_maps, s.cameras, self.centre + s.origin, self.frame[2], s.radius, *self.rows
+            s.partition, s.depth_maps, s.cameras, self.centre + s.origin, self.frame[2], self.radius, *self.rows
         )
 
     def photo(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:

@@ -8,10 +8,10 @@ show in how far the neighbours of a splat lie off its plane.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from pipeline.effects.block import Block, Sources
 from pipeline.effects.effect import Effect, Measured, Worth
+from pipeline.effects.pairs import pairs_within
 
 LEAST_RADII = 1.0  # the margin of a scan without noise: discs that overlap at a slant of 45 degrees still blend
 OVERLAP_RADII = 2.0  # discs whose centres are nearer than this overlap; so no residual, and no margin, is beyond 2 or 4
@@ -20,19 +20,18 @@ BINS = 256  # of the histogram of residuals
 EVERY = 8  # splats of a block: 2,048 neighbourhoods
 
 
-def residuals(position: np.ndarray, normal: np.ndarray, radius: float, every: int = EVERY) -> np.ndarray:
+def residuals(position: np.ndarray, normal: np.ndarray, radius: float | np.ndarray, every: int = EVERY) -> np.ndarray:
     """How far the neighbours of every n-th splat lie off its plane, flat, in radii: those whose discs overlap its
     own."""
-    tree = cKDTree(position)
     rows = np.arange(0, len(position), every)
-    pairs = cKDTree(position[rows]).sparse_distance_matrix(tree, OVERLAP_RADII * radius, output_type="ndarray")
-    at, other = rows[pairs["i"]], pairs["j"]
+    reach = np.broadcast_to(radius, len(position))
+    at, other = pairs_within(position, rows, OVERLAP_RADII * reach[rows])
     at, other = at[at != other], other[at != other]
-    return np.abs(((position[other] - position[at]) * normal[at]).sum(axis=1)) / radius
+    return np.abs(((position[other] - position[at]) * normal[at]).sum(axis=1)) / reach[at]
 
 
 def _measure_block(block: Block) -> dict:
-    return {"histogram": histogram_of(residuals(block.centre, block.frame[2], block.sources.radius))}
+    return {"histogram": histogram_of(residuals(block.centre, block.frame[2], block.radius))}
 
 
 def histogram_of(off: np.ndarray) -> list[int]:

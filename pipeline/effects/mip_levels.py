@@ -34,7 +34,7 @@ EVERY = 8  # splats of a block
 BINS_A_LEVEL, DEEPEST = 16, len(MIP_SIZES) - 1
 
 
-def levels_seen(camera: Camera, centre: np.ndarray, normal: np.ndarray, radius: float) -> np.ndarray:
+def levels_seen(camera: Camera, centre: np.ndarray, normal: np.ndarray, radius: float | np.ndarray) -> np.ndarray:
     """The level, from 0 for 32 texels on, that a camera looks splats up at: of `centre` (n, 3), absolute, and `normal`
     (n, 3); NaN behind it."""
     ray = centre - np.asarray(camera.centre)
@@ -92,10 +92,10 @@ def _measure_block(block: Block) -> dict:
     s = block.sources
     histogram, farthest = np.zeros(DEEPEST * BINS_A_LEVEL, np.int64), 0.0
     rows = slice(None, None, EVERY)
-    centre, normal = block.centre[rows] + s.origin, block.frame[2][rows]
+    centre, normal, radius = block.centre[rows] + s.origin, block.frame[2][rows], block.radius[rows]
     for i, camera in enumerate(s.cameras):
         seen = block.seen[rows, i]
-        level = levels_seen(camera, centre[seen], normal[seen], s.radius)
+        level = levels_seen(camera, centre[seen], normal[seen], radius[seen])
         smaller = math.log2(max(1.0, max(camera.width_px, camera.height_px) / SMALLEST_VIEW_PX))
         for found in (level, np.minimum(level + smaller, DEEPEST)):
             histogram += np.histogram(found[np.isfinite(found)], len(histogram), (0, DEEPEST))[0]

@@ -8,10 +8,10 @@ target is filled; where neighbours have nearly one normal that shows as much.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from pipeline.effects.block import Block, Sources
 from pipeline.effects.effect import Effect, Measured, Worth
+from pipeline.effects.pairs import pairs_within
 
 BINS, WIDEST_DEGREES = 256, 90.0  # of the histogram of angles; splats are seen from either side
 EVERY = 8  # splats of a block
@@ -21,18 +21,17 @@ LEAST_DEGREES = round(
 )  # that change a level of 255, light falling flat on a surface
 
 
-def angles(position: np.ndarray, normal: np.ndarray, radius: float, every: int = EVERY) -> np.ndarray:
+def angles(position: np.ndarray, normal: np.ndarray, radius: float | np.ndarray, every: int = EVERY) -> np.ndarray:
     """Degrees (flat) between the normal of every n-th splat and those of the splats whose centres lie on its disc."""
     rows = np.arange(0, len(position), every)
-    pairs = cKDTree(position[rows]).sparse_distance_matrix(cKDTree(position), radius, output_type="ndarray")
-    at, other = rows[pairs["i"]], pairs["j"]
+    at, other = pairs_within(position, rows, np.broadcast_to(radius, len(position))[rows])
     at, other = at[at != other], other[at != other]
     sine = np.linalg.norm(np.cross(normal[at], normal[other]), axis=1)
     return np.degrees(np.arctan2(sine, np.abs((normal[at] * normal[other]).sum(axis=1))))
 
 
 def _measure_block(block: Block) -> dict:
-    found = angles(block.centre, block.frame[2], block.sources.radius)
+    found = angles(block.centre, block.frame[2], block.radius)
     return {"histogram": np.histogram(found, BINS, (0, WIDEST_DEGREES))[0].tolist()}
 
 

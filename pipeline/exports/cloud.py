@@ -9,6 +9,7 @@ import numpy as np
 from pipeline.geometry.ellipsoids import decode_ellipsoids
 from pipeline.geometry.frame import tangent_frames
 from pipeline.geometry.positions import Boxes, decode_positions
+from pipeline.splats.decoded import scene_radii
 from pipeline.texture.colors import ColorBoxes, decode_colors
 from storage.packed.packed import PackedScene
 from storage.packed.schema import GROUP, MIP_SIZES
@@ -50,12 +51,13 @@ def cloud_of(scene: PackedScene) -> Cloud:
     """
     header = scene.header
     u, v, normal = tangent_frames(scene.arrays["normal"], header.up, header.ahead)
-    axes = np.stack([u * header.radius, v * header.radius, normal], axis=1)
+    radius = scene_radii(scene)
+    axes = np.stack([u * radius[:, None], v * radius[:, None], normal], axis=1)
     splat, fields = scene.ellipsoids
     solid = np.zeros(header.n_splats, bool)
     if len(splat):
         solid[splat] = True
-        axes[splat] = decode_ellipsoids(fields, scene.arrays["normal"][splat], header.up, header.ahead, header.radius)
+        axes[splat] = decode_ellipsoids(fields, scene.arrays["normal"][splat], header.up, header.ahead, radius[splat])
     return Cloud(positions_of(scene), axes, solid, _middle_colors(scene), header.origin)
 
 

@@ -20,10 +20,10 @@ SHORTEST_RADII = 2.0 ** (-ONE_RADIUS / STEPS_AN_OCTAVE)
 
 
 def encode_ellipsoids(
-    normal_code: np.ndarray, up: Direction, ahead: Direction, axes: np.ndarray, radius: float
+    normal_code: np.ndarray, up: Direction, ahead: Direction, axes: np.ndarray, radius: float | np.ndarray
 ) -> np.ndarray:
     """Fields (n, 4) uint8: turn, then the steps of the three lengths. `axes` (n, 3, 3): rows along the normal's
-    tangents, across them and along the normal, as long as the half axes.
+    tangents, across them and along the normal, as long as the half axes. `radius` here and below: of each splat (n,), or of all.
 
     Guarantees: every value of every field decodes; the decoded first axis is within 0.36 degrees of the projection of
     the given one onto the decoded tangent plane; lengths between SHORTEST_RADII and LONGEST_RADII come back within
@@ -32,13 +32,13 @@ def encode_ellipsoids(
     u, v, _ = tangent_frames(normal_code, up, ahead)
     angle = np.arctan2((axes[:, 0] * v).sum(axis=1), (axes[:, 0] * u).sum(axis=1))
     turn = np.round(angle * TURNS / np.pi).astype(np.int64) % TURNS
-    length = np.linalg.norm(axes, axis=2) / radius
+    length = np.linalg.norm(axes, axis=2) / np.reshape(radius, (-1, 1))
     step = np.round(ONE_RADIUS + STEPS_AN_OCTAVE * np.log2(np.clip(length, SHORTEST_RADII, LONGEST_RADII)))
     return np.column_stack([turn, step]).astype(np.uint8)
 
 
 def decode_ellipsoids(
-    fields: np.ndarray, normal_code: np.ndarray, up: Direction, ahead: Direction, radius: float
+    fields: np.ndarray, normal_code: np.ndarray, up: Direction, ahead: Direction, radius: float | np.ndarray
 ) -> np.ndarray:
     """Half axes as rows (n, 3, 3) float64: at right angles, right-handed, the third along the decoded normal."""
     u, v, normal = tangent_frames(normal_code, up, ahead)
@@ -49,7 +49,12 @@ def decode_ellipsoids(
 
 
 def squares_of(
-    centre: np.ndarray, u: np.ndarray, v: np.ndarray, ellipsoid: np.ndarray, axes: np.ndarray, radius: float
+    centre: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+    ellipsoid: np.ndarray,
+    axes: np.ndarray,
+    radius: float | np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Middles and tangents (n, 3), these in radii, of the squares that splats are textured on.
 
@@ -58,10 +63,11 @@ def squares_of(
     """
     centre, u, v = centre.copy(), u.copy(), v.copy()
     centre[ellipsoid] += MEAN_HEIGHT * axes[:, 2]
-    u[ellipsoid], v[ellipsoid] = axes[:, 0] / radius, axes[:, 1] / radius
+    in_radii = axes[:, :2] / np.reshape(radius, (-1, 1, 1))
+    u[ellipsoid], v[ellipsoid] = in_radii[:, 0], in_radii[:, 1]
     return centre, u, v
 
 
-def lengths_of(fields: np.ndarray, radius: float) -> np.ndarray:
+def lengths_of(fields: np.ndarray, radius: float | np.ndarray) -> np.ndarray:
     """The three half axes' lengths (n, 3) float64."""
-    return radius * 2.0 ** ((fields[:, 1:].astype(np.float64) - ONE_RADIUS) / STEPS_AN_OCTAVE)
+    return np.reshape(radius, (-1, 1)) * 2.0 ** ((fields[:, 1:].astype(np.float64) - ONE_RADIUS) / STEPS_AN_OCTAVE)

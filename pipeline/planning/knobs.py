@@ -279,7 +279,7 @@ KNOBS = (
     Knob(
         "radius",
         float,
-        "of every splat, in the scan's unit; by default the median distance to the 4th neighbour",
+        "of every splat, in the scan's unit; by default each has its own where spacing differs (effect `sizes`), else all the median distance to the 4th neighbour",
         "larger: no holes where points are sparse; smaller: sharper textures",
         "larger: overdraw, and more photo pixels a texel",
         "splats",

@@ -88,7 +88,7 @@ def best_cameras(
     cameras: tuple[Camera, ...],
     position: np.ndarray,  # (n, 3) float64 absolute
     normal: np.ndarray,  # (n, 3), either way round
-    radius: float,
+    radius: float | np.ndarray,  # (n,), or one for all
     seen: np.ndarray,  # (n, n_cameras) bool
 ) -> np.ndarray:
     """The sharpest camera whose photo holds the whole splat, (n,) uint16; NO_CAMERA where none does.
@@ -97,18 +97,19 @@ def best_cameras(
     """
     best = np.full(len(position), NO_CAMERA, np.uint16)
     best_score = np.zeros(len(position))
+    radius = np.broadcast_to(radius, len(position))
     for i, camera in enumerate(cameras):
         rows = np.flatnonzero(seen[:, i])
         if not len(rows):
             continue
-        score = _score(camera, position[rows], normal[rows], radius)
+        score = _score(camera, position[rows], normal[rows], radius[rows])
         better = rows[score > best_score[rows]]
         best_score[better] = score[score > best_score[rows]]
         best[better] = i
     return best
 
 
-def _score(camera: Camera, position: np.ndarray, normal: np.ndarray, radius: float) -> np.ndarray:
+def _score(camera: Camera, position: np.ndarray, normal: np.ndarray, radius: np.ndarray) -> np.ndarray:
     facing = np.abs(sharpness(camera, position, normal))
     straight = sharpness(camera, position, None)
     local = (position - np.asarray(camera.centre)) @ np.asarray(camera.rotation).T

@@ -29,14 +29,14 @@ def empty_map(camera: Camera, scale: float) -> np.ndarray:
     return np.full((max(1, int(camera.height_px * scale)), max(1, int(camera.width_px * scale))), np.inf, np.float32)
 
 
-def draw_points(depth_map: np.ndarray, camera: Camera, position: np.ndarray, radius: float) -> None:
-    """Lower the map to the depths of squares of `radius` around the points (n, 3), absolute."""
+def draw_points(depth_map: np.ndarray, camera: Camera, position: np.ndarray, radius: float | np.ndarray) -> None:
+    """Lower the map to the depths of squares of `radius`, one for all or each its own (n,), around the points (n, 3), absolute."""
     x, y, depth, reach = _on_map(depth_map, camera, position, radius)
     _draw(depth_map, x, y, depth, reach)
 
 
 def seen_points(
-    depth_map: np.ndarray, camera: Camera, position: np.ndarray, normal: np.ndarray, radius: float
+    depth_map: np.ndarray, camera: Camera, position: np.ndarray, normal: np.ndarray, radius: float | np.ndarray
 ) -> np.ndarray:
     """(n,) bool: the points that lie on the map and not behind what it holds. `normal` (n, 3) unit, either way
     round."""
@@ -57,7 +57,7 @@ def _slope(camera: Camera, position: np.ndarray, normal: np.ndarray) -> np.ndarr
     return np.minimum(across / np.maximum(along, across / STEEPEST_SLOPE + np.finfo(float).tiny), STEEPEST_SLOPE)
 
 
-def _on_map(depth_map: np.ndarray, camera: Camera, position: np.ndarray, radius: float):
+def _on_map(depth_map: np.ndarray, camera: Camera, position: np.ndarray, radius: float | np.ndarray):
     local = (position - np.asarray(camera.centre)) @ np.asarray(camera.rotation).T
     depth = local[:, 2]
     scale_x, scale_y = depth_map.shape[1] / camera.width_px, depth_map.shape[0] / camera.height_px

@@ -41,7 +41,7 @@ def make_patches(
     origin: tuple[float, float, float],
     centre: np.ndarray,  # (n, 3) decoded, against the origin
     frame: tuple[np.ndarray, np.ndarray],  # tangents u and v, (n, 3) each
-    radius: float,
+    radius: float | np.ndarray,  # (n,), or one for all
     camera: np.ndarray,  # (n,) uint16
     color: np.ndarray,  # (n, 3) uint8: of splats without a camera
     first_splat: int,
@@ -52,10 +52,11 @@ def make_patches(
     their photo's edge, where texels repeat the edge."""
     texel = np.empty((len(camera), PATCH_DIM), np.uint8)
     unseen = camera == NO_CAMERA
+    radius = np.broadcast_to(radius, len(camera))
     error, n_probes, n_flagged = 0.0, 0, int(unseen.sum())
     for i in np.unique(camera[~unseen]):
         rows = np.flatnonzero(camera == i)
-        h = homographies(cameras[i], origin, centre[rows], frame[0][rows], frame[1][rows], radius)
+        h = homographies(cameras[i], origin, centre[rows], frame[0][rows], frame[1][rows], radius[rows])
         n_flagged += int((~is_whole(h, cameras[i].width_px, cameras[i].height_px)).sum())
         in_front = is_in_front(h)
         unseen[rows[~in_front]] = True

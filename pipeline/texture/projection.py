@@ -23,7 +23,7 @@ def homographies(
     centre: np.ndarray,  # (n, 3) float64 against the origin
     u: np.ndarray,  # (n, 3)
     v: np.ndarray,  # (n, 3)
-    radius: float,
+    radius: float | np.ndarray,  # (n,), or one for all
 ) -> np.ndarray:
     """(n, 3, 3) float64: pixel = h @ (x, y, 1) with x, y in [-1, 1] over the splat's square; divide by the third."""
     rotation = np.asarray(camera.rotation)
@@ -35,7 +35,8 @@ def homographies(
             [0.0, 0.0, 1.0],
         ]
     )
-    columns = np.stack([radius * u, radius * v, centre - eye], axis=2)  # (n, 3, 3)
+    reach = np.reshape(radius, (-1, 1))
+    columns = np.stack([reach * u, reach * v, centre - eye], axis=2)  # (n, 3, 3)
     return calibration @ rotation @ columns
 
 

@@ -32,7 +32,7 @@ void main() {
     uint splat = listed[at];
 #ifdef ELLIPSOID
     Ellipsoid ellipsoid = decode_ellipsoid(splat, ellipsoids[at]);
-    Disc square = Disc(ellipsoid.centre, ellipsoid.a, ellipsoid.b);
+    Disc square = Disc(ellipsoid.centre, ellipsoid.a, ellipsoid.b, ellipsoid.radius);
     Disc disc = outline_of(ellipsoid);
 #else
     Disc disc = decode_disc(splat), square = disc;

@@ -12,6 +12,7 @@ layout(std430, binding = 9) readonly buffer Ellipsoids { uint ellipsoids[]; };  
 struct Ellipsoid {
     vec3 centre;   // in camera axes, against the eye
     vec3 a, b, c;  // half axes
+    float radius;  // that of the splat
 };
 
 flat out float eye_distance;  // 0 where the eye is inside
@@ -22,11 +23,12 @@ Ellipsoid decode_ellipsoid(uint splat, uint word) {
     vec3 u, v;
     decode_frame(ivec2(int(words.x) >> 24, int(words.y << 24) >> 24), u, v);
     float turn = float(word & 255u) * (3.14159265358979 / 256.0);
-    vec3 lengths = scene.radius * exp2((vec3((uvec3(word) >> uvec3(8u, 16u, 24u)) & 255u) - 191.0) / 32.0);
+    float radius = radius_of(splat);
+    vec3 lengths = radius * exp2((vec3((uvec3(word) >> uvec3(8u, 16u, 24u)) & 255u) - 191.0) / 32.0);
     return Ellipsoid(world_to_camera(decode_position(splat, words.x & 0xFFFFFFu)),
                      lengths.x * world_to_camera(cos(turn) * u + sin(turn) * v),
                      lengths.y * world_to_camera(cos(turn) * v - sin(turn) * u),
-                     lengths.z * world_to_camera(cross(u, v)));
+                     lengths.z * world_to_camera(cross(u, v)), radius);
 }
 
 Disc outline_of(Ellipsoid e) {
@@ -34,12 +36,12 @@ Disc outline_of(Ellipsoid e) {
     eye_distance = length(eye);
     if (eye_distance <= 1.0) {
         eye_distance = 0.0;
-        return Disc(vec3(0.0), vec3(0.0), vec3(0.0));
+        return Disc(vec3(0.0), vec3(0.0), vec3(0.0), e.radius);
     }
     vec3 z = eye / eye_distance;
     vec3 x = normalize(abs(z.x) < 0.7 ? vec3(0.0, z.z, -z.y) : vec3(-z.z, 0.0, z.x));
     facing = mat3(x, cross(z, x), z);
     mat3 axes = mat3(e.a, e.b, e.c);
     float rim = sqrt((eye_distance - 1.0) / (eye_distance + 1.0));
-    return Disc(e.centre + axes * z, rim * (axes * facing[0]), rim * (axes * facing[1]));
+    return Disc(e.centre + axes * z, rim * (axes * facing[0]), rim * (axes * facing[1]), e.radius);
 }

@@ -1,12 +1,12 @@
 // Position, tangent frame and average colour of a splat, decoded as pipeline/geometry/{positions,normals,frame}.py and
 // pipeline/texture/colors.py do. Needs view.glsl.
 
-layout(std430, binding = 1) readonly buffer Boxes { uint boxes[]; };  // BOX_WORDS a chunk: low, size, bits, then those of its colours
+layout(std430, binding = 1) readonly buffer Boxes { uint boxes[]; };  // BOX_WORDS a chunk: low, size, bits and sizes, those of its colours, then the sizes of its splats
 #ifdef COLOR_BOXES
 #include "bits.glsl"
 layout(std430, binding = 0) readonly buffer Splats { uint splats[]; };  // 3 B position, 2 B normal
 layout(std430, binding = 10) readonly buffer Colors { uint colors[]; };
-const uint BOX_WORDS = 11u;
+const uint SIZE_WORD = 11u;
 
 uvec2 splat_words(uint splat) {
     uint first = splat * 5u;
@@ -15,21 +15,41 @@ uvec2 splat_words(uint splat) {
 }
 #else
 layout(std430, binding = 0) readonly buffer Splats { uvec2 splats[]; };  // 3 B position, 2 B normal, 3 B color
-const uint BOX_WORDS = 7u;
+const uint SIZE_WORD = 7u;
 
 uvec2 splat_words(uint splat) { return splats[splat]; }
+#endif
+
+#ifdef SIZE_BITS
+#include "bits.glsl"
+const uint BOX_WORDS = SIZE_WORD + 4u * uint(SIZE_BITS);
+
+// As pipeline/geometry/sizes.py decodes it.
+float radius_of(uint splat) {
+    uint box = splat / CHUNK * BOX_WORDS;
+    uint code = READ_BITS(boxes, box + SIZE_WORD, splat % CHUNK * uint(SIZE_BITS), uint(SIZE_BITS));
+    float low = float(boxes[box + 6u] >> 16 & 0xFFu), high = float(boxes[box + 6u] >> 24);
+    float at = low + (high - low) * float(code) / float((1u << uint(SIZE_BITS)) - 1u);
+    return scene.radius * exp2((at - 128.0) / 16.0);
+}
+#else
+const uint BOX_WORDS = SIZE_WORD;
+
+float radius_of(uint splat) { return scene.radius; }
 #endif
 
 struct Disc {
     vec3 centre;  // in camera axes, against the eye
     vec3 u, v;    // tangents in camera axes, one radius long
+    float radius;
 };
 
 vec3 decode_position(uint splat, uint code) {
     uint box = splat / CHUNK * BOX_WORDS;
     vec3 low = uintBitsToFloat(uvec3(boxes[box], boxes[box + 1u], boxes[box + 2u]));
     vec3 size = uintBitsToFloat(uvec3(boxes[box + 3u], boxes[box + 4u], boxes[box + 5u]));
-    uvec3 bits = (uvec3(boxes[box + 6u]) >> uvec3(0u, 8u, 16u)) & 0xFFu;
+    uvec2 bits_xy = (uvec2(boxes[box + 6u]) >> uvec2(0u, 8u)) & 0xFFu;
+    uvec3 bits = uvec3(bits_xy, 24u - bits_xy.x - bits_xy.y);
     uvec3 cells = uvec3(1u) << bits;
     uvec3 cell = (uvec3(code) >> uvec3(0u, bits.x, bits.x + bits.y)) & (cells - 1u);
     return against_eye(low) + (vec3(cell) + 0.5) * (size / vec3(cells));
@@ -63,8 +83,9 @@ Disc decode_disc(uint splat) {
     ivec2 normal_code = ivec2(int(words.x) >> 24, int(words.y << 24) >> 24);
     vec3 u, v;
     decode_frame(normal_code, u, v);
+    float radius = radius_of(splat);
     return Disc(world_to_camera(decode_position(splat, words.x & 0xFFFFFFu)),
-                world_to_camera(u) * scene.radius, world_to_camera(v) * scene.radius);
+                world_to_camera(u) * radius, world_to_camera(v) * radius, radius);
 }
 
 #ifdef COLOR_BOXES

@@ -22,7 +22,7 @@ vec2 drawn_corner() { return CORNERS[gl_VertexID & 3]; }
 #ifdef ELLIPSOID
 float reach_of(Disc disc) { return sqrt(dot(disc.u, disc.u) + dot(disc.v, disc.v)); }
 #else
-float reach_of(Disc disc) { return scene.radius; }
+float reach_of(Disc disc) { return disc.radius; }
 #endif
 
 struct Quad {
@@ -39,7 +39,7 @@ mat2 image_of_disc(Disc disc) {
 }
 
 // Clip coordinates of a point of the disc, in camera axes. w = z, and depth is near / z: 1 near, 0 far.
-// With PUSHED the depth is that of the disc scaled away from the eye until its centre has moved by the margin: that
+// With PUSHED the depth is that of the disc scaled away from the eye until its centre has moved by the margin, so many radii: that
 // leaves it flat, so that depths between corners are right too, and moves nothing on the screen.
 vec4 to_clip(Disc disc, vec3 point) {
     vec2 slope = 2.0 * view.lens.xy / view.screen.xy;
@@ -47,7 +47,7 @@ vec4 to_clip(Disc disc, vec3 point) {
     float near = view.screen.z;
 #ifdef PUSHED
     float distance = length(disc.centre);
-    near *= distance / max(distance + view.screen.w + ROUNDING * distance, 1e-30);
+    near *= distance / max(distance + view.screen.w * disc.radius + ROUNDING * distance, 1e-30);
 #endif
     return vec4(slope * point.xy + shift * point.z, near, point.z);
 }

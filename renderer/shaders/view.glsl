@@ -5,7 +5,7 @@ layout(std140, binding = 0) uniform View {
     vec4 camera_x, camera_y, camera_z;  // rows of the rotation from world to camera
     vec4 eye_high, eye_low;             // the eye against the scene's origin, as the sum of two floats
     vec4 lens;                          // fx, fy, cx, cy in px
-    vec4 screen;                        // width and height in px, near plane and depth margin in the scene's unit
+    vec4 screen;                        // width and height in px, near plane in the scene's unit, depth margin in radii
 } view;
 
 layout(std140, binding = 1) uniform Scene {

@@ -42,7 +42,9 @@ def variant_name(name: str, defines: dict[str, int]) -> str:
     words = [name]
     if "N_ATOMS" in defines:
         words.append(f"atoms={defines['N_ATOMS']}")
-    words += [flag.lower().replace("_", " ") for flag, on in defines.items() if on and flag != "N_ATOMS"]
+    for flag, value in defines.items():
+        if value and flag != "N_ATOMS":
+            words.append(flag.lower().replace("_", " ") + (f"={value}" if value > 1 else ""))
     return " ".join(words)
 
 

@@ -17,7 +17,7 @@ def view_block(view: Camera, header: Header) -> bytes:
     rows[:3, :3] = view.rotation
     rows[3, :3], rows[4, :3] = split_floats(eye_against_origin(view, header))
     rows[5] = view.fx_px, view.fy_px, view.cx_px, view.cy_px
-    rows[6] = view.width_px, view.height_px, NEAR_IN_RADII * header.radius, header.depth_margin
+    rows[6] = view.width_px, view.height_px, NEAR_IN_RADII * header.radius, header.margin_radii
     return rows.tobytes()[: 7 * 16]
 
 

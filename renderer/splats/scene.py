@@ -14,13 +14,14 @@ import numpy as np
 
 from pipeline.effects.plan.request import OFF, asked_by
 from pipeline.geometry.ellipsoids import lengths_of
+from pipeline.splats.decoded import scene_radii
 from renderer.splats.atlas import atlas_layout, upload_atlas
 from renderer.splats.stacks import has_stacks
 from renderer.splats.targets import NARROW, WIDE
 from storage.errors import ResourceExhausted
 from storage.packed.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.packed.packed import PackedScene
-from storage.packed.schema import GROUP, MIP_SIZES, color_bits
+from storage.packed.schema import GROUP, MIP_SIZES, Header, color_bits
 
 # Bindings of the shader storage blocks; the shaders say the same numbers.
 SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS, ELLIPSOIDS, COLORS = range(11)
@@ -38,11 +39,13 @@ def splat_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def box_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """Low corner, size and bits of each chunk's box, (n_chunks, 7) uint32."""
+    """Low corner, size, bits along x and y, and the scale of its splats' sizes, of each chunk's box, (n_chunks, 7) uint32."""
     words = np.zeros((len(arrays["box_low"]), 7), np.uint32)
     words[:, :3] = arrays["box_low"].view(np.uint32)
     words[:, 3:6] = arrays["box_size"].view(np.uint32)
-    words[:, 6] = arrays["box_bits"].astype(np.uint32) @ np.array([1, 1 << 8, 1 << 16], np.uint32)
+    words[:, 6] = arrays["box_bits"].astype(np.uint32) @ np.array([1, 1 << 8, 0], np.uint32)
+    if "size_scale" in arrays:
+        words[:, 6] |= arrays["size_scale"].astype(np.uint32) @ np.array([1 << 16, 1 << 24], np.uint32)
     return words
 
 
@@ -91,7 +94,7 @@ def group_table(scene: PackedScene) -> np.ndarray:
 
 
 def group_boxes(scene: PackedScene) -> np.ndarray:
-    """(n_groups, 6) float32: low and high corner of each group, grown by the radius or its longest ellipsoid's half
+    """(n_groups, 6) float32: low and high corner of each group, grown by its largest radius or longest ellipsoid's half
     axis."""
     arrays = scene.arrays
     starts = np.arange(0, len(arrays["box_low"]), CHUNKS_PER_GROUP)
@@ -110,10 +113,11 @@ def group_boxes(scene: PackedScene) -> np.ndarray:
 
 def longest_in_groups(scene: PackedScene) -> np.ndarray:
     """How far a splat of each group reaches from its centre, (n_groups,) float64."""
-    reach = np.full(scene.header.n_groups, scene.header.radius)
+    radius = scene_radii(scene)
+    reach = np.maximum.reduceat(radius, np.arange(0, scene.header.n_splats, GROUP))
     if "ellipsoids" in scene.arrays:
         splat, fields = scene.ellipsoids
-        np.maximum.at(reach, splat // GROUP, lengths_of(fields, scene.header.radius).max(axis=1))
+        np.maximum.at(reach, splat // GROUP, lengths_of(fields, radius[splat]).max(axis=1))
     return reach
 
 
@@ -162,7 +166,7 @@ class GpuScene:
             self.accumulation = WIDE
         self.bytes_by_part = dict.fromkeys(("geometry", "codes", "colors", "dictionary"), 0)
         with self.context:
-            self._upload_splats(header.color_step, arrays)
+            self._upload_splats(header, arrays)
             self._upload(GROUP_BOXES, "geometry", group_boxes(self.scene), "group boxes")
             self._upload(RUNNING_COUNTS, "codes", running_counts(arrays["batch_count"]), "running counts of batches")
             self._upload(GROUPS, "codes", group_table(self.scene), "group table")
@@ -196,7 +200,7 @@ class GpuScene:
     @property
     def defines(self) -> dict[str, int]:
         """What the programs that decode its splats are compiled with."""
-        return {"COLOR_BOXES": int(COLORS in self.buffers)}
+        return {"COLOR_BOXES": int(COLORS in self.buffers), "SIZE_BITS": self.scene.header.size_bits}
 
     @property
     def n_leading(self) -> int:
@@ -219,13 +223,16 @@ class GpuScene:
                 resource.release()
         self.buffers, self.uniforms, self.atlas = {}, None, None
 
-    def _upload_splats(self, color_step: int, arrays: dict[str, np.ndarray]) -> None:
+    def _upload_splats(self, header: Header, arrays: dict[str, np.ndarray]) -> None:
         boxes, spare = box_words(arrays), np.zeros(1, np.uint32)
         splats = splat_words(arrays)
-        if color_step:
-            boxes = np.concatenate([boxes, color_box_words(arrays, color_step)], axis=1)
+        if header.color_step:
+            boxes = np.concatenate([boxes, color_box_words(arrays, header.color_step)], axis=1)
             splats = np.concatenate([splats.ravel(), np.zeros(-splats.size % 4, np.uint8), spare.view(np.uint8)])
             self._upload(COLORS, "colors", arrays["colors"], "colours")
+        if header.size_bits:
+            boxes = np.concatenate([boxes, arrays["sizes"]], axis=1)
+            boxes = np.concatenate([boxes.ravel(), spare])
         self._upload(SPLATS, "geometry", splats, "position, normal and color")
         self._upload(BOXES, "geometry", boxes, "chunk boxes")
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.splats.decoded import scene_radii
 from storage.packed.packed import PackedScene
 from storage.packed.schema import CHUNK
 
@@ -35,13 +36,20 @@ def has_stacks(scene: PackedScene) -> bool:
     by_chunk = code.reshape(n_chunks, CHUNK)
     bits = scene.arrays["box_bits"].astype(np.int64)
     step = scene.arrays["box_size"] / np.exp2(bits)
+    cell = CELL_IN_RADII * _smallest_radii(scene)[:, None]
     with np.errstate(divide="ignore"):  # a zero extent is one cell
-        dropped = np.clip(np.floor(np.log2(CELL_IN_RADII * scene.header.radius / step)), 0, bits).astype(np.int64)
+        dropped = np.clip(np.floor(np.log2(cell / step)), 0, bits).astype(np.int64)
     suspect = _suspects(by_chunk, bits, dropped)
     return any(
         _has_many_equal(_cells(by_chunk[suspect], bits[suspect], dropped[suspect], shifted), MOST_ALIKE).any()
         for shifted in (False, True)
     )
+
+
+def _smallest_radii(scene: PackedScene) -> np.ndarray:
+    """Of each chunk, (n_chunks,)."""
+    radii = scene_radii(scene)
+    return np.minimum.reduceat(radii, np.arange(0, len(radii), CHUNK))
 
 
 def _suspects(code: np.ndarray, bits: np.ndarray, dropped: np.ndarray) -> np.ndarray:  # (n_chunks,) bool

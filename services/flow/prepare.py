@@ -8,7 +8,8 @@ from pathlib import Path
 from pipeline.effects.block import Sources
 from pipeline.effects.plan.plan import EffectPlan, measured_effects, plan_effects
 from pipeline.effects.plan.registry import effects
-from pipeline.effects.plan.request import AUTO, ON, parse_request
+from pipeline.effects.plan.request import AUTO, OFF, ON, parse_request
+from pipeline.effects.sizes import measured_by
 from pipeline.effects.station_maps import has_maps
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
@@ -20,6 +21,7 @@ from pipeline.stages.points.leaves import DealtLeaves
 from pipeline.stages.points.measure_effects import MeasureEffects, measures_of
 from pipeline.stages.points.neighbours import Neighbourhoods, radius_of
 from pipeline.stages.points.partition import Partition
+from pipeline.stages.points.sizes import Sizes
 from pipeline.stages.points.splats import Splats
 from pipeline.volumes.open import is_volume
 from pipeline.volumes.request import SurfaceRequest
@@ -65,7 +67,9 @@ def prepare(
     """The scan as splats, and with the effects that they call for; the photographs `held_out` texture none,
     `surface` is what is asked of a volume, and `edited_maps` a folder of edited pictures of stations' maps."""
     return with_maps(
-        run, with_effects(run, splats_of(run, scan, radius, held_out, density, surface, reading), request), edited_maps
+        run,
+        with_effects(run, splats_of(run, scan, radius, request, held_out, density, surface, reading), request),
+        edited_maps,
     )
 
 
@@ -115,7 +119,10 @@ def with_effects(run: Run, prepared: Prepared, request: str) -> Prepared:
 def _with_ellipsoids(run: Run, prepared: Prepared, ellipsoids: Path) -> Prepared:
     """The splats once more, where their ellipsoids lie, so that textures are sampled on what is drawn."""
     s = prepared.sources
-    splats = run.do(Splats(s.ingest, s.partition, s.neighbours, s.depth_maps, s.radius, prepared.held_out, ellipsoids))
+    sized = s.used_sizes
+    splats = run.do(
+        Splats(s.ingest, s.partition, s.neighbours, s.depth_maps, s.radius, prepared.held_out, ellipsoids, sized)
+    )
     return replace(prepared, splats=splats, sources=replace(s, splats=splats.folder))
 
 
@@ -123,13 +130,14 @@ def splats_of(
     run: Run,
     scan: Path,
     radius: float | None,
+    request: str = "",
     held_out: tuple[int, ...] = (),
     density: float = 1.0,
     surface: SurfaceRequest = SurfaceRequest(),
     reading: ReadOptions = ReadOptions(),
 ) -> Prepared:
     """Read the scan, put its points in chunk order, and make splats of them."""
-    return splats_from(run, *points_of(run, scan, density, surface, reading), str(scan), radius, held_out)
+    return splats_from(run, *points_of(run, scan, density, surface, reading), str(scan), radius, request, held_out)
 
 
 def ingest_of(run: Run, scan: Path, reading: ReadOptions = ReadOptions()) -> StageRecord:
@@ -178,15 +186,20 @@ def splats_from(
     partition: StageRecord,
     scan: str,
     radius: float | None,
+    request: str = "",
     held_out: tuple[int, ...] = (),
 ) -> Prepared:
-    """Make splats of points in chunk order."""
+    """Make splats of points in chunk order: of `radius`, or each of the size that the scan calls for."""
     neighbours = run.do(Neighbourhoods(partition.folder))
-    radius = radius_of(neighbours.summary, radius, scan)
+    asked_radius, radius = radius, radius_of(neighbours.summary, radius, scan)
+    needed, sizes = None, None
+    if asked_radius is None and parse_request(request)["sizes"] != OFF:
+        needed = run.do(Sizes(partition.folder, neighbours.folder, radius))
+        sizes = needed.folder if _calls_for_sizes(needed.summary, request) else None
     depth = None
     if ingest.summary["cameras"] and not ingest.summary["has_visibility"]:
-        depth = run.do(DepthMaps(ingest.folder, partition.folder, radius)).folder
-    splats = run.do(Splats(ingest.folder, partition.folder, neighbours.folder, depth, radius, held_out))
+        depth = run.do(DepthMaps(ingest.folder, partition.folder, radius, sizes)).folder
+    splats = run.do(Splats(ingest.folder, partition.folder, neighbours.folder, depth, radius, held_out, sizes=sizes))
     sources = Sources(
         ingest.folder,
         partition.folder,
@@ -196,8 +209,15 @@ def splats_from(
         radius,
         *directions_of(ingest.summary["cameras"]),
         held_out,
+        needed.folder if needed else None,
     )
     return Prepared(ingest, partition, neighbours, splats, radius, sources, held_out)
+
+
+def _calls_for_sizes(summary: dict, request: str) -> bool:
+    """Decided before the plan, for all that it measures is of splats as large as they will be; the plan says the same."""
+    known = {"sizes": effects()["sizes"]}
+    return bool(plan_effects({"sizes": measured_by(summary)}, parse_request(request), known=known).enabled)
 
 
 def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[EffectPlan, dict[str, Path]]:
@@ -205,6 +225,7 @@ def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[Effe
     made."""
     if sources.scan.get("is_albedo") and request["relighting"] == AUTO:
         request = request | {"relighting": ON}  # colours without light in them show no shape
+    request = request if sources.sizes else request | {"sizes": OFF}  # who fixed one radius asked for no other
     names = measured_effects(request)
     if not names:
         return plan_effects({}, request, sources.n_splats), {}

@@ -33,6 +33,7 @@ def effects_of(
                 run,
                 scan,
                 settings.radius,
+                settings.effects,
                 density=settings.density,
                 surface=surface_request(settings),
                 reading=settings.reading,

@@ -17,11 +17,12 @@ from storage.packed.schema import (
     COARSEST_COLOR_STEP,
     FINEST_COLOR_STEP,
     FORMAT_NAME,
+    FORMAT_VERSION,
     LONGEST_DIRECTION,
     MAX_ATOMS,
     MIP_SIZES,
     NO_CAMERA,
-    READABLE_VERSIONS,
+    SIZE_BITS,
     TURN_COUNTS,
     Array,
     Header,
@@ -52,8 +53,8 @@ def read_header(archive: ZipFile) -> Header:
     """The header, with every field in its range."""
     attributes = json.loads(archive.read(ROOT_MEMBER))["attributes"]
     found = attributes["format"], attributes["version"]
-    if found[0] != FORMAT_NAME or type(found[1]) is not int or found[1] not in READABLE_VERSIONS:
-        raise ValueError(f"format {found[0]!r} version {found[1]!r}, not {FORMAT_NAME!r} version {READABLE_VERSIONS}")
+    if found[0] != FORMAT_NAME or type(found[1]) is not int or found[1] != FORMAT_VERSION:
+        raise ValueError(f"format {found[0]!r} version {found[1]!r}, not {FORMAT_NAME!r} version {FORMAT_VERSION}")
     header = Header.from_json(attributes)
     for name, value, fine, allowed in _rules(header):
         if not fine:
@@ -77,7 +78,8 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
             0 < _dot(h.ahead, h.ahead) <= LONGEST_DIRECTION**2 and _are_apart(h.up, h.ahead),
             f"a direction of length up to {LONGEST_DIRECTION}, 60 degrees or more from up",
         ),
-        ("depth_margin", h.depth_margin, h.depth_margin >= 0 and isfinite(h.depth_margin), "finite, 0 or more"),
+        ("margin_radii", h.margin_radii, h.margin_radii >= 0 and isfinite(h.margin_radii), "finite, 0 or more"),
+        ("size_bits", h.size_bits, h.size_bits in SIZE_BITS, f"one of {SIZE_BITS}"),
         ("dictionary_bits", h.dictionary_bits, 0 <= h.dictionary_bits <= 16, "0..16"),
         ("weight_bits", h.weight_bits, 1 <= h.weight_bits <= 8, "1..8"),
         (

@@ -22,6 +22,7 @@ from storage.packed.schema import (
     Header,
     color_bits,
 )
+from storage.packed.sizes import unpack_sizes
 
 POSITION_BITS = 24
 
@@ -68,6 +69,11 @@ class PackedScene:
         bits = color_bits(self.arrays["color_size"], self.header.color_step).sum(axis=1)
         return unpack_colors(self.arrays["colors"], self.arrays["color_word"], bits, self.header.n_splats)
 
+    @cached_property
+    def size_codes(self) -> np.ndarray:
+        """Of each splat, (n,) uint8, where each has a size of its own."""
+        return unpack_sizes(self.arrays["sizes"], self.header.size_bits, self.header.n_splats)
+
 
 @dataclass(frozen=True)
 class Stream:
@@ -105,6 +111,8 @@ def check_tables(scene: PackedScene) -> None:
     if not (arrays["box_bits"].sum(axis=1, dtype=np.int64) == POSITION_BITS).all():
         raise ValueError(f"box_bits does not add up to {POSITION_BITS} in every chunk")
     _check_numbers(arrays)
+    if header.size_bits and (arrays["size_scale"][:, 0] > arrays["size_scale"][:, 1]).any():
+        raise ValueError("size_scale has a smallest size above the largest")
     if header.color_step:
         _check_colors(header, arrays)
     counts = group_batch_counts(arrays["batch_count"])

@@ -1,7 +1,7 @@
 """The packed file: every array, its dimensions, dtype, unit and meaning. docs/FORMAT.md says the same in prose.
 
 Dimensions: n splats; c chunks of CHUNK splats; g groups of GROUP splats; b batches; k atoms; r ranks (atoms a splat,
-at most); w weight levels; e 32-bit words of a stream.
+at most); w weight levels; s words of a chunk's sizes; e 32-bit words of a stream.
 """
 
 from __future__ import annotations
@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, fields
 
 FORMAT_NAME = "splatpress"
-FORMAT_VERSION = 5
-READABLE_VERSIONS = (1, 2, 3, 4, 5)
+FORMAT_VERSION = 1
 CHUNK = 128
 GROUP = 8192
-MAX_ATOMS = 16  # a splat; up to version 4 there were OLD_RANKS rows of weight levels, whatever was used
-OLD_RANKS = 8
+MAX_ATOMS = 16  # a splat
 PATCH_SIZE = 32
 MIP_SIZES = (32, 16, 8, 4, 2, 1)
 ATOM_SIZES = (32, 16, 8)
@@ -29,6 +27,8 @@ FINEST_COLOR_STEP, COARSEST_COLOR_STEP = (
 )  # codes: half a 255th, and more than there are; 0 stands for whole bytes
 MOST_COLOR_BITS = 30  # of a splat: what the finest step takes for a box of all colours
 DEFAULT_UP, DEFAULT_AHEAD = (0, 0, 1), (1, 0, 0)
+SIZE_BITS = (0, 2, 3, 4)  # that a splat's radius may take; without any all have the header's
+SIZE_STEPS_AN_OCTAVE, ONE_SIZE = 16, 128  # of radii: step s is 2^((s - 128) / 16) of the header's
 LONGEST_DIRECTION = 36  # so that 100 (up . normal)^2 of whole numbers stays within 32 bits
 
 
@@ -68,14 +68,6 @@ def _numbers(value, n: int) -> tuple[float, ...]:
 
 def _whole_numbers(value, n: int) -> tuple[int, ...]:
     return tuple(_plain(x, "int", "a component") for x in _list(value, n))
-
-
-def _directions_of_version_1(up_axis) -> dict:
-    """Version 1 knew world axes only, by number."""
-    if _plain(up_axis, "int", "up_axis") not in (0, 1, 2):
-        raise TypeError(f"up_axis {up_axis}, not 0, 1 or 2")
-    axes = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
-    return {"up": axes[up_axis], "ahead": axes[(up_axis + 1) % 3]}
 
 
 @dataclass(frozen=True)
@@ -138,12 +130,12 @@ class Header:
     """What holds for the whole packed file; stored as attributes of its root group."""
 
     n_splats: int
-    radius: float  # of every splat, in `unit`
+    radius: float  # of every splat, in `unit`; with `size_bits` what their radii are steps of
     unit: str
     origin: tuple[float, float, float]  # absolute; boxes are against it
     up: tuple[int, int, int]  # what tangent frames are aligned with on walls, at most LONGEST_DIRECTION long
     ahead: tuple[int, int, int]  # and on floors
-    depth_margin: float  # in `unit`: how far behind the nearest surface splats still blend
+    margin_radii: float  # how far behind the nearest surface splats still blend, in radii of the splat that is nearest
     n_dictionary: int  # atoms in the dictionary; 0 in a scan without texture
     dictionary_bits: int
     weight_bits: int
@@ -155,7 +147,8 @@ class Header:
     atom_size: int = PATCH_SIZE  # texels to a side of an atom's finest level
     n_turns: int = 1  # ways in which an atom is used, one of TURN_COUNTS
     coarsest_size: int = 1  # texels to a side of an atom's coarsest level, one of MIP_SIZES up to atom_size
-    n_ranks: int = OLD_RANKS  # rows of weight levels: no splat has more atoms
+    n_ranks: int = MAX_ATOMS  # rows of weight levels: no splat has more atoms
+    size_bits: int = 0  # of a splat's radius, one of SIZE_BITS
     color_step: int = 0  # what cells of colours are no larger than, as a code; 0 where `color` has whole bytes
 
     @property
@@ -191,15 +184,7 @@ class Header:
 
     @staticmethod
     def from_json(data: dict) -> Header:
-        """The header of attributes as `to_json` makes or made them; KeyError or TypeError where they differ."""
-        if data["version"] == 1:
-            data = data | _directions_of_version_1(data["up_axis"])
-        if data["version"] < 3:
-            data = data | {"atom_size": PATCH_SIZE, "n_turns": 1}
-        if data["version"] < 4:
-            data = data | {"coarsest_size": MIP_SIZES[-1]}
-        if data["version"] < 5:
-            data = data | {"n_ranks": OLD_RANKS, "color_step": 0}
+        """The header of attributes as `to_json` makes them; KeyError or TypeError where they differ."""
         return _typed(
             Header,
             {"effects": {}} | data,
@@ -226,6 +211,8 @@ ARRAYS = (
     Array("box_low", ("c", "3"), "float32", "geometry", "lowest corner of each chunk's box against the origin, unit"),
     Array("box_size", ("c", "3"), "float32", "geometry", "extents of each chunk's box, unit"),
     Array("box_bits", ("c", "3"), "uint8", "geometry", "how many of the 24 position bits each axis has"),
+    Array("size_scale", ("c", "2"), "uint8", "geometry", "steps of each chunk's smallest and largest radius"),
+    Array("sizes", ("c", "s"), "uint32", "geometry", "radius of each splat between them, a chunk in whole words"),
     Array("position", ("n", "3"), "uint8", "geometry", "24-bit cell index, little-endian: x lowest, then y, then z"),
     Array("normal", ("n", "2"), "int8", "geometry", "octahedral normal, -127..127"),
     Array("color", ("n", "3"), "uint8", "colors", "average of the patch, sRGB"),
@@ -271,6 +258,7 @@ def arrays_of(header: Header) -> tuple[Array, ...]:
     if not header.n_dictionary:
         absent |= {a.name for a in ARRAYS if a.part == "dictionary"} | {"codes", "group_word"}
     absent |= {f"atoms_{size}" for size in MIP_SIZES if size not in header.mip_sizes}
+    absent |= set() if header.size_bits else {"size_scale", "sizes"}
     absent |= {"color"} if header.color_step else {"color_low", "color_size", "color_word", "colors"}
     for extra in EXTRAS:
         if not any(getattr(batch, extra.flag) for batch in header.batches):
@@ -290,6 +278,7 @@ def dimensions_of(header: Header) -> dict[str, int]:
         "k": header.n_dictionary,
         "r": header.n_ranks,
         "w": 2**header.weight_bits,
+        "s": CHUNK * header.size_bits // 32,
     } | {str(s): s for s in (1, 2, 3, 4, 8, 16, 32)}
 
 

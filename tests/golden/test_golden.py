@@ -9,10 +9,11 @@ from pipeline.geometry.cliplines import decode_cliplines
 from pipeline.geometry.ellipsoids import decode_ellipsoids
 from pipeline.geometry.normals import decode_normals
 from pipeline.geometry.positions import Boxes, decode_positions
+from pipeline.splats.decoded import scene_radii
 from pipeline.stages.packed.measure import decoded_colors
 from storage.packed.bits import unpack_bits
 from storage.packed.packed import SUFFIX, PackedFile
-from storage.packed.schema import CLIPLINE_BITS, FORMAT_VERSION, GROUP
+from storage.packed.schema import CLIPLINE_BITS, GROUP
 from tests.golden.make_golden import CASES, EXPECTED, HERE, decoded_numbers, golden_file
 from tests.packed_files import write_packed_file
 
@@ -61,10 +62,6 @@ def test_golden__every_file_has_its_case_and_its_numbers(expected):
     assert sorted(expected) == sorted(NAMES)
 
 
-def test_golden__this_version_of_the_format_has_files():
-    assert any(name.startswith(f"v{FORMAT_VERSION}-") for name in NAMES)
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_golden__decodes_to_the_same_numbers(name, scenes, expected):
     assert_close(json.loads(json.dumps(decoded_numbers(scenes[name]))), expected[name])
@@ -91,6 +88,13 @@ def test_golden__the_decoders_in_use_agree(name, scenes, expected):
         assert [list(pair) for pair in zip(atom[i, :n_atoms], weight[i, :n_atoms])] == wanted[str(i)]["code"]
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_golden__radii_in_use_agree(name, scenes, expected):
+    found, wanted = scene_radii(scenes[name]), expected[name]["splats"]
+    for i in map(int, wanted):
+        assert_close(float(found[i]), wanted[str(i)]["radius"])
+
+
 @pytest.mark.parametrize("name", [name for name in NAMES if CASES[name].color_step])
 def test_golden__boxes_of_colours_in_use_agree(name, scenes, expected):
     found = decoded_colors(scenes[name]) / 255
@@ -99,7 +103,7 @@ def test_golden__boxes_of_colours_in_use_agree(name, scenes, expected):
 
 
 def test_golden__cliplines_in_use_agree(scenes, expected):
-    scene, wanted = scenes["v1-cliplines"], expected["v1-cliplines"]["splats"]
+    scene, wanted = scenes["cliplines"], expected["cliplines"]["splats"]
     with_line = [i for i in map(int, wanted) if wanted[str(i)]["clipline"]]
     without = [i for i in map(int, wanted) if not wanted[str(i)]["clipline"]]
     row, first_word = scene.rows.clipline, scene.arrays["clipline_word"]
@@ -111,12 +115,14 @@ def test_golden__cliplines_in_use_agree(scenes, expected):
 
 
 def test_golden__ellipsoids_in_use_agree(scenes, expected):
-    scene, wanted = scenes["v2-ellipsoids"], expected["v2-ellipsoids"]["splats"]
+    scene, wanted = scenes["ellipsoids"], expected["ellipsoids"]["splats"]
     header, row, first_word = scene.header, scene.rows.extra["ellipsoid"], scene.arrays["ellipsoid_word"]
     some = [i for i in map(int, wanted) if "ellipsoid" in wanted[str(i)]]
     assert some and [i for i in map(int, wanted) if row[i] >= 0] == some
     for i in some:
         word = scene.arrays["ellipsoids"][int(first_word[i // GROUP]) + row[i]]
         fields = np.frombuffer(word.tobytes(), np.uint8)[None]
-        axes = decode_ellipsoids(fields, scene.arrays["normal"][i : i + 1], header.up, header.ahead, header.radius)
+        axes = decode_ellipsoids(
+            fields, scene.arrays["normal"][i : i + 1], header.up, header.ahead, wanted[str(i)]["radius"]
+        )
         assert_close(axes[0].tolist(), wanted[str(i)]["ellipsoid"], 1e-9)

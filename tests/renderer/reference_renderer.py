@@ -19,7 +19,7 @@ from pipeline.geometry.positions import Boxes, decode_positions
 from storage.packed.bits import unpack_bits
 from storage.packed.packed import PackedScene
 from storage.packed.schema import CLIPLINE_BITS, GROUP, MIP_SIZES, NO_CAMERA, Camera
-from tests.reference_packed import decode_color, turned
+from tests.reference_packed import decode_color, decode_radius, turned
 
 NEAR_IN_RADII = 0.01
 ROUNDING = 1e-5
@@ -118,14 +118,21 @@ def averages_of(scene: PackedScene) -> np.ndarray:
     return np.array([decode_color(scene, splat) for splat in range(scene.header.n_splats)])
 
 
+def radii_of(scene: PackedScene) -> np.ndarray:
+    return np.array([decode_radius(scene, splat) for splat in range(scene.header.n_splats)])
+
+
 def blend(scene: PackedScene, view: Camera, color) -> tuple[np.ndarray, np.ndarray]:
     header = scene.header
     discs, lines = discs_of(scene, view), cliplines_of(scene)
-    axes = ellipsoids_of(scene, view)
+    axes, radius = ellipsoids_of(scene, view), radii_of(scene)
+    margin = header.margin_radii * radius
     drawn = [
-        ellipsoid_fragments(discs.centre[splat], axes[splat], view, header.radius, header.depth_margin)
+        ellipsoid_fragments(
+            discs.centre[splat], axes[splat], view, radius[splat], margin[splat], NEAR_IN_RADII * header.radius
+        )
         if splat in axes
-        else fragments_of(discs, splat, lines[splat], view, header.radius, header.depth_margin)
+        else fragments_of(discs, splat, lines[splat], view, radius[splat], margin[splat], NEAR_IN_RADII * header.radius)
         for splat in range(header.n_splats)
     ]
     n_pixels = view.width_px * view.height_px
@@ -152,7 +159,8 @@ def discs_of(scene: PackedScene, view: Camera) -> Discs:
     u, v, _ = tangent_frames(arrays["normal"], header.up, header.ahead)
     to_camera = np.array(view.rotation).T
     eye = np.subtract(view.centre, header.origin)
-    return Discs((position - eye) @ to_camera, header.radius * u @ to_camera, header.radius * v @ to_camera)
+    radius = radii_of(scene)[:, None]
+    return Discs((position - eye) @ to_camera, radius * u @ to_camera, radius * v @ to_camera)
 
 
 def cliplines_of(scene: PackedScene) -> np.ndarray:
@@ -175,13 +183,16 @@ def ellipsoids_of(scene: PackedScene, view: Camera) -> dict[int, np.ndarray]:
         ]
         fields = np.frombuffer(word.tobytes(), np.uint8)[None]
         header, normal = scene.header, scene.arrays["normal"][splat : splat + 1]
+        radius = decode_radius(scene, int(splat))
         found[int(splat)] = (
-            decode_ellipsoids(fields, normal, header.up, header.ahead, header.radius)[0] @ np.array(view.rotation).T
+            decode_ellipsoids(fields, normal, header.up, header.ahead, radius)[0] @ np.array(view.rotation).T
         )
     return found
 
 
-def ellipsoid_fragments(centre: np.ndarray, axes: np.ndarray, view: Camera, radius: float, margin: float) -> Fragments:
+def ellipsoid_fragments(
+    centre: np.ndarray, axes: np.ndarray, view: Camera, radius: float, margin: float, near: float
+) -> Fragments:
     """Rays against the surface: the smaller root of a quadratic, where the ellipsoid is the unit ball."""
     px = pixels_of(view)
     ray = rays_of(px, view)
@@ -201,15 +212,13 @@ def ellipsoid_fragments(centre: np.ndarray, axes: np.ndarray, view: Camera, radi
         area_px = abs(np.linalg.det(image))
         small = np.linalg.svd(image, compute_uv=False)[1] < 1
     if small:
-        return _small_ellipsoid(
-            outline, distance, np.stack([x, y, eye / distance]), view, image, area_px, radius, margin
-        )
+        return _small_ellipsoid(outline, distance, np.stack([x, y, eye / distance]), view, image, area_px, near, margin)
     a, b, c = (step**2).sum(axis=1), step @ eye, distance**2 - 1
     with np.errstate(invalid="ignore"):
         z = (-b - np.sqrt(b**2 - a * c)) / a
         tangent = np.linalg.norm(np.cross(step, eye), axis=1) / -b  # of the angle between the ray and the centre
         d2 = tangent**2 * c
-        kept = (b < 0) & (d2 < 1) & (z > 0) & (_disc_depth(outline, ray) >= NEAR_IN_RADII * radius)
+        kept = (b < 0) & (d2 < 1) & (z > 0) & (_disc_depth(outline, ray) >= near)
     pixel = np.flatnonzero(kept)
     ball = eye + z[pixel, None] * step[pixel]
     pushed_z = z[pixel] * (1 + margin / np.linalg.norm(pole) + ROUNDING)
@@ -221,13 +230,13 @@ def _disc_depth(disc: Discs, ray: np.ndarray) -> np.ndarray:
     return (disc.centre[0] @ normal) / (ray @ normal)
 
 
-def _small_ellipsoid(outline, distance, facing, view, image, area_px, radius, margin) -> Fragments:
+def _small_ellipsoid(outline, distance, facing, view, image, area_px, near, margin) -> Fragments:
     """An outline below a pixel somewhere is drawn as a disc is, at the depth of the point that faces the eye."""
     offset = pixels_of(view) - ray_to_px(outline.centre[0], view)
     left, half_axes, right = np.linalg.svd(image)
     on_disc = ((offset @ left) / np.maximum(half_axes, 1e-3)) @ right
     d2 = np.minimum((on_disc**2).sum(axis=1), (offset**2).sum(axis=1))
-    pixel = np.flatnonzero((d2 < 1) & (outline.centre[0, 2] >= NEAR_IN_RADII * radius))
+    pixel = np.flatnonzero((d2 < 1) & (outline.centre[0, 2] >= near))
     on_disc, d2 = on_disc[pixel], d2[pixel]
     on_disc /= np.maximum(np.linalg.norm(on_disc, axis=1, keepdims=True), 1)
     k = np.sqrt(1 - (on_disc**2).sum(axis=1).clip(0, 1))
@@ -256,7 +265,9 @@ def image_of(discs: Discs, splat: int, view: Camera) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-def fragments_of(discs: Discs, splat: int, line: np.ndarray, view: Camera, radius: float, margin: float) -> Fragments:
+def fragments_of(
+    discs: Discs, splat: int, line: np.ndarray, view: Camera, radius: float, margin: float, near: float
+) -> Fragments:
     px = pixels_of(view)
     centre, u, v = discs.centre[splat], discs.u[splat], discs.v[splat]
     ray = rays_of(px, view)
@@ -280,7 +291,7 @@ def fragments_of(discs: Discs, splat: int, line: np.ndarray, view: Camera, radiu
             on_disc = np.stack([offset @ u, offset @ v], axis=1) / radius**2
             d2 = (on_disc**2).sum(axis=1)
     with np.errstate(invalid="ignore"):
-        kept = (d2 < 1) & (z >= NEAR_IN_RADII * radius) & (on_disc @ line[:2] + line[2] >= 0)
+        kept = (d2 < 1) & (z >= near) & (on_disc @ line[:2] + line[2] >= 0)
     pixel = np.flatnonzero(kept)
     z, on_disc = z[pixel], on_disc[pixel]
     pushed_z = z * (1 + margin / np.linalg.norm(centre) + ROUNDING)

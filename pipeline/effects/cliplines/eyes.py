@@ -73,7 +73,7 @@ def seen_by_eye(block: Block, eye: int) -> np.ndarray:
     if s.depth_maps is None:
         return (block.read(s.partition, "candidate") == eye).any(axis=1)
     depth_map = arrays.read(s.depth_maps, f"depth_{eye}")
-    return seen_points(depth_map, s.cameras[eye], block.centre + s.origin, block.frame[2], s.radius)
+    return seen_points(depth_map, s.cameras[eye], block.centre + s.origin, block.frame[2], block.radius)
 
 
 @kernel()

@@ -84,8 +84,8 @@ def _foreign(
         block.centre,
         *block.frame,
         points,
-        s.radius,
-        foreign_radii * s.radius,
+        block.radius,
+        foreign_radii,
         eye.numbers,
         eye.around,
         scale,
@@ -96,18 +96,18 @@ def _foreign(
 
 
 @kernel()
-def _look_up(foreign, rows, centre, u, v, normal, points, radius, tolerance, eye, around, scale, origin, nearest):
-    """Mark the points of discs whose nearest point lies further than `tolerance` from the disc's plane."""
+def _look_up(foreign, rows, centre, u, v, normal, points, radius, foreign_radii, eye, around, scale, origin, nearest):
+    """Mark the points of discs whose nearest point lies further than `foreign_radii` of theirs from the disc's plane."""
     height, width, _ = nearest.shape
     for k, i in enumerate(rows):
-        c, p, q, n = centre[i], u[i], v[i], normal[i]
+        c, p, q, n, r = centre[i], u[i], v[i], normal[i], radius[i]
         for j in range(len(points)):
             a, b = points[j]
-            x = c[0] + radius * (a * p[0] + b * q[0]) + origin[0]
-            y = c[1] + radius * (a * p[1] + b * q[1]) + origin[1]
-            z = c[2] + radius * (a * p[2] + b * q[2]) + origin[2]
+            x = c[0] + r * (a * p[0] + b * q[0]) + origin[0]
+            y = c[1] + r * (a * p[1] + b * q[1]) + origin[1]
+            z = c[2] + r * (a * p[2] + b * q[2]) + origin[2]
             row, column, _ = cell_of(eye, around, scale, width, height, x, y, z)
             if row >= 0:
                 found = nearest[row, column]
                 off = (found[0] - c[0]) * n[0] + (found[1] - c[1]) * n[1] + (found[2] - c[2]) * n[2]
-                foreign[k, j] = abs(off) > tolerance
+                foreign[k, j] = abs(off) > foreign_radii * r

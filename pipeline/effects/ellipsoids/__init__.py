@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.effects.block import Block, Sources
 from pipeline.effects.effect import Effect, Measured, Worth
+from pipeline.effects.ellipsoids.classes import radius_classes
 from pipeline.effects.ellipsoids.decision import REACH_RADII, thin_splats
 from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, gather, thinned
 from pipeline.effects.ellipsoids.noise import BINS, histogram_of, noise_radii, thirds_of
@@ -23,12 +24,15 @@ EVERY = 8  # splats of a measured block: 2,048 neighbourhoods
 
 def _measure_block(block: Block) -> dict:
     """Neighbourhoods here end at the block's own splats: those at its rim, a few per cent, seem a little thinner."""
-    radius = block.sources.radius
-    point, around = block.position[::EVERY], thinned(block.position, CELL_RADII * radius)
-    near = gather(point, around, REACH_RADII * radius)
-    histogram = histogram_of(thirds_of(near) / radius)
-    thin = thin_splats(point, around, radius, noise_radii(histogram) * radius, near)
-    return {"n_thin": int(thin.sum()), "n": len(thin), "thirds": histogram.tolist()}
+    histogram, found = np.zeros(BINS, np.int64), []
+    for radius, rows in radius_classes(block.radius[::EVERY], block.sources.radius):
+        point, around = block.position[::EVERY][rows], thinned(block.position, CELL_RADII * radius)
+        near = gather(point, around, REACH_RADII * radius)
+        histogram += histogram_of(thirds_of(near) / radius)
+        found.append((point, around, radius, near))
+    noise = noise_radii(histogram)
+    n_thin = sum(int(thin_splats(point, around, r, noise * r, near).sum()) for point, around, r, near in found)
+    return {"n_thin": n_thin, "n": -(-len(block.position) // EVERY), "thirds": histogram.tolist()}
 
 
 def _conclude(sums: list[dict], sources: Sources) -> Measured:
@@ -38,7 +42,7 @@ def _conclude(sums: list[dict], sources: Sources) -> Measured:
 
 
 def _build(sources: Sources, outcome: dict, survey: Path | None) -> Stage:
-    return Ellipsoids(sources.partition, sources.radius, outcome["noise_radii"])
+    return Ellipsoids(sources.partition, sources.radius, outcome["noise_radii"], sources.used_sizes)
 
 
 EFFECT = Effect(

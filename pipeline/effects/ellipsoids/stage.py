@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.effects.ellipsoids.classes import radius_classes
 from pipeline.effects.ellipsoids.decision import WIDEST_RADII, thin_splats
 from pipeline.effects.ellipsoids.fit import fit
 from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, thinned
+from pipeline.splats.decoded import splat_radii
 from storage.work import arrays, work
 
 
@@ -21,6 +23,7 @@ class Ellipsoids:
     partition: Path
     radius: float
     noise_radii: float
+    sizes: Path | None = None  # size_code and size_scale: each splat has a radius of its own
     name = "ellipsoids"
 
     def init(self, folder: Path) -> int:
@@ -36,14 +39,16 @@ class Ellipsoids:
     def run(self, folder: Path, index: int) -> dict:
         start, stop = arrays.block_range(index, work.summary(self.partition)["n_splats"])
         position = arrays.read(self.partition, "position", start, stop)
-        points = self._points_about(index)
-        thin = thin_splats(
-            position, thinned(points, CELL_RADII * self.radius), self.radius, self.noise_radii * self.radius
-        )
-        centre, axes = np.zeros((stop - start, 3)), np.zeros((stop - start, 3, 3), np.float32)
-        if thin.any():
-            offset, axes[thin] = fit(position[thin], np.unique(points, axis=0), self.radius)
-            centre[thin] = position[thin] + offset
+        thin, centre = np.zeros(stop - start, bool), np.zeros((stop - start, 3))
+        axes = np.zeros((stop - start, 3, 3), np.float32)
+        for radius, rows in radius_classes(splat_radii(self.sizes, self.radius, start, stop), self.radius):
+            points = self._points_about(position[rows], WIDEST_RADII * radius)
+            found = thin_splats(position[rows], thinned(points, CELL_RADII * radius), radius, self.noise_radii * radius)
+            rows = rows[found]
+            if len(rows):
+                offset, axes[rows] = fit(position[rows], np.unique(points, axis=0), radius)
+                centre[rows] = position[rows] + offset
+                thin[rows] = True
         for name, rows in (("has_ellipsoid", thin), ("centre", centre), ("axes", axes)):
             arrays.write(folder, name, start, rows)
         return {"n_splats": stop - start, "n_ellipsoids": int(thin.sum())}
@@ -53,13 +58,11 @@ class Ellipsoids:
         n_ellipsoids = sum(r["n_ellipsoids"] for r in results)
         return {"n_splats": n, "n_ellipsoids": n_ellipsoids, "share": n_ellipsoids / n}
 
-    def _points_about(self, index: int) -> np.ndarray:
-        """All points of the scan that can be neighbours of a block's: those in its box, grown by the outlier
-        distance."""
+    def _points_about(self, some: np.ndarray, reach: float) -> np.ndarray:
+        """All points of the scan that can be neighbours of `some` (m, 3): those in their box, grown by `reach`."""
         summary = work.summary(self.partition)
         low, high = np.array(summary["block_low"]), np.array(summary["block_high"])
-        reach = WIDEST_RADII * self.radius
-        from_, to = low[index] - reach, high[index] + reach
+        from_, to = some.min(axis=0) - reach, some.max(axis=0) + reach
         found = []
         for block in np.flatnonzero(((low <= to) & (high >= from_)).all(axis=1)):
             points = arrays.read(self.partition, "position", *arrays.block_range(int(block), summary["n_splats"]))

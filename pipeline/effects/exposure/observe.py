@@ -42,7 +42,8 @@ def _in_photo(block: Block, index: int, camera: Camera, rows: np.ndarray) -> tup
     around = [
         r * (np.cos(a) * u[usable] + np.sin(a) * v[usable]) for r, n in RINGS for a in 2 * np.pi * np.arange(n) / n
     ]
-    x, y, depth = _pixels(camera, centre[usable][:, None] + block.sources.radius * np.stack(around, axis=1))
+    reach = block.radius[rows][usable, None, None]
+    x, y, depth = _pixels(camera, centre[usable][:, None] + reach * np.stack(around, axis=1))
     whole = ((depth > 0) & (x >= 0) & (y >= 0) & (x < camera.width_px) & (y < camera.height_px)).all(axis=1)
     column, row = x[whole].astype(np.int64), y[whole].astype(np.int64)
     light = np.empty((len(row), 3))

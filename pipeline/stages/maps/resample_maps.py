@@ -104,10 +104,10 @@ class MappedSplats:
 
     def squares(self, station_map: StationMap) -> Squares:
         """All of them, against the map's station."""
-        centre, (u, v) = self._decoded
+        centre, (u, v), radii = self._decoded
         offset = np.array(work.summary(self.partition)["origin"]) - np.array(station_map.frame.centre)
-        return Squares(centre + offset, u, v, np.full(len(centre), self.radius))
+        return Squares(centre + offset, u, v, radii)
 
     @cached_property
-    def _decoded(self) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    def _decoded(self) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
         return decoded_squares(self.splats, self.up, self.ahead, self.radius, self.start, self.stop)

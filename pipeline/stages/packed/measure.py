@@ -15,6 +15,7 @@ from pipeline.geometry.ellipsoids import decode_ellipsoids, squares_of
 from pipeline.geometry.frame import tangent_frames
 from pipeline.geometry.positions import Boxes, decode_positions
 from pipeline.numerics.accuracy import psnr_db
+from pipeline.splats.decoded import scene_radii
 from pipeline.stages.texture.encode import ROWS, coding_quality
 from pipeline.texture.colors import ColorBoxes, decode_colors
 from pipeline.texture.patches import Patches, make_patches, patch_errors
@@ -77,7 +78,7 @@ class Measure:
             header.origin,
             centre,
             tangents,
-            header.radius,
+            scene_radii(scene),
             a["camera"],
             np.rint(decoded_colors(scene)).astype(np.uint8),
             first_splat,
@@ -119,8 +120,9 @@ def scene_squares(scene: PackedScene) -> tuple[np.ndarray, tuple[np.ndarray, np.
     header, normal_code = scene.header, scene.arrays["normal"]
     centre, (u, v, _) = decoded_positions(scene), tangent_frames(normal_code, header.up, header.ahead)
     has, fields = scene.ellipsoids
-    axes = decode_ellipsoids(fields, normal_code[has], header.up, header.ahead, header.radius)
-    centre, u, v = squares_of(centre, u, v, has, axes, header.radius)
+    radius = scene_radii(scene)[has]
+    axes = decode_ellipsoids(fields, normal_code[has], header.up, header.ahead, radius)
+    centre, u, v = squares_of(centre, u, v, has, axes, radius)
     return centre, (u, v)
 
 

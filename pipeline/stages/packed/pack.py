@@ -14,6 +14,7 @@ from storage.packed.colors import pack_colors
 from storage.packed.packed import GROUPS_PER_ZARR_CHUNK, begin_packed, create_array, reopen_packed, seal_packed
 from storage.packed.scene import streams_of
 from storage.packed.schema import BY_NAME, CHUNK, EXTRAS, GROUP, Batch, Header, arrays_of, color_bits
+from storage.packed.sizes import pack_sizes
 from storage.work import arrays, work
 
 TASK_SPLATS = GROUP * GROUPS_PER_ZARR_CHUNK
@@ -87,6 +88,10 @@ class Pack:
         for name in ("box_low", "box_size", "box_bits"):
             root[name][first:end] = arrays.read(self.splats, name, first, end)
         root["batch_count"][first:end] = counts
+        if self.header.size_bits:
+            root["size_scale"][first:end] = arrays.read(self.splats, "size_scale", first, end)
+            code = arrays.read(self.splats, "size_code", start, stop)[order]
+            root["sizes"][first:end] = pack_sizes(code, self.header.size_bits)
         for name in ("color_low", "color_size") if self.header.color_step else ():
             root[name][first:end] = arrays.read(self.colors, name, first, end)
 

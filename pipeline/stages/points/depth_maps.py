@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.splats.decoded import splat_radii
 from pipeline.splats.visibility import draw_points, empty_map, map_scale
 from storage.packed.schema import Camera
 from storage.work import arrays, work
@@ -19,6 +20,7 @@ class DepthMaps:
     ingest: Path
     partition: Path
     radius: float
+    sizes: Path | None = None  # size_code and size_scale: each splat is as large as it is drawn
     name = "depth-maps"
 
     def init(self, folder: Path) -> int:
@@ -29,8 +31,9 @@ class DepthMaps:
         camera = Camera.from_json(work.summary(self.ingest)["cameras"][index])
         depth_map = empty_map(camera, map_scale(camera, self._median_depth(points, camera), self.radius))
         for block in range(arrays.n_blocks(points["n_splats"])):
-            position = arrays.read(self.partition, "position", *arrays.block_range(block, points["n_splats"]))
-            draw_points(depth_map, camera, position + points["origin"], self.radius)
+            rows = arrays.block_range(block, points["n_splats"])
+            position = arrays.read(self.partition, "position", *rows)
+            draw_points(depth_map, camera, position + points["origin"], splat_radii(self.sizes, self.radius, *rows))
         arrays.store(folder, f"depth_{index}", depth_map.astype(np.float32, copy=False), depth_map.shape)
         return {}
 

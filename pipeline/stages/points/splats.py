@@ -13,8 +13,9 @@ from pipeline.geometry.normals import decode_normals, encode_normals
 from pipeline.geometry.positions import Boxes, decode_positions, encode_positions, fit_boxes
 from pipeline.splats.cameras import best_cameras
 from pipeline.splats.colors import point_colors
-from pipeline.splats.decoded import seen_by_cameras
+from pipeline.splats.decoded import seen_by_cameras, splat_radii
 from pipeline.splats.normals import turned_to, usable_normals
+from pipeline.stages.points.sizes import create_sizes
 from storage.packed.schema import CHUNK, ELLIPSOID_FIELDS, NO_CAMERA, Camera
 from storage.work import arrays, work
 
@@ -22,7 +23,7 @@ from storage.work import arrays, work
 @dataclass(frozen=True)
 class Splats:
     """A task a block. Arrays by splat: position_code (n,) uint32, normal_code (n, 2) int8, camera (n,) uint16, color
-    (n, 3) uint8; by chunk: box_low, box_size (c, 3) float32, box_bits (c, 3) uint8."""
+    (n, 3) uint8; by chunk: box_low, box_size (c, 3) float32, box_bits (c, 3) uint8; with sizes size_code (n,) and size_scale (c, 2) uint8."""
 
     ingest: Path
     partition: Path
@@ -31,6 +32,7 @@ class Splats:
     radius: float
     held_out: tuple[int, ...] = ()  # cameras that texture nothing
     ellipsoids: Path | None = None  # has_ellipsoid, centre and axes: these lie and look as their ellipsoids do
+    sizes: Path | None = None  # size_code and size_scale: each splat has a radius of its own
     name = "splats"
 
     def init(self, folder: Path) -> int:
@@ -44,6 +46,8 @@ class Splats:
             arrays.create(folder, name, shape, dtype)
         for name, dtype in (("box_low", "float32"), ("box_size", "float32"), ("box_bits", "uint8")):
             arrays.create(folder, name, (-(-n // CHUNK), 3), dtype, (arrays.BLOCK // CHUNK, 3))
+        if self.sizes:
+            create_sizes(folder, n)
         if self.ellipsoids:
             arrays.create(folder, "has_ellipsoid", (n,), "bool")
             arrays.create(folder, "ellipsoid", (n, ELLIPSOID_FIELDS), "uint8")
@@ -66,6 +70,8 @@ class Splats:
         boxes, normal_code = fit_boxes(position), encode_normals(normal)
         code = encode_positions(position, boxes)
         self._write(folder, start, code, normal_code, camera, color, boxes)
+        if self.sizes:
+            self._write_sizes(folder, start, stop)
         if self.ellipsoids:
             self._write_ellipsoids(folder, scan, normal_code, start, stop)
         # What is drawn against what was scanned: an ellipsoid's centre lies away from its point.
@@ -93,6 +99,14 @@ class Splats:
         for name, rows in (("box_low", boxes.low), ("box_size", boxes.size), ("box_bits", boxes.bits)):
             arrays.write(folder, name, start // CHUNK, rows)
 
+    def _write_sizes(self, folder: Path, start: int, stop: int) -> None:
+        arrays.write(folder, "size_code", start, arrays.read(self.sizes, "size_code", start, stop))
+        first, end = start // CHUNK, -(-stop // CHUNK)
+        arrays.write(folder, "size_scale", first, arrays.read(self.sizes, "size_scale", first, end))
+
+    def _radii(self, start: int, stop: int) -> np.ndarray:
+        return splat_radii(self.sizes, self.radius, start, stop)
+
     def _take_ellipsoids(self, position: np.ndarray, normal: np.ndarray, start: int, stop: int) -> None:
         """Move what is an ellipsoid to its centre, and let it look along its shortest axis."""
         has = arrays.read(self.ellipsoids, "has_ellipsoid", start, stop)
@@ -104,7 +118,9 @@ class Splats:
         has = arrays.read(self.ellipsoids, "has_ellipsoid", start, stop)
         fields = np.zeros((stop - start, ELLIPSOID_FIELDS), np.uint8)
         axes = arrays.read(self.ellipsoids, "axes", start, stop)[has].astype(np.float64)
-        fields[has] = encode_ellipsoids(normal_code[has], *directions_of(scan["cameras"]), axes, self.radius)
+        fields[has] = encode_ellipsoids(
+            normal_code[has], *directions_of(scan["cameras"]), axes, self._radii(start, stop)[has]
+        )
         arrays.write(folder, "has_ellipsoid", start, has)
         arrays.write(folder, "ellipsoid", start, fields)
 
@@ -112,9 +128,10 @@ class Splats:
         cameras = tuple(Camera.from_json(c) for c in scan["cameras"])
         if not cameras:
             return np.full(len(absolute), NO_CAMERA, np.uint16)
-        seen = seen_by_cameras(self.partition, self.depth_maps, cameras, absolute, normal, self.radius, start, stop)
+        radii = self._radii(start, stop)
+        seen = seen_by_cameras(self.partition, self.depth_maps, cameras, absolute, normal, radii, start, stop)
         seen[:, list(self.held_out)] = False
-        return best_cameras(cameras, absolute, normal, self.radius, seen)
+        return best_cameras(cameras, absolute, normal, radii, seen)
 
     def _towards_viewer(
         self, scan: dict, absolute: np.ndarray, normal: np.ndarray, camera: np.ndarray, start: int, stop: int

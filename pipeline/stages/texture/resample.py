@@ -77,7 +77,7 @@ def resampled_block(
     """The patches of block `index`; `photos` is a stage's folder with photo_<i> and their cameras in its summary."""
     points = work.summary(partition)
     start, stop = arrays.block_range(index, points["n_splats"])
-    centre, tangents = decoded_squares(splats, up, ahead, radius, start, stop)
+    centre, tangents, radii = decoded_squares(splats, up, ahead, radius, start, stop)
 
     def read_window(camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
         return arrays.read_window(photos, f"photo_{camera}", top, bottom, left, right)
@@ -88,7 +88,7 @@ def resampled_block(
         tuple(points["origin"]),
         centre,
         tangents,
-        radius,
+        radii,
         arrays.read(splats, "camera", start, stop),
         arrays.read(splats, "color", start, stop),
         start,

@@ -3,7 +3,7 @@
 import { readDirectory, readMembers, text, viewOf } from "./zip.js";
 import { decompress } from "./zstd.js";
 
-export const VERSIONS = [5];
+export const VERSIONS = [1];
 export const CHUNK = 128;
 export const CHUNKS_PER_GROUP = 64;
 export const GROUP = CHUNK * CHUNKS_PER_GROUP;
@@ -12,7 +12,7 @@ const MOST_CHUNK_BYTES = 1 << 24;
 const TYPES = {
   box_low: Float32Array, box_size: Float32Array, color_low: Int16Array, color_word: Uint32Array, colors: Uint32Array, group_word: Uint32Array,
   codes: Uint32Array, weight_levels: Float32Array, atom_scale: Float32Array, clipline_word: Uint32Array, cliplines: Uint32Array,
-  ellipsoid_word: Uint32Array, ellipsoids: Uint32Array, camera: Uint16Array,
+  sizes: Uint32Array, ellipsoid_word: Uint32Array, ellipsoids: Uint32Array, camera: Uint16Array,
 }; // all others are bytes
 
 /** An opened packed file: its header, and arrays when they are asked for. */

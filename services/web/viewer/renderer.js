@@ -2,6 +2,7 @@
 // those of the product, as GLSL ES (renderer/splats/gles.py).
 
 import { GROUP } from "./packed.js";
+import { radiusAt } from "./tables.js";
 
 const UNITS = ["splats", "boxes", "running_counts", "groups", "codes", "cliplines", "weights", "ellipsoids", "colors", "atlas", "sums", "normals"];
 const NEAR_IN_RADII = 0.01;
@@ -175,8 +176,11 @@ export class Renderer {
     if (!(found[0] > 0)) return null;
     const { header } = scene, ray = [(column + 0.5 - view.cx) / view.fx, (row + 0.5 - view.cy) / view.fy, 1];
     const pushed = (NEAR_IN_RADII * header.radius) / found[0];
-    const z = (pushed - header.depth_margin / Math.hypot(...ray)) / (1 + 1e-5); // what the depth pass has added
-    return view.eye.map((e, i) => e + z * (view.rotation[0][i] * ray[0] + view.rotation[1][i] * ray[1] + view.rotation[2][i]));
+    const pointOf = (radius) => {
+      const z = (pushed - (header.margin_radii * radius) / Math.hypot(...ray)) / (1 + 1e-5); // what the depth pass has added
+      return view.eye.map((e, i) => e + z * (view.rotation[0][i] * ray[0] + view.rotation[1][i] * ray[1] + view.rotation[2][i]));
+    };
+    return pointOf(radiusAt(scene.packed, scene.arrays, pointOf(header.radius)));
   }
 
   // --- programs and targets
@@ -253,12 +257,12 @@ export class Renderer {
 }
 
 // The uniform block `View` of shaders/view.glsl; mirrors renderer/splats/projection.py.
-function viewBlock({ rotation, eye, fx, fy, cx, cy, width, height }, { radius, depth_margin }) {
+function viewBlock({ rotation, eye, fx, fy, cx, cy, width, height }, { radius, margin_radii }) {
   const block = new Float32Array(28), high = eye.map(Math.fround);
   rotation.forEach((row, i) => block.set(row, 4 * i));
   block.set(high, 12);
   block.set(eye.map((e, i) => e - high[i]), 16);
-  block.set([fx, fy, cx, cy, width, height, NEAR_IN_RADII * radius, depth_margin], 20);
+  block.set([fx, fy, cx, cy, width, height, NEAR_IN_RADII * radius, margin_radii], 20);
   return block;
 }
 

@@ -43,7 +43,7 @@ export class Scene {
     if (header.n_dictionary && header.coarsest_size < header.atom_size) this.drawn.add("mip_levels");
     const first = header.batches.findIndex((batch) => batch.clipline || batch.ellipsoid);
     this.nLeading = first < 0 ? header.batches.length : first;
-    this.defines = { COLOR_BOXES: header.color_step ? 1 : 0 };
+    this.defines = { COLOR_BOXES: header.color_step ? 1 : 0, SIZE_BITS: header.size_bits };
     this.geometryArrays = ["position", "normal", ...(header.color_step ? [] : ["color"])];
     this.shapeArrays = ["colors", "ellipsoids", "cliplines"].filter((name) => packed.has(name));
   }
@@ -75,7 +75,7 @@ export class Scene {
 
   async loadTables(signal) {
     const { gl, packed, header } = this;
-    const names = ["batch_count", "box_low", "box_size", "box_bits", "color_low", "color_size", "color_word", "group_word", "clipline_word", "ellipsoid_word"];
+    const names = ["batch_count", "box_low", "box_size", "box_bits", "size_scale", "sizes", "color_low", "color_size", "color_word", "group_word", "clipline_word", "ellipsoid_word"];
     this.arrays = await packed.readWhole(names.filter((name) => packed.has(name)), signal);
     const { counts, boxes, running, groups, groupBoxes } = tablesOf(packed, this.arrays);
     Object.assign(this, { counts, groupBoxes });

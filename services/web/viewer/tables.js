@@ -22,16 +22,25 @@ function groupCounts(batchCount, nChunks, nGroups, nBatches) {
   return counts;
 }
 
-// Low corner, size and bits of each chunk's box, and where colours are in boxes first word, low corner, size and bits of those.
+/** The radius that a step of `size_scale` stands for. */
+const radiusOf = (header, step) => header.radius * 2 ** (step / 16 - 8);
+
+// Low corner, size, bits and scale of sizes of each chunk's box, where colours are in boxes first word, low corner, size and bits of those, and
+// where splats have sizes their words; a spare word at the end.
 function boxWords({ header, nChunks }, arrays) {
-  const width = header.color_step ? 11 : 7, words = new Uint32Array(nChunks * width), floats = new Float32Array(words.buffer);
+  const sizeAt = header.color_step ? 11 : 7, perChunk = 4 * header.size_bits, width = sizeAt + perChunk;
+  const words = new Uint32Array(nChunks * width + 1), floats = new Float32Array(words.buffer);
   for (let chunk = 0; chunk < nChunks; ++chunk) {
     const at = chunk * width, i = 3 * chunk;
     for (let axis = 0; axis < 3; ++axis) {
       floats[at + axis] = arrays.box_low[i + axis];
       floats[at + 3 + axis] = arrays.box_size[i + axis];
     }
-    words[at + 6] = arrays.box_bits[i] | (arrays.box_bits[i + 1] << 8) | (arrays.box_bits[i + 2] << 16);
+    words[at + 6] = arrays.box_bits[i] | (arrays.box_bits[i + 1] << 8);
+    if (header.size_bits) {
+      words[at + 6] |= (arrays.size_scale[2 * chunk] << 16) | (arrays.size_scale[2 * chunk + 1] << 24);
+      words.set(arrays.sizes.subarray(chunk * perChunk, (chunk + 1) * perChunk), at + sizeAt);
+    }
     if (!header.color_step) continue;
     const low = arrays.color_low.subarray(i, i + 3), size = arrays.color_size.subarray(i, i + 3);
     const bits = [...size].map((s) => Math.max(0, Math.ceil((s - header.color_step) / 16)));
@@ -78,17 +87,32 @@ function groupTable({ header, nGroups }, arrays, counts) {
 }
 
 // (nGroups, 6) low and high corner against the origin, grown by what splats reach.
-function groupBoxes({ header, nChunks, nGroups }, { box_low: low, box_size: size }) {
-  const boxes = new Float64Array(nGroups * 6), reach = header.radius * (header.batches.some((b) => b.ellipsoid) ? LONGEST_ELLIPSOID : 1);
+function groupBoxes({ header, nChunks, nGroups }, { box_low: low, box_size: size, size_scale: scale }) {
+  const boxes = new Float64Array(nGroups * 6), longest = header.batches.some((b) => b.ellipsoid) ? LONGEST_ELLIPSOID : 1;
   for (let group = 0; group < nGroups; ++group) boxes.fill(Infinity, 6 * group, 6 * group + 3).fill(-Infinity, 6 * group + 3, 6 * group + 6);
   for (let chunk = 0; chunk < nChunks; ++chunk) {
-    const at = 6 * ((chunk / CHUNKS_PER_GROUP) | 0);
+    const at = 6 * ((chunk / CHUNKS_PER_GROUP) | 0), reach = longest * (scale ? radiusOf(header, scale[2 * chunk + 1]) : header.radius);
     for (let axis = 0; axis < 3; ++axis) {
       boxes[at + axis] = Math.min(boxes[at + axis], low[3 * chunk + axis] - reach);
       boxes[at + 3 + axis] = Math.max(boxes[at + 3 + axis], low[3 * chunk + axis] + size[3 * chunk + axis] + reach);
     }
   }
   return boxes;
+}
+
+/** The radius of splats about a point against the origin: the middle of the scale of the chunk whose box is nearest, of equals the smallest. */
+export function radiusAt({ header, nChunks }, { box_low: low, box_size: size, size_scale: scale }, point) {
+  if (!scale) return header.radius;
+  let best = [Infinity, Infinity], found = header.radius;
+  for (let chunk = 0; chunk < nChunks; ++chunk) {
+    const off = Math.hypot(...point.map((x, i) => Math.max(low[3 * chunk + i] - x, x - low[3 * chunk + i] - size[3 * chunk + i], 0)));
+    const extent = Math.hypot(size[3 * chunk], size[3 * chunk + 1], size[3 * chunk + 2]);
+    if (off < best[0] || (off === best[0] && extent < best[1])) {
+      best = [off, extent];
+      found = radiusOf(header, (scale[2 * chunk] + scale[2 * chunk + 1]) / 2);
+    }
+  }
+  return found;
 }
 
 /** Position, normal and, where it is bytes, colour of `n` splats side by side, as words; a spare one at the end where they are 5 bytes each. */

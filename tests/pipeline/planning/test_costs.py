@@ -123,7 +123,7 @@ def test_probe__tells_a_machine_by_a_fraction_of_a_second():
     [
         ({}, 1, "nothing"),
         ({"memory_bytes": 5e9}, 1, "memory"),
-        ({"once_us_a_unit": 1.0}, 5000, "what one process does alone"),
+        ({"once_us_a_unit": 1.0}, 8000, "what one process does alone"),
         ({"task_us_a_unit": 0.001}, 1000, "the scheduler"),
     ],
 )

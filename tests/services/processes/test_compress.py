@@ -79,6 +79,7 @@ def test_workflow__the_report_has_its_keys_and_its_figures_agree(packed_serially
         "ingest",
         "partition",
         "neighbours",
+        "sizes",
         "splats",
         "nearest-points",
         "measure-effects",

@@ -79,7 +79,8 @@ def test_effects__a_wall_has_an_empty_plan_and_equals_the_all_on_rendering(tmp_p
     unwatched = [name.removesuffix(" watched") for name in plan["programs"]]  # which all=off gives up, a plan does not
     assert unwatched == plain["programs"]
     assert plan["file_bytes"] == pytest.approx(plain["file_bytes"], rel=0.02)
-    assert plain["psnr_vs_first_db"] == 100 and all_on["psnr_vs_first_db"] >= 60
+    assert plain["psnr_vs_first_db"] == 100
+    assert all_on["psnr_vs_first_db"] >= 50  # its splats are larger by up to a sixteenth of an octave
     assert plan["gpu_bytes"] <= all_on["gpu_bytes"]
 
 

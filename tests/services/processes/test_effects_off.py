@@ -33,6 +33,7 @@ class Traces:
 
 
 TRACES = {
+    "sizes": Traces(("sizes",), ("size_scale", "sizes"), words=("bits=3",), define="SIZE_BITS"),
     "cliplines": Traces(
         ("nearest-points", "cliplines"), ("cliplines", "clipline_word"), words=("clipline",), define="CLIPLINE"
     ),

@@ -51,7 +51,7 @@ def test_thin__a_scan_without_photographs_gets_ellipsoids_on_its_thin_parts(thin
     thin = scene.arrays["color"][:, 0] == 200
     found = np.zeros(len(thin), bool)
     found[scene.ellipsoids[0]] = True
-    assert found[thin].mean() > 0.7 and found[~thin].mean() < 0.02
+    assert found[thin].mean() > 0.65 and found[~thin].mean() < 0.02
     assert made["sizes"]["arrays"]["ellipsoids"] == 4 * (found.sum() + 1)
     assert "ellipsoids" in [s["name"] for s in made["stages"]]
 
@@ -59,9 +59,9 @@ def test_thin__a_scan_without_photographs_gets_ellipsoids_on_its_thin_parts(thin
 def test_thin__dask_packs_the_same_bytes_as_the_serial_executor(tmp_path):
     """Of several blocks, so that neighbourhoods reach across tasks."""
     path = scanned_room(tmp_path / "room.ply", step=0.0034)
-    _, serial, scene = compressed(path, tmp_path / "serial")
+    _, serial, scene = compressed(path, tmp_path / "serial", "ellipsoids=on")
     with DaskExecutor(2) as executor:
-        _, dask, _ = compressed(path, tmp_path / "dask", executor=executor)
+        _, dask, _ = compressed(path, tmp_path / "dask", "ellipsoids=on", executor=executor)
     assert len(scene.ellipsoids[0]) > 100 and scene.header.n_splats > arrays.BLOCK
     assert serial.read_bytes() == dask.read_bytes()
 

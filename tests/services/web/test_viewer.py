@@ -37,6 +37,7 @@ def scene_of(name: str):
         splats = sheet(rng, n, clipline=line, **coded(rng, n, max_atoms=3))
         splats = replace(splats, position=splats.position + UTM)
         cameras = tuple(replace(camera_looking(np.add(UTM, (x, -2, 0.3)), UTM), name=f"{x}.jpg") for x in (-0.4, 0.1))
+        splats = replace(splats, size=0.02 * 2.5 ** rng.random(n))
         return build_scene(splats, Settings(radius=0.03, origin=UTM, cameras=cameras), dictionary)
     axes = np.tile(np.diag([0.12, 0.06, 0.03])[[0, 2, 1]], (500, 1, 1))
     axes[rng.random(500) < 0.7] = np.nan
@@ -44,7 +45,8 @@ def scene_of(name: str):
     line[(rng.random(500) < 0.6) | ~np.isnan(axes[:, 0, 0])] = np.nan
     means = dictionary.atoms.reshape(20, 16, 2, 16, 2, 3).mean(axis=(2, 4)).round().astype(np.int8)
     turned = Dictionary(means, dictionary.scale, dictionary.weight_levels, n_turns=8)
-    splats = sheet(rng, 500, axes=axes, clipline=line, **coded(rng, 500, 160, max_atoms=16))
+    size = 0.07 * 2 ** rng.random(500)
+    splats = sheet(rng, 500, size=size, axes=axes, clipline=line, **coded(rng, 500, 160, max_atoms=16))
     scene = build_scene(splats, Settings(radius=0.1, color_step=112), turned)
     effects = dict.fromkeys(("level_blending", "relighting", "normal_smoothing", "accumulation"), {})
     return replace(scene, header=replace(scene.header, effects=effects))

@@ -33,7 +33,7 @@ from tests.packed_files import (
 )
 from tests.reference_packed import decode_code, decode_color
 
-SMALL = Case(n_splats=200, n_dictionary=3, cliplines=True, ellipsoids=True)
+SMALL = Case(n_splats=200, n_dictionary=3, cliplines=True, ellipsoids=True, size_bits=3)
 MANY_GROUPS = Case(n_splats=9 * GROUP + 500, cliplines=True, period=128)  # in two zarr chunks of splats
 BOXED = Case(n_splats=300, n_dictionary=3, atom_counts=(0, 1, 9, 16), n_ranks=16, color_step=112)
 MANY_BOXED = replace(MANY_GROUPS, cliplines=False, color_step=112)
@@ -97,6 +97,8 @@ def same_arrays(found: dict, expected: dict) -> bool:
         Case(atom_counts=(0,)),
         BOXED,
         Case(n_splats=1, color_step=80),
+        Case(n_splats=1, size_bits=2),
+        Case(n_splats=300, size_bits=4),
         Case(n_dictionary=0, atom_counts=(0,), n_cameras=0, color_step=255),
     ],
 )
@@ -394,10 +396,10 @@ HUGE, NOT_A_NUMBER = 2**60, float("nan")
         ("format", "otherpress"),
         ("format", None),
         ("version", 0),
-        ("version", 6),
+        ("version", 2),
         ("version", "1"),
         ("version", True),
-        ("version", 1),
+        ("version", 1.0),
         ("n_splats", 0),
         ("n_splats", -1),
         ("n_splats", 201),
@@ -414,6 +416,11 @@ HUGE, NOT_A_NUMBER = 2**60, float("nan")
         ("radius", "0.25"),
         ("radius", 10**400),
         ("radius", None),
+        ("size_bits", 1),
+        ("size_bits", 2),
+        ("size_bits", 0),
+        ("size_bits", True),
+        ("size_bits", HUGE),
         ("unit", 7),
         ("origin", [0, 0]),
         ("origin", [0, 0, NOT_A_NUMBER]),
@@ -432,9 +439,9 @@ HUGE, NOT_A_NUMBER = 2**60, float("nan")
         ("ahead", [0, 21, 35]),
         ("ahead", [1, 0, 37]),
         ("ahead", None),
-        ("depth_margin", NOT_A_NUMBER),
-        ("depth_margin", float("inf")),
-        ("depth_margin", -1),
+        ("margin_radii", NOT_A_NUMBER),
+        ("margin_radii", float("inf")),
+        ("margin_radii", -1),
         ("n_dictionary", 0),
         ("n_dictionary", -1),
         ("n_dictionary", 4),
@@ -508,7 +515,7 @@ def test_packed__refuses_header_fields_out_of_their_range(small, tmp_path, field
     [
         ("n_splats", 0),
         ("radius", -1.0),
-        ("depth_margin", -1.0),
+        ("margin_radii", -1.0),
         ("dictionary_bits", 17),
         ("weight_bits", 9),
         ("n_dictionary", 257),
@@ -806,6 +813,7 @@ def longer(name):
         changed("camera", 9, 65534),
         longer("codes"),
         longer("cliplines"),
+        changed("size_scale", (0, 0), 255),
         changed("ellipsoid_word", 0, 1),
         changed("ellipsoid_word", 0, 2**32 - 1),
         longer("ellipsoids"),
