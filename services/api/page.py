@@ -14,7 +14,7 @@ from services.web.viewer_page import PAGE, POLICY, viewer_file
 
 router = APIRouter(include_in_schema=False)
 _FOLDER = Path(__file__).parent.parent / "web"
-_FILES = ("page.js", "page.css", "docs.html", "docs.js")
+_FILES = ("page.js", "ask.js", "job.js", "uploads.js", "page.css", "docs.html", "docs.js")
 
 
 @router.get("/")

@@ -295,7 +295,7 @@ def _show_event(event: dict) -> None:
         parts = [f"{data['progress']:3d} %", data["stage"]]
         parts += [f"{data['splats_per_second']:,} splats/s"] if data["splats_per_second"] else []
         parts += [f"{data['seconds_left']:.0f} s left"] if data["seconds_left"] is not None else []
-        parts += [f"{data['psnr_db']:.2f} dB"] if data["psnr_db"] is not None else []
+        parts += [f"training patches at {data['psnr_db']:.2f} dB"] if data["psnr_db"] is not None else []
         end = "\n" if not sys.stderr.isatty() else ""
         print(("" if end else "\r\033[K") + ", ".join(parts), end=end, file=sys.stderr, flush=True)
     elif event["kind"] == "log" and data["level"] != "debug":

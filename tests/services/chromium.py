@@ -51,6 +51,7 @@ class Page:
         os.close(to_read), os.close(to_write)
         self._buffer, self._id, self._session = b"", 0, None
         self.complaints: list[str] = []
+        self.requests: list[dict] = []
         targets = self.call("Target.getTargets")["targetInfos"]
         page = next(t["targetId"] for t in targets if t["type"] == "page")
         self._session = self.call("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
@@ -86,6 +87,7 @@ class Page:
         if message.get("method") == "Log.entryAdded" and parameters["entry"]["level"] == "error":
             self.complaints.append(parameters["entry"]["text"] + " " + parameters["entry"].get("url", ""))
         if message.get("method") == "Network.requestWillBeSent":
+            self.requests.append(parameters["request"])
             url = parameters["request"]["url"]
             if not url.startswith(("http://127.0.0.1:", "data:", "blob:", "about:")):
                 self.complaints.append(f"asked {url}")
