@@ -1,0 +1,69 @@
+// Runs of cells into positions and normals: a group of runs a workgroup, a run an invocation. All in whole numbers, but one product a
+// coordinate at the end, so that the bits are those of pipeline/geometry/runs/codes.py.
+
+layout(local_size_x = 256) in;
+
+struct Group { int column, row, slice; uint first_run, first_step; };
+layout(std430, binding = 0) readonly buffer Groups { Group groups[]; };  // one more at the end, of the ends
+layout(std430, binding = 1) readonly buffer Starts { uint starts[]; };
+layout(std430, binding = 2) readonly buffer StartNormals { uint start_normals[]; };  // two of 2 bytes a word
+layout(std430, binding = 3) readonly buffer Steps { uint steps[]; };                 // four a word
+layout(std430, binding = 4) readonly buffer Codebook { ivec2 codebook[32]; };
+layout(std430, binding = 5) writeonly buffer Positions { float positions[]; };  // against the grid's cell (0, 0, 0)
+layout(std430, binding = 6) writeonly buffer Normals { int normals[]; };        // octahedral, a in the lowest byte, then b
+uniform vec3 pitch;  // half a column, a third of a row, a slice
+
+shared uint ends[256];  // running sums of the lengths of the group's runs
+
+ivec2 octahedral(uint run) {
+    uint word = start_normals[run >> 1] >> (16u * (run & 1u));
+    return ivec2(bitfieldExtract(int(word), 0, 8), bitfieldExtract(int(word), 8, 8));
+}
+
+ivec2 wrapped(ivec2 p) {
+    if (abs(p.x) > 127) p = ivec2(p.x > 0 ? 254 - p.x : -254 - p.x, -p.y);
+    if (abs(p.y) > 127) p = ivec2(-p.x, p.y > 0 ? 254 - p.y : -254 - p.y);
+    return p;
+}
+
+void write_cell(uint cell, ivec3 at, ivec2 normal) {
+    ivec3 units = ivec3(2 * at.x + ((at.y ^ at.z) & 1), 3 * at.y + (at.z & 1), at.z);
+    precise vec3 position = vec3(units) * pitch;
+    positions[3u * cell] = position.x;
+    positions[3u * cell + 1u] = position.y;
+    positions[3u * cell + 2u] = position.z;
+    normals[cell] = (normal.x & 255) | ((normal.y & 255) << 8);
+}
+
+void main() {
+    Group own = groups[gl_WorkGroupID.x], next = groups[gl_WorkGroupID.x + 1u];
+    uint lane = gl_LocalInvocationID.x, run = own.first_run + lane;
+    bool active_lane = run < next.first_run;
+    uint word = active_lane ? starts[run] : 0u;
+    uint n_cells = active_lane ? (word >> 27) + 1u : 0u;
+    ends[lane] = n_cells;
+    for (uint reach = 1u; reach < 256u; reach <<= 1) {
+        barrier();
+        uint below = lane >= reach ? ends[lane - reach] : 0u;
+        barrier();
+        ends[lane] += below;
+    }
+    if (!active_lane) return;
+    uint before = ends[lane] - n_cells;                 // cells of the group's earlier runs
+    uint cell = own.first_run + own.first_step + before;  // a cell for each run and each step
+    uint byte_ = own.first_step + before - lane;
+    ivec3 at = ivec3(own.column, own.row, own.slice) + ivec3(word & 2047u, (word >> 11) & 2047u, (word >> 22) & 31u);
+    ivec2 normal = octahedral(run);
+    write_cell(cell, at, normal);
+    uint direction = 0u;
+    for (uint i = 1u; i < n_cells; ++i, ++byte_) {
+        uint code = bitfieldExtract(steps[byte_ >> 2], int(8u * (byte_ & 3u)), 8);
+        direction = (direction + (code & 7u)) % 6u;
+        int q = (at.y ^ at.z) & 1;
+        int side = direction == 0u ? 1 : direction == 3u ? -1 : direction == 1u || direction == 5u ? q : q - 1;
+        int rise = direction == 0u || direction == 3u ? 0 : direction < 3u ? 1 : -1;
+        at += ivec3(side, rise, 0);
+        normal = wrapped(normal + codebook[code >> 3]);
+        write_cell(cell + i, at, normal);
+    }
+}
