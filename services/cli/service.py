@@ -46,6 +46,14 @@ def add_service_verbs(commands) -> None:
     token.add_argument("--list", action="store_true", help="the owner's tokens by their ids, instead")
     token.add_argument("--revoke", metavar="ID", help="a token of the owner's, instead")
     token.set_defaults(command=_token)
+    for name, text, function, what in (
+        ("backup", "scans, jobs, results and tokens as one file, also while the service runs", _backup, "to write"),
+        ("restore", "a data folder from a backup; jobs that were under way go on", _restore, "that backup wrote"),
+    ):
+        verb = commands.add_parser(name, help=text)
+        verb.add_argument("file", type=Path, help=f"a .tar {what}")
+        verb.add_argument("--data", type=Path, metavar="DIR", help="default: splatpress-data")
+        verb.set_defaults(command=function)
     login = _verb(commands, "login", "remember a service and a token", _login)
     login.add_argument("--token", help="default: asked for")
     _verb(commands, "logout", "forget service and token", _logout)
@@ -155,6 +163,33 @@ def _token(options: argparse.Namespace) -> int:
         lasts_s = None if options.days is None else options.days * 86_400
         print(add_token(store, options.owner, options.label, lasts_s)[0])
     return OK
+
+
+def _backup(options: argparse.Namespace) -> int:
+    from services.jobs.backup import back_up
+
+    settings = _settings(options)
+    if not settings.data.is_dir():
+        raise FileNotFoundError(f"{settings.data}: no such data folder")
+    made = back_up(settings, options.file)
+    for name in made.missing:
+        print(f"splatpress: warning: {name} is named by the database and not there", file=sys.stderr)
+    print(f"{options.file}: {_counts(made)}")
+    return OK
+
+
+def _restore(options: argparse.Namespace) -> int:
+    from services.jobs.backup import restore
+
+    settings = _settings(options)
+    found = restore(settings, options.file)
+    print(f"{settings.data}: {_counts(found)}; next: splatpress serve --data {settings.data}")
+    return OK
+
+
+def _counts(backup) -> str:
+    rows = ", ".join(f"{backup.rows[name]} {name}" for name in ("scans", "jobs", "artifacts", "tokens"))
+    return f"{rows}; {backup.n_files} files of {backup.n_bytes:,} bytes"
 
 
 # --- verbs of a client -----------------------------------------------------------------------------------------------
