@@ -24,6 +24,9 @@ READERS = {
     ".las": ("las.las", "open_las"),
     ".laz": ("las.las", "open_las"),
     ".e57": ("e57.e57", "open_e57"),
+    ".ptx": ("text.ptx", "open_ptx"),
+    ".pcd": ("pcd.pcd", "open_pcd"),
+    **dict.fromkeys((".xyz", ".pts", ".txt", ".asc", ".csv"), ("text.table", "open_table")),
 }
 HANDLED = f"a COLMAP dense workspace (folder or .zip), {', '.join(READERS)}"
 _VOLUMES = (".mha", ".mhd", ".vti", ".slc", ".dcm")

@@ -17,11 +17,11 @@ from typing import BinaryIO
 
 import numpy as np
 
-from pipeline.readers.attributes.decisions import Decision, decide, probe_starts, reasons
+from pipeline.readers.attributes.decisions import Decision, probe_starts
 from pipeline.readers.attributes.looks import Look, Looks
-from pipeline.readers.attributes.names import HARMONIC, Columns, columns_of
+from pipeline.readers.attributes.named import Named
+from pipeline.readers.attributes.names import Columns, columns_of
 from pipeline.readers.attributes.options import ReadOptions
-from pipeline.readers.attributes.ranges import to_8_bits
 from pipeline.readers.ply.header import PlyHeader, parse_header
 from pipeline.readers.ply.rows import Rows, ascii_rows, binary_rows
 from pipeline.scan import Piece, ScanSource
@@ -40,7 +40,7 @@ class Vertices:
     opener: Opener
     where: str
     header: PlyHeader
-    columns: Columns
+    named: Named
     look: Look
     decision: Decision
     own_warnings: tuple[str, ...] = ()
@@ -50,12 +50,16 @@ class Vertices:
         return self.header.vertex.count
 
     @property
+    def columns(self) -> Columns:
+        return self.named.columns
+
+    @property
     def has_colors(self) -> bool:
-        return self.decision.top is not None or bool(self.columns.harmonic)
+        return self.named.has_colors(self.decision)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        of_look = reasons(self.where, self.look, self.decision, *_attributes(self.header, self.columns), self.count)
+        of_look = self.named.reasons(self.where, self.look, self.decision, self.count)
         return (*self.own_warnings, *of_look)
 
     @property
@@ -83,13 +87,13 @@ class Vertices:
                 named, look = _named(rows, self.header), None
                 if self.is_sample:
                     look = self.look.like()
-                    _look_at(look, named, self.columns)
-                yield replace(_piece(named, self.columns, self.decision), look=None if look is None else (0, look))
+                    self.named.look_at(look, named)
+                yield replace(self.named.piece(named, self.decision), look=None if look is None else (0, look))
 
     def settled(self, looks: Looks) -> Vertices | None:
         """As all points have it; None where that is as it is."""
         look = looks.parts[0]
-        decision = _decide(look, self.header, self.columns)
+        decision = self.named.decide(look)
         return None if decision == self.decision else replace(self, look=look, decision=decision)
 
 
@@ -127,17 +131,8 @@ def _check_length(header: PlyHeader, n_bytes: int, where: str) -> tuple[str, ...
     return ()
 
 
-def _attributes(header: PlyHeader, columns: Columns) -> tuple[bool, bool, float, bool]:
-    """Whether there are colours, as floats, what is white in their type, and whether there are intensities."""
-    if not columns.color:
-        return False, False, 255.0, bool(columns.intensity)
-    dtype = next(p.dtype for p in header.vertex.properties if p.name == columns.color[0])
-    is_float = dtype.startswith("f")
-    return True, is_float, 1.0 if is_float else 65535.0 if dtype == "u2" else 255.0, bool(columns.intensity)
-
-
-def _decide(look: Look, header: PlyHeader, columns: Columns) -> Decision:
-    return decide(look, *_attributes(header, columns))
+def _color_type(header: PlyHeader, columns: Columns) -> str:
+    return next((p.dtype for p in header.vertex.properties if p.name in columns.color), "f8")
 
 
 # --- vertices ---
@@ -154,40 +149,6 @@ def _rows(
 
 def _named(rows: Rows, header: PlyHeader) -> dict[str, np.ndarray]:
     return {p.name: rows[i] for i, p in enumerate(header.vertex.properties) if i in rows}
-
-
-def _color(rows: dict[str, np.ndarray], columns: Columns) -> np.ndarray | None:  # (n, 3)
-    return np.stack([rows[n] for n in columns.color], axis=1) if columns.color else None
-
-
-def _look_at(look: Look, rows: dict[str, np.ndarray], columns: Columns) -> None:
-    intensity = rows[columns.intensity[0]] if columns.intensity else None
-    look.add(len(rows[columns.position[0]]), _native(_color(rows, columns)), _native(intensity), {})
-
-
-def _native(values: np.ndarray | None) -> np.ndarray | None:
-    return None if values is None else values.astype(values.dtype.newbyteorder("="), copy=False)
-
-
-def _piece(rows: dict[str, np.ndarray], columns: Columns, decision: Decision) -> Piece:
-    def stack(names: tuple[str, ...], dtype: type) -> np.ndarray | None:
-        return np.stack([rows[n] for n in names], axis=1).astype(dtype) if names else None
-
-    color, colorless = None, None
-    if decision.top is not None:
-        values = _native(_color(rows, columns))
-        color = to_8_bits(values, decision.top)
-        colorless = ~np.isfinite(values).all(axis=1) if values.dtype.kind == "f" else None
-    elif columns.harmonic:
-        color = to_8_bits(0.5 + HARMONIC * stack(columns.harmonic, np.float64), 1.0)
-    intensity = rows[columns.intensity[0]].astype(np.float32) if decision.intensity else None
-    return Piece(
-        position=stack(columns.position, np.float64),
-        normal=stack(columns.normal, np.float32),
-        color=color,
-        colorless=colorless,
-        intensity=intensity,
-    )
 
 
 # --- public ---
@@ -208,14 +169,14 @@ def open_vertices(opener: Opener, n_bytes: int, where: str, can_seek: bool = Tru
         columns = columns_of(p.name for p in header.vertex.properties if not p.is_list)
         _check_elements(header, columns, where)
         warnings = _check_length(header, n_bytes, where)
-        look, n = Look(), header.vertex.count
+        named, look, n = Named(columns, _color_type(header, columns)), Look(), header.vertex.count
         runs = can_seek and header.encoding != "ascii" and not any(e.has_lists for e in header.elements)
         for run in probe_starts(n) if runs else [(0, min(n, _FIRST_POINTS))]:
             for rows in _rows(stream, header, where, _FIRST_POINTS, run) if columns.color or columns.intensity else ():
-                _look_at(look, _named(rows, header), columns)
+                named.look_at(look, _named(rows, header))
     if not (columns.color or columns.intensity):
         look.n_points = n
-    return Vertices(opener, where, header, columns, look, _decide(look, header, columns), warnings)
+    return Vertices(opener, where, header, named, look, named.decide(look), warnings)
 
 
 def unused_properties(vertices: Vertices) -> tuple[str, ...]:

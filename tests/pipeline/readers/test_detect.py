@@ -10,7 +10,7 @@ from storage.errors import UnsupportedScan
 from tests.pipeline.readers.workspace import write_workspace, zip_folder
 
 
-@pytest.mark.parametrize("name", ["scan.pcd", "scan.nrrd", "scan.xyz", "scan.obj", "scan", "scan.PLYX"])
+@pytest.mark.parametrize("name", ["scan.nrrd", "scan.dwg", "scan.obj", "scan", "scan.PLYX"])
 def test_open_scan__refuses_other_formats_naming_the_suffix_and_what_is_handled(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(b"anything")

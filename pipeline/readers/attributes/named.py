@@ -1,0 +1,78 @@
+"""Points as columns of numbers with names: what of them is a position, a colour, and how it is drawn. For every format but E57's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.readers.attributes.decisions import Decision, decide, reasons
+from pipeline.readers.attributes.looks import Look
+from pipeline.readers.attributes.names import HARMONIC, Columns
+from pipeline.readers.attributes.ranges import to_8_bits
+from pipeline.scan import Piece
+
+Rows = dict[str, np.ndarray]  # by the name of a column, (n,) each
+
+
+@dataclass(frozen=True)
+class Named:
+    """How the columns of a file are used: what they mean, and of what type its colours are."""
+
+    columns: Columns
+    color_type: str = "f8"  # numpy code
+
+    @property
+    def _attributes(self) -> tuple[bool, bool, float, bool]:
+        """Whether there are colours, as floats, what is white in their type, and whether there are intensities."""
+        is_float = self.color_type.startswith("f")
+        usual = 1.0 if is_float else 65535.0 if self.color_type == "u2" else 255.0
+        return bool(self.columns.color), is_float, usual, bool(self.columns.intensity)
+
+    def decide(self, look: Look) -> Decision:
+        return decide(look, *self._attributes)
+
+    def reasons(self, where: str, look: Look, decision: Decision, n_points: int) -> list[str]:
+        return reasons(where, look, decision, *self._attributes, n_points)
+
+    def has_colors(self, decision: Decision) -> bool:
+        return decision.top is not None or bool(self.columns.harmonic)
+
+    def look_at(self, look: Look, rows: Rows, masks: dict[str, np.ndarray] | None = None) -> None:
+        """At what was measured: marked points tell nothing of others' colours."""
+        masks = masks or {}
+        intensity = _native(rows[self.columns.intensity[0]]) if self.columns.intensity else None
+        color = self._color(rows)
+        if masks:
+            left = ~np.any(list(masks.values()), axis=0)
+            color, intensity = (None if v is None else v[left] for v in (color, intensity))
+        look.add(len(rows[self.columns.position[0]]), color, intensity, masks)
+
+    def piece(self, rows: Rows, decision: Decision) -> Piece:
+        columns = self.columns
+
+        def stack(names: tuple[str, ...], dtype: type) -> np.ndarray | None:
+            return np.stack([rows[n] for n in names], axis=1).astype(dtype) if names else None
+
+        color, colorless = None, None
+        if decision.top is not None:
+            values = self._color(rows)
+            color = to_8_bits(values, decision.top)
+            colorless = ~np.isfinite(values).all(axis=1) if values.dtype.kind == "f" else None
+        elif columns.harmonic:
+            color = to_8_bits(0.5 + HARMONIC * stack(columns.harmonic, np.float64), 1.0)
+        return Piece(
+            position=stack(columns.position, np.float64),
+            normal=stack(columns.normal, np.float32),
+            color=color,
+            colorless=colorless,
+            intensity=rows[columns.intensity[0]].astype(np.float32) if decision.intensity else None,
+        )
+
+    def _color(self, rows: Rows) -> np.ndarray | None:  # (n, 3)
+        names = self.columns.color
+        return _native(np.stack([rows[n] for n in names], axis=1)) if names else None
+
+
+def _native(values: np.ndarray) -> np.ndarray:
+    return values.astype(values.dtype.newbyteorder("="), copy=False)
