@@ -576,7 +576,9 @@ def _add_plan(commands) -> None:
 def _add_compress(commands) -> None:
     compress = commands.add_parser("compress", help="a scan into a packed file, previews and a report")
     compress.add_argument(
-        "scan", metavar="SCAN", help="COLMAP workspace (folder or .zip), .ply, .las, .laz, .e57; a volume, see iso"
+        "scan",
+        metavar="SCAN",
+        help="COLMAP or nerfstudio workspace (folder or .zip), .ply, .las, .laz, .e57, .ptx, .pts, .xyz, .pcd; a volume, see iso",
     )
     _add_output(compress)
     add_settings(compress)

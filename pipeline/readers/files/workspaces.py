@@ -104,5 +104,7 @@ def _clouds_of(members: Members, root: str) -> tuple[str, ...]:
 def find_lone_scan(members: Members, suffixes: tuple[str, ...]) -> str | None:
     """The one file of points of a folder or archive that is no workspace; None where there is none, or several."""
     fitting = [n for n in members.names.exact if n.lower().endswith(suffixes)]
-    clouds = [n for n in fitting if not n.lower().endswith(_NOTES)] or (fitting if len(members.names.exact) == 1 else [])
+    clouds = [n for n in fitting if not n.lower().endswith(_NOTES)] or (
+        fitting if len(members.names.exact) == 1 else []
+    )
     return clouds[0] if len(clouds) == 1 else None
