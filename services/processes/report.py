@@ -7,11 +7,15 @@ from pathlib import Path
 
 from pipeline.effects.exposure import exposed
 from pipeline.execution.stage import Executor, Progress
+from pipeline.planning.settings import settings_for
 from pipeline.stages.packed.measure import Measure, ingest_fits
+from pipeline.volumes.open import is_volume
+from pipeline.volumes.request import SurfaceRequest
 from services.flow.fingerprint import fingerprint
 from services.flow.outputs import write_outputs
 from services.flow.prepare import ingest_of
 from services.flow.run import Run
+from services.flow.volumes import surface_points, surface_request
 from storage.errors import InvalidScan
 from storage.packed.packed import PackedFile
 
@@ -24,7 +28,7 @@ def report(packed: Path, scan: Path, out: Path, executor: Executor, progress: Pr
     with tempfile.TemporaryDirectory(prefix=".work.", dir=out) as work:
         run = Run(Path(work), executor, progress)
         quality, numerics = {}, {}
-        ingest = ingest_of(run, scan)
+        ingest = surface_points(run, scan, _surface(header.settings)) if is_volume(scan) else ingest_of(run, scan)
         if not ingest_fits(ingest.folder, [c.name for c in header.cameras]):
             raise InvalidScan(
                 str(scan),
@@ -38,9 +42,19 @@ def report(packed: Path, scan: Path, out: Path, executor: Executor, progress: Pr
             measured = run.do(Measure(photos, packed.resolve(), fingerprint(packed))).summary
             numerics = {"flagged_projections": measured["n_flagged"]}
             quality = {k: measured[k] for k in ("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db")}
+        volume = {"volume": ingest.summary["volume"]} if "volume" in ingest.summary else {}
         record = {
-            "scan": {"n_cameras": len(header.cameras), "warnings": ingest.summary["warnings"]},
+            "scan": {"n_cameras": len(header.cameras), "warnings": ingest.summary["warnings"], **volume},
             "quality": quality,
             "numerics": numerics | {"dropped_points": ingest.summary["n_dropped"]},
         }
         return write_outputs(run, packed, photos, record, out, render)
+
+
+def _surface(settings: dict) -> SurfaceRequest:
+    """What a packed file's settings asked of its volume; what they do not say, or not rightly, as by default."""
+    names = ("iso", "cell", "resampling", "border", "spacing", "component", "time")
+    try:
+        return surface_request(settings_for(**{name: settings.get(name) for name in names}))
+    except ValueError:
+        return SurfaceRequest()

@@ -16,6 +16,7 @@ from renderer.splats.views import orbit_views
 from services.cli.main import main
 from services.processes.compress import compress
 from services.processes.inspect import check, inspect
+from services.processes.report import report
 from storage.errors import InvalidScan, UnsupportedScan
 from storage.packed.packed import PackedFile
 from tests.hard_cases.scans import write_points
@@ -48,7 +49,7 @@ def made(volume: Path, out: Path, executor=None, **settings) -> dict:
 
 
 def test_compress__a_volume_becomes_the_surfaces_asked_for_in_the_frame_of_the_file(volume, tmp_path):
-    report = made(volume, tmp_path / "out", iso="20=#ff0000,50")
+    told = made(volume, tmp_path / "out", iso="20=#ff0000,50")
     position, color, scene = packed_of(tmp_path / "out")
     middle = np.array([100, -20, 7]) + middle_of(SHAPE, SPACING) * [-1, 1, 1]
     radius = np.linalg.norm(position - middle, axis=1)
@@ -56,11 +57,11 @@ def test_compress__a_volume_becomes_the_surfaces_asked_for_in_the_frame_of_the_f
     assert 0 < outer.sum() < len(outer)
     assert np.abs(radius[outer] - 8).max() < 0.1 or np.abs(radius[~outer] - 5).max() < 0.1
     assert np.abs(radius[~outer] - 5).max() < 0.1
-    surfaces = report["scan"]["volume"]["surfaces"]
+    surfaces = told["scan"]["volume"]["surfaces"]
     assert [s["n_points"] for s in surfaces] == [outer.sum(), (~outer).sum()]
-    assert report["scan"]["volume"]["frame"] == "left-posterior-superior" and scene.header.unit == "millimetre"
+    assert told["scan"]["volume"]["frame"] == "left-posterior-superior" and scene.header.unit == "millimetre"
     assert scene.header.effects["relighting"] == {"lamp": True}
-    assert 0.8 < scene.header.radius / report["scan"]["volume"]["cell"] < 1.3
+    assert 0.8 < scene.header.radius / told["scan"]["volume"]["cell"] < 1.3
 
 
 def test_compress__of_a_volume_makes_the_same_bytes_on_dask(volume, tmp_path):
@@ -75,9 +76,9 @@ def test_compress__of_a_volume_makes_the_same_bytes_on_dask(volume, tmp_path):
 def test_compress__takes_the_value_that_the_volume_proposes_and_says_so(tmp_path):
     voxels = (ball(SHAPE, SPACING, radius=5.0) > 50) * np.uint16(1000)
     voxels += np.random.default_rng(0).integers(0, 30, voxels.shape).astype(np.uint16)
-    report = made(write_nrrd(tmp_path / "a.nrrd", voxels, extra=LPS), tmp_path / "out")
-    assert 100 < report["scan"]["volume"]["surfaces"][0]["iso"] < 1000
-    assert any("no iso value was given" in text for text in report["warnings"])
+    told = made(write_nrrd(tmp_path / "a.nrrd", voxels, extra=LPS), tmp_path / "out")
+    assert 100 < told["scan"]["volume"]["surfaces"][0]["iso"] < 1000
+    assert any("no iso value was given" in text for text in told["warnings"])
 
 
 def test_compress__a_border_is_open_or_closed_as_asked(tmp_path):
@@ -111,6 +112,15 @@ def test_compress__errors_say_what_a_volume_lacks(volume, tmp_path):
         made(points, tmp_path / "d", iso="1")
     with pytest.raises(ValueError, match="VALUE or VALUE=#RRGGBB"):
         settings_for("draft", iso="forty")
+
+
+def test_report__of_a_packed_volume_has_its_surfaces(volume, tmp_path):
+    first = made(volume, tmp_path / "out", iso="20=#ff0000,50", border="closed")
+    again = report(
+        tmp_path / "out" / "ball.splatpress", volume, tmp_path / "again", SerialExecutor(), Heard(), render=False
+    )
+    assert again["scan"]["volume"] == first["scan"]["volume"] and again["warnings"] == first["warnings"]
+    assert "Surfaces" in (tmp_path / "again" / "report.html").read_text()
 
 
 def test_inspect_and_check__of_a_volume(volume, tmp_path, capsys):
