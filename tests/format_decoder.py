@@ -201,7 +201,8 @@ def render(packed: Packed, view: View) -> tuple[np.ndarray, np.ndarray]:
     n_pixels = view.width_px * view.height_px
     surface, light, weights = np.full(n_pixels, np.inf), np.zeros((n_pixels, 3)), np.zeros(n_pixels)
     for found in drawn:
-        np.minimum.at(surface, found.pixel, found.pushed_z)
+        hides = found.d2 < 0.7
+        np.minimum.at(surface, found.pixel[hides], found.pushed_z[hides])
     for splat, found in zip(splats, drawn, strict=True):
         if len(found.pixel):
             weight = (1 - found.d2) * (found.z <= surface[found.pixel])

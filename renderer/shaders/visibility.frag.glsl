@@ -1,8 +1,13 @@
 #include "splat_fragment.glsl"
 
+// The squared distance up to which a splat hides what lies behind it. Out to its rim, where it weighs nothing, pixels stay empty that what lies
+// behind would fill, and colours of rims stand alone. PSNR to the photographs, mean of four views of 1,024 px, fountain_p11 and monstree (draft):
+// 1 28.58 and 23.08 dB, 0.9 28.66 and 23.11, 0.8 28.74 and 23.14, 0.7 28.82 and 23.16, 0.5 28.89 and 23.19, but two views of the first fall.
+const float HIDES = 0.7;
+
 void main() {
     float d2 = squared_distance();
-    if (outside(d2)) discard;
+    if (outside(d2) || d2 >= HIDES) discard;
 #ifdef ELLIPSOID
     set_depth(d2);
 #endif

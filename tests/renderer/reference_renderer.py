@@ -24,6 +24,7 @@ from tests.reference_packed import decode_color, decode_radius, turned
 NEAR_IN_RADII = 0.01
 ROUNDING = 1e-5
 LEAST_WEIGHT = 1 / 1024
+HIDES = 0.7  # squared distance up to which a splat hides what lies behind it
 SNAPPED_PX = (
     1 / 512
 )  # how far rasterisers move a corner at most: GPUs round to 8 bits below a pixel, llvmpipe shades as if it did not
@@ -138,7 +139,8 @@ def blend(scene: PackedScene, view: Camera, color) -> tuple[np.ndarray, np.ndarr
     n_pixels = view.width_px * view.height_px
     nearest = np.full(n_pixels, np.inf)
     for fragments in drawn:
-        np.minimum.at(nearest, fragments.pixel, fragments.pushed_z)
+        hides = fragments.d2 < HIDES
+        np.minimum.at(nearest, fragments.pixel[hides], fragments.pushed_z[hides])
     sums, weights = np.zeros((n_pixels, 3)), np.zeros(n_pixels)
     for splat, fragments in enumerate(drawn):
         if len(fragments.pixel):

@@ -298,8 +298,14 @@ def test_renderer__keeps_depth_apart_at_a_kilometre(renderer):
     color = np.array([[250, 10, 10], [10, 250, 10]], np.uint8)
     splats = Splats(np.concatenate([near, near + [0, 0.02, 0]]), np.repeat(up, 2, axis=0), color)
     scene = build_scene(splats, Settings(radius=0.1, depth_margin=0.005))
-    picture = drawn(renderer, scene, camera_looking((0, -1000, 0), (0, 0, 0), (32, 32), (1e5, 1e5)))
-    assert picture.rgb[picture.coverage][:, 1].max() <= 11
+    view = camera_looking((0, -1000, 0), (0, 0, 0), (32, 32), (1e5, 1e5))
+    picture = drawn(renderer, scene, view)
+    off = np.hypot(*(np.indices((32, 32)) + 0.5 - np.array([view.cy_px, view.cx_px])[:, None, None]))
+    assert picture.rgb[off < 8][:, 1].max() <= 11  # of 10 px: at its rim a splat hides nothing
+
+
+def packed_rgb(rgb):
+    return rgb.astype(np.int64) @ [1 << 16, 1 << 8, 1]
 
 
 def test_renderer__shows_the_front_splat_alone_where_there_is_no_margin(renderer):
@@ -307,8 +313,9 @@ def test_renderer__shows_the_front_splat_alone_where_there_is_no_margin(renderer
     splats = sheet(rng, 60)
     scene = build_scene(splats, Settings(depth_margin=0.0))
     picture = assert_agrees(renderer, scene, camera_looking((0.3, -1.2, 0.4), (0, 0, 0)), least_covered=0.3)
-    shown = set(map(tuple, picture.rgb[picture.coverage]))
-    assert len(shown - set(map(tuple, splats.color))) <= 3 < 30 < len(shown)  # where two discs cross, both are shown
+    alone = np.isin(packed_rgb(picture.rgb), packed_rgb(splats.color)) & picture.coverage
+    assert alone.sum() / picture.coverage.sum() > 0.6  # at its rim the front splat hides nothing
+    assert len(np.unique(packed_rgb(picture.rgb)[alone])) > 25
 
 
 def test_renderer__stays_finite_in_thousands_of_layers(renderer):
