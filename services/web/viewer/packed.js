@@ -46,7 +46,11 @@ export class Packed {
 
   /** The zarr chunks of an array, along its first axis. */
   chunksOf(name) {
-    return Array.from({ length: this.counts.get(name) || 0 }, (_, i) => ({ array: name, index: i, ...this.members.get(this.memberOf(name, i)) }));
+    return Array.from({ length: this.counts.get(name) || 0 }, (_, i) => this.chunk(name, i));
+  }
+
+  chunk(array, index) {
+    return { array, index, ...this.members.get(this.memberOf(array, index)) };
   }
 
   memberOf(name, index) {

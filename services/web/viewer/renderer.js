@@ -4,7 +4,7 @@
 import { GROUP } from "./packed.js";
 import { radiusAt } from "./tables.js";
 
-const UNITS = ["splats", "boxes", "running_counts", "groups", "codes", "cliplines", "weights", "ellipsoids", "colors", "atlas", "sums", "normals"];
+const UNITS = ["splats", "boxes", "running_counts", "groups", "codes", "cliplines", "weights", "ellipsoids", "colors", "shares", "atlas", "sums", "normals"];
 const NEAR_IN_RADII = 0.01;
 const SPARE_PX = 1;
 const AS_PHOTOGRAPHED = { towards: [0, 0, -1], ambient: 1, diffuse: 0 };
@@ -29,11 +29,11 @@ export class Renderer {
   }
 
   /** Draw `scene` from `view` ({ rotation rows, eye against the origin, fx, fy, cx, cy, width, height }) into the renderer's targets. */
-  render(scene, view, { maxAtoms = 16, light = null } = {}) {
+  render(scene, view, { maxAtoms = 16, light = null, mostSplats = Infinity } = {}) {
     const { gl } = this, { header } = scene;
     const drawn = light ? new Set([...scene.drawn, "relighting", "normal_smoothing"]) : scene.drawn;
+    const groups = scene.choose(view, visibleGroups(scene, view), mostSplats);
     this.use(scene, view, drawn);
-    const groups = visibleGroups(scene, view).filter((group) => scene.isShown(group));
     gl.bindVertexArray(this.empty);
     this.drawDepth(scene, groups, drawn);
     this.drawColors(scene, groups, drawn, maxAtoms, light || AS_PHOTOGRAPHED);

@@ -1,8 +1,9 @@
 // A packed scene in GPU memory while it arrives: tables first, then geometry and colours, then atoms and codes. Groups are drawn from when
 // their geometry is there, with their colours alone until their codes are. Mirrors renderer/splats/scene.py.
 
+import { groupTree, sharesOf } from "./detail.js";
 import { GROUP, MIP_SIZES } from "./packed.js";
-import { atlasBand, atlasLayout, splatWords, tablesOf } from "./tables.js";
+import { atlasBand, atlasLayout, meanRadius, splatWords, tablesOf } from "./tables.js";
 
 const LINE = 2048; // texels to a line of a texture, as renderer/splats/gles.py has it
 const SPLATS_PER_CHUNK = 65536, GROUPS_PER_CHUNK = SPLATS_PER_CHUNK / GROUP, WORDS_PER_CHUNK = 65536;
@@ -38,12 +39,13 @@ export class Scene {
     this.state = new Uint8Array(packed.nGroups);
     this.drawn = new Set(Object.keys(header.effects));
     this.drawn.delete("mip_levels");
+    this.drawn.delete("levels");
     if (!header.n_dictionary || header.coarsest_size === header.atom_size) this.drawn.delete("level_blending");
     if (!this.drawn.has("relighting")) this.drawn.delete("normal_smoothing");
     if (header.n_dictionary && header.coarsest_size < header.atom_size) this.drawn.add("mip_levels");
     const first = header.batches.findIndex((batch) => batch.clipline || batch.ellipsoid);
     this.nLeading = first < 0 ? header.batches.length : first;
-    this.defines = { COLOR_BOXES: header.color_step ? 1 : 0, SIZE_BITS: header.size_bits };
+    this.defines = { COLOR_BOXES: header.color_step ? 1 : 0, SIZE_BITS: header.size_bits, DETAIL: header.levels ? 1 : 0 };
     this.geometryArrays = ["position", "normal", ...(header.color_step ? [] : ["color"])];
     this.shapeArrays = ["colors", "ellipsoids", "cliplines"].filter((name) => packed.has(name));
   }
@@ -60,17 +62,61 @@ export class Scene {
     return this.state[group] === CODED;
   }
 
-  /** Load all of it. `nearest()` orders groups by the view, `onChange(stage)` is called when there is more to draw. */
-  async load(nearest, onChange, signal) {
+  /** Those of the groups `seen` that are here and, of levels, show the view with no more than `mostSplats`. */
+  choose(view, seen, mostSplats) {
+    const here = seen.filter((group) => this.isShown(group));
+    if (!this.tree) return here;
+    const inView = new Set(seen);
+    const shares = sharesOf(this.tree, view, { mostSplats, isSeen: (group) => inView.has(group), isHere: (group) => this.isShown(group) });
+    this.textures.shares.put(0, new Uint32Array(shares.buffer));
+    return here.filter((group) => shares[group] > 0);
+  }
+
+  /**
+   * Load what `wanted()` names, groups in the order in which they are wanted, and go on as it names more: geometry and colours, then atoms and
+   * codes. `onChange(stage)` is called when there is more to draw. Ends with `signal` alone.
+   */
+  async load(wanted, onChange, signal) {
     await this.loadTables(signal);
     onChange("tables");
-    const heard = (array, index, values) => { if (this.take(array, index, values)) onChange("geometry"); };
-    await this.inOrder(nearest, [...this.geometryArrays, ...this.shapeArrays], heard, signal);
-    if (this.header.n_dictionary) {
-      await this.loadAtoms(signal);
-      await this.inOrder(nearest, ["codes"], (array, index, values) => { if (this.take(array, index, values)) onChange("codes"); }, signal);
+    for (;;) {
+      const groups = wanted(), { stage, chunks } = this.missing(groups);
+      if (stage === "atoms") {
+        await this.loadAtoms(signal);
+      } else if (stage) {
+        await this.packed.read(chunks, (array, index, values) => { if (this.take(array, index, values)) onChange(stage); }, signal);
+      } else {
+        onChange("all");
+        await new Promise((wake) => { this.wake = wake; });
+      }
     }
-    onChange("all");
+  }
+
+  // What is to be asked for next, a batch of chunks; none where all has arrived.
+  missing(groups) {
+    const geometry = this.batch(groups, [...this.geometryArrays, ...this.shapeArrays]);
+    if (geometry.length) return { stage: "geometry", chunks: geometry };
+    if (!this.header.n_dictionary) return {};
+    if (!this.hasAtoms) return { stage: "atoms" };
+    const codes = this.batch(groups, ["codes"]);
+    return codes.length ? { stage: "codes", chunks: codes } : {};
+  }
+
+  batch(groups, arrays) {
+    const chunks = new Map();
+    let bytes = 0;
+    for (const group of groups)
+      for (const array of arrays) {
+        const [first, last] = this.chunksFor(array, group), arrived = this.streams[array] || this.geometry;
+        for (let index = first; index <= last; ++index) {
+          if (arrived[index] || chunks.has(`${array}/${index}`)) continue;
+          const chunk = this.packed.chunk(array, index);
+          bytes += chunk.stop - chunk.start;
+          if (bytes > BATCH_BYTES && chunks.size) return [...chunks.values()];
+          chunks.set(`${array}/${index}`, chunk);
+        }
+      }
+    return [...chunks.values()];
   }
 
   async loadTables(signal) {
@@ -81,6 +127,10 @@ export class Scene {
     Object.assign(this, { counts, groupBoxes });
     const table = (words) => new Words(gl, words.length).put(0, words);
     Object.assign(this.textures, { boxes: table(boxes), running_counts: table(running), groups: table(groups) });
+    if (header.levels) {
+      this.tree = groupTree(packed, this.arrays, (group) => meanRadius(packed, this.arrays, group));
+      this.textures.shares = new Words(gl, packed.nGroups);
+    }
     const pairs = !header.color_step, n = header.n_splats;
     this.textures.splats = new Words(gl, pairs ? n : Math.ceil((n * 5) / 4) + 1, pairs);
     for (const name of [...this.shapeArrays, ...(packed.has("codes") ? ["codes"] : [])]) {
@@ -89,18 +139,6 @@ export class Scene {
       this.streams[name] = new Uint8Array(n);
     }
     this.geometry = new Uint8Array(Math.ceil(n / SPLATS_PER_CHUNK));
-  }
-
-  // Chunks of arrays in the order of the view. Streams go with the splats that they belong to.
-  async inOrder(nearest, names, heard, signal) {
-    const wanted = names.flatMap((name) => this.packed.chunksOf(name)), rank = new Map(nearest().map((group, i) => [group, i]));
-    const rankOf = ({ array, index }) => Math.min(...this.groupsOf(array, index).map((group) => rank.get(group)));
-    const queue = wanted.map((chunk) => ({ chunk, rank: rankOf(chunk) })).sort((a, b) => a.rank - b.rank).map(({ chunk }) => chunk);
-    while (queue.length) {
-      let bytes = 0, n = 0;
-      while (n < queue.length && (n === 0 || bytes + queue[n].stop - queue[n].start <= BATCH_BYTES)) bytes += queue[n].stop - queue[n++].start;
-      await this.packed.read(queue.splice(0, n), heard, signal);
-    }
   }
 
   // The groups whose splats a zarr chunk holds something of.
@@ -117,8 +155,9 @@ export class Scene {
     return groups.length ? groups : [nGroups - 1]; // the spare word may stand alone
   }
 
-  // The first and last chunk of a stream that a group's words lie in.
+  // The first and last chunk of an array that something of a group lies in.
   chunksFor(stream, group) {
+    if (!this.streams[stream]) return Array(2).fill(Math.floor(group / GROUPS_PER_CHUNK));
     const [table, step] = { colors: ["color_word", GROUP / 128], codes: ["group_word", 1], cliplines: ["clipline_word", 1], ellipsoids: ["ellipsoid_word", 1] }[stream];
     const words = this.arrays[table], n = this.streams[stream].length, end = step === 1 ? this.packed.nGroups : this.packed.nChunks;
     const next = (group + 1) * step;

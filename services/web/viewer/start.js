@@ -16,7 +16,7 @@ export async function begin(shaders, bytes = null) {
   const poster = parameters.get("poster");
   if (poster) document.getElementById("canvas").style.backgroundImage = `url("${encodeURI(poster)}")`;
   try {
-    const viewer = (globalThis.viewer = new Viewer(shaders, { ownDepth: parameters.has("own-depth") }));
+    const viewer = (globalThis.viewer = new Viewer(shaders, { ownDepth: parameters.has("own-depth"), budget: Number(parameters.get("budget")) }));
     await viewer.load(bytes ? new BytesSource(bytes) : new HttpSource(contentOf(parameters), sessionToken()));
   } catch (error) {
     fail(error);

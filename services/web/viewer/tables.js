@@ -115,6 +115,19 @@ export function radiusAt({ header, nChunks }, { box_low: low, box_size: size, si
   return found;
 }
 
+/** The mean radius of a group's splats; sizes are codes of a few bits on the scale of their chunk (storage/packed/sizes.py). */
+export function meanRadius({ header }, { size_scale: scale, sizes }, group) {
+  const bits = header.size_bits, first = group * GROUP, end = Math.min(first + GROUP, header.n_splats);
+  if (!bits) return header.radius;
+  let sum = 0;
+  for (let splat = first; splat < end; ++splat) {
+    const chunk = (splat / CHUNK) | 0, bit = (splat % CHUNK) * bits, at = chunk * 4 * bits + (bit >> 5), shift = bit & 31;
+    const code = ((sizes[at] >>> shift) | (shift + bits > 32 ? sizes[at + 1] << (32 - shift) : 0)) & ((1 << bits) - 1);
+    sum += header.radius * 2 ** ((scale[2 * chunk] + ((scale[2 * chunk + 1] - scale[2 * chunk]) * code) / ((1 << bits) - 1) - 128) / 16);
+  }
+  return sum / (end - first);
+}
+
 /** Position, normal and, where it is bytes, colour of `n` splats side by side, as words; a spare one at the end where they are 5 bytes each. */
 export function splatWords(n, { position, normal, color }) {
   const width = color ? 8 : 5, bytes = new Uint8Array(Math.ceil((n * width) / 4) * 4 + (color ? 0 : 4));

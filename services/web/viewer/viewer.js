@@ -2,22 +2,25 @@
 
 import { Camera } from "./camera.js";
 import { Controls } from "./controls.js";
+import { sharesOf } from "./detail.js";
 import { Measure } from "./measure.js";
 import { Packed } from "./packed.js";
-import { Renderer } from "./renderer.js";
+import { Renderer, visibleGroups } from "./renderer.js";
 import { Scene } from "./scene.js";
 import { dot, unit } from "./vectors.js";
 
 const TARGET_MS = 50; // of a frame while one moves
 const COARSEST = 0.25; // of the resolution, while one moves
 const STILL_MS = 250; // after the last move, before a frame of full resolution
+const BUDGET = 3e6, BUDGET_OF_TOUCH = 1e6; // splats at once, where a file has levels
 const MOST_ATOMS = 16; // of a splat, by the format
 const $ = (id) => document.getElementById(id);
 
 export class Viewer {
   /** `shaders` is the document of renderer/splats/gles.py. */
   constructor(shaders, options = {}) {
-    Object.assign(this, { canvas: $("canvas"), options, scale: 1, lamp: null, maxAtoms: MOST_ATOMS, isMeasuring: false, wanted: false, times: {} });
+    Object.assign(this, { canvas: $("canvas"), options, scale: 1, lamp: null, maxAtoms: MOST_ATOMS, isMeasuring: false, queued: false, times: {} });
+    this.budget = options.budget || (matchMedia("(pointer: coarse)").matches ? BUDGET_OF_TOUCH : BUDGET);
     this.renderer = new Renderer(this.canvas, shaders, options);
     new ResizeObserver(() => this.draw()).observe(this.canvas);
   }
@@ -27,7 +30,7 @@ export class Viewer {
     this.started = performance.now();
     const packed = await Packed.open(source);
     this.scene = new Scene(this.renderer.gl, packed);
-    await this.scene.load(() => this.nearest(), (stage) => this.heard(stage));
+    await this.scene.load(() => this.wanted(), (stage) => this.heard(stage));
   }
 
   heard(stage) {
@@ -81,6 +84,7 @@ export class Viewer {
     else if (event.code === "KeyL") $("light").click();
     else if (event.code === "KeyM") $("measure").click();
     else if (event.key === "Escape" && this.isMeasuring) this.toggleMeasuring();
+    else if (event.key === "Backspace" && this.isMeasuring) this.measure.undo(), this.draw();
     else if (event.key === "Enter" && this.isMeasuring) this.tapped(this.canvas.clientWidth / 2, this.canvas.clientHeight / 2, false);
     else return;
     event.preventDefault();
@@ -143,14 +147,14 @@ export class Viewer {
     $("photos").value = "";
     this.draw();
     clearTimeout(this.settling);
-    this.settling = setTimeout(() => { this.draw(); this.toAddress(); }, STILL_MS);
+    this.settling = setTimeout(() => { this.draw(); this.toAddress(); this.scene.wake?.(); }, STILL_MS);
   }
 
   draw() {
-    if (this.wanted || !this.camera) return;
-    this.wanted = true;
+    if (this.queued || !this.camera) return;
+    this.queued = true;
     requestAnimationFrame((now) => {
-      this.wanted = false;
+      this.queued = false;
       if (this.controls.step(now)) this.moved();
       const moves = performance.now() - (this.lastMove ?? -Infinity) < STILL_MS;
       this.frame(moves ? this.scale : 1);
@@ -177,7 +181,7 @@ export class Viewer {
     const [width, height] = this.size(1), started = performance.now();
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
     const view = this.camera.view(...this.size(scale));
-    this.splats = this.renderer.render(this.scene, view, { light: this.lamp, maxAtoms: this.maxAtoms });
+    this.splats = this.renderer.render(this.scene, view, { light: this.lamp, maxAtoms: this.maxAtoms, mostSplats: this.budget * scale * scale });
     this.renderer.present();
     this.renderer.wait();
     this.frameMs = performance.now() - started;
@@ -193,14 +197,23 @@ export class Viewer {
     return this.renderer.pixels();
   }
 
-  // Groups in the order in which they are wanted: those in view, the nearest first.
-  nearest() {
-    const { groupBoxes: boxes, packed } = this.scene, { eye, rows } = this.camera;
-    const far = Array.from({ length: packed.nGroups }, (_, group) => {
+  // Groups in the order in which they are wanted: coarse levels first, then those in view, the nearest first. Of levels those that the view
+  // asks for, and all above them.
+  wanted() {
+    const { scene } = this, { groupBoxes: boxes, packed, tree } = scene, { eye, rows } = this.camera;
+    const groups = Array.from({ length: packed.nGroups }, (_, group) => group);
+    const far = groups.map((group) => {
       const to = [0, 1, 2].map((i) => (boxes[6 * group + i] + boxes[6 * group + 3 + i]) / 2 - eye[i]), away = Math.hypot(...to);
       return away * (dot(to, rows[2]) > 0.5 * away ? 1 : 10);
     });
-    return far.map((_, group) => group).sort((a, b) => far[a] - far[b]);
+    if (!tree) return groups.sort((a, b) => far[a] - far[b]);
+    const view = this.camera.view(...this.size(1)), seen = new Set(visibleGroups(scene, view)), wanted = new Set();
+    const shares = sharesOf(tree, view, { mostSplats: this.budget, isSeen: (group) => seen.has(group) });
+    for (let group = packed.nGroups - 1; group >= 0; --group) {
+      if ((shares[group] > 0 && seen.has(group)) || tree.level[group] === 0) wanted.add(group);
+      if (wanted.has(group) && tree.parent[group] >= 0) wanted.add(tree.parent[group]), tree.children[tree.parent[group]].forEach((c) => wanted.add(c));
+    }
+    return [...wanted].sort((a, b) => tree.level[a] - tree.level[b] || far[a] - far[b]);
   }
 
   // --- words

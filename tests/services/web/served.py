@@ -19,7 +19,7 @@ from storage.packed.schema import Camera
 from tests.services.chromium import Page
 from tests.services.service_process import free_port
 
-READY = "!document.getElementById('problem').hidden || !!(window.viewer && viewer.complete && viewer.splats !== undefined && !viewer.wanted)"
+READY = "!document.getElementById('problem').hidden || !!(window.viewer && viewer.complete && viewer.splats !== undefined && !viewer.queued)"
 _TEXT = "(() => { const b = BYTES; let s = ''; for (let i = 0; i < b.length; i += 8192) s += String.fromCharCode(...b.subarray(i, i + 8192)); return btoa(s); })()"
 
 

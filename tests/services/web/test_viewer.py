@@ -191,6 +191,17 @@ def test_viewer__measures_a_scan_of_large_coordinates_to_a_radius(page, served):
     expected = np.linalg.norm(picked[1] - picked[0])
     assert shown[2][0] == pytest.approx(expected, rel=1e-4) and " m," in said
     page.until("document.querySelectorAll('#overlay circle').length === 2")
+    page.look(f"viewer.tapped({places[2][0]}, {places[2][1]}, false)")
+    said = page.look("document.getElementById('measured').textContent")
+    first, second, third = picked
+    sides = first - second, third - second
+    angle = np.degrees(np.arccos(sides[0] @ sides[1] / np.prod(np.linalg.norm(sides, axis=1))))
+    assert float(re.search(r"angle at B: ([\d.]+)", said)[1]) == pytest.approx(angle, rel=1e-3)
+    area = np.linalg.norm(np.cross(*sides)) / 2
+    assert float(re.search(r"area ([\d.e-]+) square m", said)[1]) == pytest.approx(area, rel=1e-3)
+    page.look("document.getElementById('canvas').focus()")
+    press(page, "Backspace", "Backspace")
+    assert "C:" not in page.look("document.getElementById('measured').textContent")
 
 
 def test_viewer__measures_by_keyboard_alone(page, served):

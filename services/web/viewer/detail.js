@@ -1,0 +1,72 @@
+// Which groups of a file with levels are drawn in a view, and with what share; mirrors renderer/splats/detail.py. Where children have not arrived
+// their parent stays, so there is never a hole.
+
+import { CHUNKS_PER_GROUP, GROUP } from "./packed.js";
+
+const FEWER = 4;
+const FADE = 1.5, COARSER = 2 ** 0.25, MOST_STEPS = 64;
+
+/** The groups of all levels, the coarsest first: boxes and sizes that hold those of their children, parents, children. */
+export function groupTree({ header, nGroups, nChunks }, { box_low: boxLow, box_size: boxSize }, radiusOfGroup) {
+  const counts = header.levels.map((n) => Math.ceil(n / GROUP)), parent = new Int32Array(nGroups).fill(-1), level = new Uint8Array(nGroups);
+  for (let i = 0, first = 0; i < counts.length; first += counts[i++]) {
+    level.fill(i, first, first + counts[i]);
+    if (i) for (let j = 0; j < counts[i]; ++j) parent[first + j] = first - counts[i - 1] + Math.min(Math.floor(j / FEWER), counts[i - 1] - 1);
+  }
+  const low = new Float64Array(3 * nGroups).fill(Infinity), high = new Float64Array(3 * nGroups).fill(-Infinity);
+  for (let chunk = 0; chunk < nChunks; ++chunk)
+    for (let axis = 0, at = 3 * Math.floor(chunk / CHUNKS_PER_GROUP); axis < 3; ++axis, ++at) {
+      low[at] = Math.min(low[at], boxLow[3 * chunk + axis]);
+      high[at] = Math.max(high[at], boxLow[3 * chunk + axis] + boxSize[3 * chunk + axis]);
+    }
+  const size = Float64Array.from({ length: nGroups }, (_, group) => radiusOfGroup(group)), children = Array.from({ length: nGroups }, () => []);
+  const nSplats = Uint32Array.from({ length: nGroups }, (_, group) => Math.min(GROUP, header.n_splats - group * GROUP));
+  for (let group = nGroups - 1; group >= 0; --group) { // the finest come first
+    const above = parent[group];
+    if (above < 0) continue;
+    children[above].push(group);
+    size[above] = Math.max(size[above], size[group]);
+    for (let axis = 0; axis < 3; ++axis) {
+      low[3 * above + axis] = Math.min(low[3 * above + axis], low[3 * group + axis]);
+      high[3 * above + axis] = Math.max(high[3 * above + axis], high[3 * group + axis]);
+    }
+  }
+  return { low, high, size, parent, level, children, nSplats, firstLeaf: nGroups - counts.at(-1) };
+}
+
+/**
+ * The share of each group, 0 where it is not drawn, and how large splats come to look at most. `pixels` of a splat's radius are wanted, more of
+ * them where else more than `mostSplats` of the groups that `isSeen` were drawn; 0 draws the finest level alone. Without `isHere` as if
+ * all had arrived.
+ */
+export function sharesOf(tree, view, { pixels = 1, mostSplats = Infinity, isSeen = () => true, isHere = null } = {}) {
+  const look = pixelsOf(tree, view);
+  let wanted = pixels, shares = cut(tree, look, wanted, isHere);
+  if (mostSplats === Infinity) return shares;
+  wanted ||= look.subarray(tree.firstLeaf).reduce((least, x) => Math.min(least, x), Infinity);
+  for (let step = 0; step < MOST_STEPS; ++step) {
+    const n = shares.reduce((sum, share, group) => sum + (share > 0 && isSeen(group) ? tree.nSplats[group] : 0), 0);
+    if (n <= mostSplats) break;
+    shares = cut(tree, look, (wanted *= COARSER), isHere);
+  }
+  return shares;
+}
+
+function pixelsOf({ low, high, size }, { eye, fx, fy }) {
+  return Float64Array.from(size, (s, group) => {
+    const off = eye.map((e, axis) => Math.max(0, low[3 * group + axis] - e, e - high[3 * group + axis]));
+    return (Math.max(fx, fy) * s) / Math.hypot(...off);
+  });
+}
+
+function cut({ parent, children, firstLeaf }, look, wanted, isHere) {
+  const refined = new Float32Array(look.length), shares = new Float32Array(look.length);
+  for (let group = 0; group < look.length; ++group) { // parents come first
+    const above = parent[group] < 0 ? 1 : refined[parent[group]];
+    const share = wanted > 0 ? Math.min(1, Math.max(0, (look[group] / wanted - 1) / (FADE - 1))) : 1;
+    const may = group < firstLeaf && above > 0 && children[group].length > 0 && (!isHere || children[group].every(isHere));
+    refined[group] = may ? share : 0;
+    shares[group] = above * (1 - refined[group]);
+  }
+  return shares;
+}
