@@ -13,6 +13,7 @@ from pipeline.stages.volumes.voxels import Voxels
 from pipeline.volumes.open import open_volume
 from pipeline.volumes.request import PALETTE, Iso, SurfaceRequest, parse_isos, parse_spacing
 from pipeline.volumes.volume import Choice
+from services.flow.fingerprint import fingerprint
 from services.flow.run import Run
 from storage.errors import InvalidScan, UnsupportedScan
 
@@ -67,8 +68,7 @@ def refuse_surfaces(scan: Path, asked: SurfaceRequest) -> None:
 
 def _fingerprint(path: Path, choice: Choice) -> str:
     """A hash of the sizes and times of all the files that a volume is read from."""
-    state = hashlib.sha256()
-    for file in map(Path, open_volume(path, choice).files):
-        stat = file.stat()
-        state.update(f"{file.name}\0{stat.st_size}\0{stat.st_mtime_ns}\n".encode())
-    return state.hexdigest()
+    if path.is_dir():
+        return fingerprint(path)
+    files = map(Path, open_volume(path, choice).files)
+    return hashlib.sha256("\n".join(fingerprint(file) for file in files).encode()).hexdigest()

@@ -150,7 +150,9 @@ class _Bytes:
     def has_more(self) -> bool:
         try:
             return bool(self._guarded(1))
-        except InvalidScan:  # what follows the compressed voxels is no more of them
+        except InvalidScan as error:
+            if "Not a gzipped file" not in str(error):  # a checksum that is wrong, or missing
+                raise
             return True
 
     def _exactly(self, n_bytes: int) -> bytes:

@@ -68,10 +68,18 @@ def test_nrrd__data_longer_than_promised_is_a_warning_and_shorter_an_error(tmp_p
 @pytest.mark.parametrize("encoding", ["gzip", "bzip2"])
 def test_nrrd__every_cut_of_a_compressed_file_is_an_error_of_its_own(tmp_path, encoding):
     whole = nrrd_header(RAMP, encoding) + packed(RAMP.tobytes(), encoding)
-    for n in range(20, len(whole) - 12, 7):
+    for n in [*range(20, len(whole) - 12, 7), *range(len(whole) - 12, len(whole))]:
         (tmp_path / "a.nrrd").write_bytes(whole[:n])
         with pytest.raises((InvalidScan, UnsupportedScan)):
             read(open_volume(tmp_path / "a.nrrd"))
+
+
+def test_nrrd__a_wrong_checksum_is_an_error(tmp_path):
+    whole = bytearray(nrrd_header(RAMP, "gzip") + packed(RAMP.tobytes(), "gzip"))
+    whole[-6] ^= 1
+    (tmp_path / "a.nrrd").write_bytes(whole)
+    with pytest.raises(InvalidScan, match="CRC"):
+        read(open_volume(tmp_path / "a.nrrd"))
 
 
 def test_nrrd__directions_origin_space_and_unit(tmp_path):
