@@ -23,13 +23,37 @@ OPTIONS = {"target_psnr_db": 32.0, "training_splats": 2000, "iterations": 40, "l
 
 def test_compose__only_the_api_is_published_and_every_service_has_a_health_check_and_restarts():
     services = COMPOSE["services"]
-    assert set(services) == {*OURS, "postgres"}
-    assert [name for name, s in services.items() if "ports" in s] == ["api"]
+    assert set(services) == {*OURS, "postgres", "proxy"}
+    assert [name for name, s in services.items() if "ports" in s and "profiles" not in s] == ["api"]
     for name in ("scheduler", "worker", "render-worker", "postgres"):
         assert services[name]["networks"] == ["inside"]
     assert COMPOSE["networks"]["inside"]["internal"] is True
     assert all(s["restart"] == "unless-stopped" and s["healthcheck"]["test"] for s in services.values())
     assert all(services[name]["user"] == "10001:10001" for name in OURS)
+
+
+def test_compose__every_service_has_limits_rotated_logs_and_a_pinned_image():
+    for name, found in COMPOSE["services"].items():
+        assert (
+            found["mem_limit"] and found["cpus"] and found["pids_limit"] and found["logging"]["options"]["max-size"]
+        ), name
+        assert name in OURS or re.search(r":\d+\.\d+", found["image"]), name
+
+
+def test_compose__tls_is_a_profile_whose_proxy_reaches_the_api_alone():
+    proxy = COMPOSE["services"]["proxy"]
+    assert proxy["profiles"] == ["tls"] and proxy["networks"] == ["outside"]
+    rules = (ROOT / "deploy" / "Caddyfile").read_text()
+    assert "{$SPLATPRESS_DOMAIN}" in rules and "reverse_proxy api:8000" in rules and "flush_interval -1" in rules
+    mounted = proxy["volumes"][0].partition(":")[0]
+    assert (ROOT / mounted).is_file()
+
+
+def test_compose__what_the_image_is_built_of_is_all_that_docker_is_sent():
+    lines = [line for line in (ROOT / ".dockerignore").read_text().splitlines() if line and not line.startswith("#")]
+    copied = re.findall(r"^COPY ([\w./]+) ", (ROOT / "deploy" / "Dockerfile").read_text(), re.M)
+    assert lines[0] == "*" and {line[1:] for line in lines if line.startswith("!")} == set(copied)
+    assert all((ROOT / name).exists() for name in copied)
 
 
 def test_compose__dask_runs_there_as_in_one_command():
