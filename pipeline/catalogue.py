@@ -139,6 +139,11 @@ CATALOGUE = (
         "a gain for each station's light", ("panoramas", "splats"), share=3, when="maps of several stations",
     ),
     StageEntry(
+        "map-cliplines", "stages/maps/map_cliplines.py", Phase.TEXTURE, Task.BLOCK,
+        "a line for each splat that reaches over a silhouette of its map", ("panoramas", "splats"), share=2,
+        when="station maps, and the plan has cliplines on",
+    ),
+    StageEntry(
         "resample-maps", "stages/maps/resample_maps.py", Phase.TEXTURE, Task.BLOCK,
         "32x32 patches from the map that shows a splat best", ("panoramas", "splats"), share=12, when="station maps",
     ),

@@ -34,16 +34,17 @@ class Squares:
     """Splats as squares with a frame. Rows correspond; lengths are in the scan's unit."""
 
     centre: np.ndarray  # (n, 3) float64 against the station
-    u: np.ndarray  # (n, 3) unit
-    v: np.ndarray  # (n, 3) unit
+    u: np.ndarray  # (n, 3) tangents, at right angles to each other, in radii
+    v: np.ndarray  # (n, 3)
     radius: np.ndarray  # (n,)
 
     def only(self, rows: np.ndarray) -> Squares:
         return Squares(self.centre[rows], self.u[rows], self.v[rows], self.radius[rows])
 
     @property
-    def normal(self) -> np.ndarray:
-        return np.cross(self.u, self.v)
+    def normal(self) -> np.ndarray:  # (n, 3) unit
+        normal = np.cross(self.u, self.v)
+        return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
 
 
 def slack(squares: Squares, step: float) -> np.ndarray:
@@ -62,6 +63,26 @@ def seen_at_centre(station_map: StationMap, squares: Squares) -> np.ndarray:
     share = slack(squares, frame.projection.step) / np.maximum(distance, 1e-30)
     off = share * frame.codes_an_e_fold
     return _seen(station_map.depth, squares.centre, _code(distance, frame), off) & (share <= MOST_OF_DISTANCE)
+
+
+def foreign_points(station_map: StationMap, squares: Squares, points: np.ndarray) -> np.ndarray:
+    """(n, m) bool: which of `points` (m, 2) of a splat's unit disc the map shows nothing of, or another surface in place of
+    it."""
+    frame = station_map.frame
+    foreign = np.zeros((len(squares.radius), len(points)), bool)
+    _mark_foreign(
+        station_map.depth,
+        1.0 / frame.nearest,
+        frame.codes_an_e_fold,
+        squares.centre,
+        squares.u,
+        squares.v,
+        squares.radius,
+        slack(squares, frame.projection.step),
+        points,
+        foreign,
+    )
+    return foreign
 
 
 def sample_patches(
@@ -105,6 +126,24 @@ def _seen(depth, centre, code, off):
             there = depth[min(int(row), height - 1), min(int(column), 6 * height - 1)]
             found[i] = there != NOTHING and abs(there - code[i]) <= off[i]
     return found
+
+
+@kernel(error_model="numpy")
+def _mark_foreign(depth, per_nearest, codes, centre, u, v, radius, slack, points, foreign):
+    height = depth.shape[0]
+    for i in range(len(radius)):
+        for j in range(len(points)):
+            a, b = radius[i] * points[j, 0], radius[i] * points[j, 1]
+            x = centre[i, 0] + a * u[i, 0] + b * v[i, 0]
+            y = centre[i, 1] + a * u[i, 1] + b * v[i, 1]
+            z = centre[i, 2] + a * u[i, 2] + b * v[i, 2]
+            away = np.sqrt(x * x + y * y + z * z)
+            if slack[i] <= MOST_OF_DISTANCE * away:
+                column, row = in_chart(chart_of(x, y, z), x, y, z, height)
+                there = depth[min(int(row), height - 1), min(int(column), 6 * height - 1)]
+                foreign[i, j] = (
+                    there == NOTHING or abs(there - np.log(away * per_nearest) * codes) > slack[i] / away * codes
+                )
 
 
 @part(error_model="numpy")

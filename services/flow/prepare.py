@@ -14,6 +14,7 @@ from pipeline.effects.station_maps import has_maps
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
 from pipeline.readers.attributes.options import ReadOptions
+from pipeline.stages.maps.map_cliplines import MapCliplines
 from pipeline.stages.points.depth_maps import DepthMaps
 from pipeline.stages.points.grid_counts import IN_MEMORY, GridCounts
 from pipeline.stages.points.ingest import Ingest
@@ -91,7 +92,11 @@ def with_maps(run: Run, prepared: Prepared, edited: Path | None = None) -> Prepa
     splats, directions = prepared.splats.folder, directions_of(prepared.scan.summary["cameras"])
     folder = with_edits(run, drawn.folder, edited)
     maps = maps_for(run, folder, prepared.partition.folder, splats, prepared.radius, directions)
-    return replace(prepared, maps=maps)
+    built = dict(prepared.built)
+    if "cliplines" in built:
+        lines = MapCliplines(folder, prepared.partition.folder, splats, prepared.radius, *directions)
+        built["cliplines"] = run.do(lines).folder
+    return replace(prepared, maps=maps, built=tuple(built.items()))
 
 
 def _all_points(run: Run, prepared: Prepared) -> tuple[StageRecord, StageRecord]:

@@ -1,0 +1,69 @@
+"""Cliplines of splats that reach over a silhouette, as the map that textures each of them shows it.
+
+The alpha of the panoramic system trims splats fragment by fragment (CEIG 2019, section 3.1); a line a splat does most of that in 12 bits, and
+needs no map where it is drawn. Maps have all points of a scan, so they know its edges better than the points that became splats.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.effects.cliplines.lines import best_lines, disc_points
+from pipeline.effects.cliplines.stage import LEAST_GAIN
+from pipeline.geometry.frame import Direction
+from pipeline.maps.choice import NO_STATION, best_stations
+from pipeline.maps.sample import Squares, foreign_points
+from pipeline.maps.station_map import StationMap
+from pipeline.stages.maps.resample_maps import MappedSplats
+from storage.work import arrays, work
+
+ROWS = 2048  # splats at a time
+
+
+@dataclass(frozen=True)
+class MapCliplines:
+    """A task a block. Arrays as those of `Cliplines`: has_clipline (n,) bool, clipline (n,) uint32."""
+
+    maps: Path
+    partition: Path
+    splats: Path
+    radius: float
+    up: Direction
+    ahead: Direction
+    name = "map-cliplines"
+
+    def init(self, folder: Path) -> int:
+        n = work.summary(self.splats)["n_splats"]
+        arrays.create(folder, "has_clipline", (n,), "bool")
+        arrays.create(folder, "clipline", (n,), "uint32")
+        return arrays.n_blocks(n)
+
+    def run(self, folder: Path, index: int) -> dict:
+        start, stop = arrays.block_range(index, work.summary(self.splats)["n_splats"])
+        splats = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
+        best = best_stations(splats.map_of, splats.n_stations, splats.squares, splats.own)
+        code, has = np.zeros(stop - start, np.uint32), np.zeros(stop - start, bool)
+        for station in np.unique(best[best != NO_STATION]):
+            station_map = splats.map_of(int(station))
+            squares, rows = splats.squares(station_map), np.flatnonzero(best == station)
+            for at in range(0, len(rows), ROWS):
+                some = rows[at : at + ROWS]
+                code[some], has[some] = _lines(station_map, squares.only(some))
+        arrays.write(folder, "has_clipline", start, has)
+        arrays.write(folder, "clipline", start, code)
+        return {"n_splats": len(has), "n_clipped": int(has.sum())}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        return {"n_clipped": sum(r["n_clipped"] for r in results)}
+
+
+def _lines(station_map: StationMap, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
+    foreign = foreign_points(station_map, squares, disc_points()[0])
+    code, has = np.zeros(len(foreign), np.uint32), np.zeros(len(foreign), bool)
+    some = np.flatnonzero(foreign.any(axis=1) & ~foreign.all(axis=1))
+    code[some], gain = best_lines(foreign[some])
+    has[some] = gain >= LEAST_GAIN
+    return np.where(has, code, 0), has
