@@ -18,7 +18,7 @@ from pipeline.execution.compiled import kernel, part
 from pipeline.maps.station_map import MapFrame, StationMap, encode_distances
 from pipeline.numerics.srgb import LINEAR_OF_LEVEL, levels_of_linear
 
-NARROWEST, WIDEST = 0.75, 2.5  # radii of splats in steps of the map: no holes between texels, and no blobs of strays
+NARROWEST, WIDEST = 0.75, 6.0  # radii of splats in steps of the map: no holes between texels, and no blobs of strays
 SHARPNESS = 3  # of weights: 1 is the renderer's; maps are looked up once more, and splats blended once more
 MARGIN = 1.0  # radii behind the nearest surface that still blend with it
 OWN_TEXEL = 0.71  # steps: half of a texel's diagonal

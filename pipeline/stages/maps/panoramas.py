@@ -13,6 +13,7 @@ from pipeline.maps.draw import NARROWEST, WIDEST, draw_color, draw_depth, empty_
 from pipeline.maps.station_map import MapFrame, StationMap
 from pipeline.splats.colors import point_colors
 from pipeline.splats.normals import turned_to
+from pipeline.splats.sizes import needed_sizes
 from storage.work import arrays, work
 
 # Of a station's spacings, in radians: that of surfaces that face it. Slanted ones, and thin ones, have wider ones.
@@ -105,7 +106,8 @@ class _Station:
         for (start, stop, rows), local, spacing in self._blocks():
             normal = arrays.read(s.neighbours, "normal", start, stop)[rows].astype(np.float64)
             distance = np.linalg.norm(local, axis=1)
-            radius = np.clip(np.nan_to_num(spacing), NARROWEST * step * distance, WIDEST * step * distance)
+            size = needed_sizes(local, spacing, 0.0)
+            radius = np.clip(size, NARROWEST * step * distance, WIDEST * step * distance)
             turned = np.zeros((stop - start, 3))
             turned[rows] = turned_to(normal, -local)
             yield local, normal, radius, point_colors(scan, s.partition, turned, start, stop)[rows]

@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.maps.choice import NO_STATION, OWN_BONUS, best_stations, sharpness
 from pipeline.maps.light import levels_with
-from pipeline.maps.sample import Squares, fill, sample_patches, seen_at_centre
+from pipeline.maps.sample import Squares, fill, foreign_points, sample_patches, seen_at_centre
 from pipeline.maps.station_map import MapFrame, StationMap, encode_distances
 from storage.packed.schema import PATCH_SIZE
 from tests.stations import cast, room_color, scanned
@@ -157,3 +157,18 @@ def test_sample__a_drawn_map_serves_like_an_ideal_one():
     assert share.min() > 0.99
     for i in range(len(HARD)):
         assert np.abs(patches[i].reshape(-1, 3) - room_color(texels_of(squares, i, seen.centre))).mean() < 6
+
+
+def test_foreign__points_of_a_disc_over_a_silhouette_are_another_surface_s_and_those_over_void_nobody_s():
+    centre = np.zeros(3)
+    points = np.array([[0.0, 0.0], [0.8, 0.0], [-0.8, 0.0], [0.0, 0.8]])
+    edge = np.array([[1.45, 0.15, 0.0]])  # of the pillar: the wall lies beyond it for smaller y
+    on_edge = Squares(edge, np.array([[0.0, 1, 0]]), np.array([[0.0, 0, 1]]), np.array([0.1]))
+    station_map = ideal_map(centre)
+    # the pillar's face is at x = 0.95; the disc lies where its far corner is, so only what the ray meets there is its own
+    near = Squares(np.array([[0.95, 0.158, 0.0]]), on_edge.u, on_edge.v, np.array([0.1]))
+    assert foreign_points(station_map, near, points).tolist() == [[False, False, True, False]]
+    nothing = StationMap(station_map.frame, station_map.color, np.full_like(station_map.depth, 65535))
+    assert foreign_points(nothing, near, points).all()
+    around = Squares(np.zeros((1, 3)), on_edge.u, on_edge.v, np.array([1.0]))
+    assert not foreign_points(station_map, around, points).any(), "of what surrounds the station the map says nothing"

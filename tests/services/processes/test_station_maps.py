@@ -20,10 +20,10 @@ from services.processes.compress import compress
 from storage.errors import InvalidScan
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Camera
-from storage.work import work
+from storage.work import arrays, work
 from tests.pipeline.execution.test_stage import Heard
 from tests.services.scans import point_scan
-from tests.stations import cast, room_color, scanned, write_e57
+from tests.stations import HALF, PILLAR, cast, room_color, scanned, write_e57
 
 SETTINGS = settings_for("draft", density=0.1, radius=0.25, training_splats=4000, iterations=2)
 STATIONS = [[-1.0, -0.8, 0.2], [0.4, 1.3, -0.1]]
@@ -178,3 +178,24 @@ def test_compress__an_empty_folder_of_maps_is_an_error_that_names_what_it_should
     with pytest.raises(InvalidScan, match="none texture"):
         settings = replace(SETTINGS, texture="color")
         compress(scan, tmp_path / "out", settings, SerialExecutor(), Heard(), **run)
+
+
+def test_maps__cliplines_come_from_their_silhouettes(made):
+    """The pillar's edges are some: splats on the pillar that reach over them are clipped, those amid walls are not."""
+    report, path, folder = made(replace(SETTINGS, effects="cliplines=on,ellipsoids=off"))
+    assert "map-cliplines" in stages_of(report)
+    lines = max(folder.glob("map-cliplines-*"), key=lambda p: p.stat().st_mtime_ns)
+    (partition,) = (p for p in folder.glob("partition-*") if is_thinned(p))
+    has = arrays.read(lines, "has_clipline")
+    position = arrays.read(partition, "position") + work.summary(partition)["origin"]
+    with PackedFile(path) as packed:
+        scene = packed.load()
+    assert sum(batch.clipline for batch in scene.header.batches) and 0 < has.mean() < 0.5
+    off_pillar = np.abs(position[:, :2] - PILLAR[:2]).max(axis=1)
+    of_pillar = np.abs(off_pillar - PILLAR[2]) < 1e-3
+    amid_walls = (off_pillar > 1.0) & ((HALF - np.abs(position) > 0.6).sum(axis=1) == 2)
+    assert has[of_pillar].mean() > 0.1 and has[amid_walls].mean() < 0.05
+
+
+def is_thinned(partition: Path) -> bool:
+    return work.summary(partition)["n_splats"] < 20_000
