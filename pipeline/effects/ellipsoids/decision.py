@@ -23,6 +23,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pipeline.effects.ellipsoids.corners import are_corners
 from pipeline.effects.ellipsoids.fit import moments, principal_axes
@@ -99,13 +100,14 @@ def thin_splats(
     thin = ~are_wide(point, around, REACH_RADII * radius, CROSSING_WIDE_RADII * radius)
     open_ = np.flatnonzero(thin)
     if len(open_):
-        near = gather(point[open_], around, REACH_RADII * radius)
-        thin[open_] = _thin_of_open(point[open_], around, radius, noise, near)
+        tree = cKDTree(around) if len(around) else None
+        near = gather(point[open_], around, REACH_RADII * radius, tree)
+        thin[open_] = _thin_of_open(point[open_], around, radius, noise, near, tree)
     return thin
 
 
 def _thin_of_open(
-    point: np.ndarray, around: np.ndarray, radius: float, noise: float, near: Neighbourhood
+    point: np.ndarray, around: np.ndarray, radius: float, noise: float, near: Neighbourhood, tree: cKDTree | None = None
 ) -> np.ndarray:  # (n,) bool
     deviation, _ = principal_axes(moments(near.offset, near.count)[1])
     thin = decide(near, deviation, radius, noise).ellipsoid
@@ -115,7 +117,7 @@ def _thin_of_open(
     thin[rows] = at_crossings(near.offset[rows] / radius)
     for scale in WIDER:
         rows = np.flatnonzero(thin)
-        further = gather(point[rows], around, scale * REACH_RADII * radius)
+        further = gather(point[rows], around, scale * REACH_RADII * radius, tree)
         thin[rows] = ~flat_further_out(further, scale * radius, noise)
         if scale == WIDER[0]:
             flatness = 0.5 * _tolerance(radius, noise) * radius

@@ -28,24 +28,46 @@ class Neighbourhood:
     count: np.ndarray  # (n,) int64; 0 where the paper discards the point: too few neighbours that are no outliers
 
 
+def distinct(position: np.ndarray) -> np.ndarray:
+    """Each position (n, 3) once, in the order of their coordinates."""
+    ordered = position[np.lexsort(position.T[::-1])]
+    is_first = np.ones(len(ordered), bool)
+    is_first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    return ordered[is_first]
+
+
 def thinned(position: np.ndarray, cell: float) -> np.ndarray:
     """One point of each cell of a grid that is there whatever the points: that of the lowest coordinates."""
-    order = np.lexsort(position.T[::-1])
-    _, first = np.unique(np.floor(position[order] / cell).astype(np.int64), axis=0, return_index=True)
-    return position[order[np.sort(first)]]
+    return thinned_of_distinct(distinct(position), cell)
 
 
-def gather(point: np.ndarray, around: np.ndarray, reach: float) -> Neighbourhood:
+def thinned_of_distinct(ordered: np.ndarray, cell: float) -> np.ndarray:
+    """`thinned` of what `distinct` gives, or of a part of it in its order."""
+    if not len(ordered):
+        return ordered
+    cells = np.floor(ordered / cell).astype(np.int64)
+    cells -= cells.min(axis=0)
+    size = cells.max(axis=0) + 1
+    if float(size[0]) * float(size[1]) * float(size[2]) < 2.0**62:
+        key = (cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2]
+        _, first = np.unique(key, return_index=True)
+    else:
+        _, first = np.unique(cells, axis=0, return_index=True)
+    return ordered[np.sort(first)]
+
+
+def gather(point: np.ndarray, around: np.ndarray, reach: float, tree: cKDTree | None = None) -> Neighbourhood:
     """The neighbourhoods of `point` (n, 3) among `around` (m, 3), which are distinct and hold all within
     OUTLIER_REACHES reaches.
 
     Members are those within `reach`; where they are fewer than LEAST, the nearest LEAST that are no outliers; where
-    those are fewer than LEAST_AFTER_OUTLIERS, none. A point that thinning took out of `around` is put back.
+    those are fewer than LEAST_AFTER_OUTLIERS, none. A point that thinning took out of `around` is put back. `tree` is that of
+    `around`, where it is known.
     """
     if not len(around):
         return Neighbourhood(np.zeros((len(point), MOST, 3)), np.zeros(len(point), np.int64))
     k = min(MOST, len(around))
-    distance, index = cKDTree(around).query(point, k=k, distance_upper_bound=OUTLIER_REACHES * reach)
+    distance, index = (tree or cKDTree(around)).query(point, k=k, distance_upper_bound=OUTLIER_REACHES * reach)
     distance, index = distance.reshape(len(point), k), index.reshape(len(point), k)
     offset = np.zeros((len(point), MOST, 3))
     offset[:, :k] = np.where(

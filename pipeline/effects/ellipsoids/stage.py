@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.effects.ellipsoids.classes import radius_classes
 from pipeline.effects.ellipsoids.decision import WIDEST_RADII, thin_splats
 from pipeline.effects.ellipsoids.fit import fit
-from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, thinned
+from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, distinct, thinned_of_distinct
 from pipeline.splats.decoded import splat_radii
 from storage.work import arrays, work
 
@@ -41,12 +41,16 @@ class Ellipsoids:
         position = arrays.read(self.partition, "position", start, stop)
         thin, centre = np.zeros(stop - start, bool), np.zeros((stop - start, 3))
         axes = np.zeros((stop - start, 3, 3), np.float32)
-        for radius, rows in radius_classes(splat_radii(self.sizes, self.radius, start, stop), self.radius):
-            points = self._points_about(position[rows], WIDEST_RADII * radius)
-            found = thin_splats(position[rows], thinned(points, CELL_RADII * radius), radius, self.noise_radii * radius)
+        classes = list(radius_classes(splat_radii(self.sizes, self.radius, start, stop), self.radius))
+        widest = max((radius for radius, _ in classes), default=self.radius)
+        there = distinct(self._points_about(position, WIDEST_RADII * widest))
+        for radius, rows in classes:
+            points = _about(there, position[rows], WIDEST_RADII * radius)
+            around = thinned_of_distinct(points, CELL_RADII * radius)
+            found = thin_splats(position[rows], around, radius, self.noise_radii * radius)
             rows = rows[found]
             if len(rows):
-                offset, axes[rows] = fit(position[rows], np.unique(points, axis=0), radius)
+                offset, axes[rows] = fit(position[rows], points, radius)
                 centre[rows] = position[rows] + offset
                 thin[rows] = True
         for name, rows in (("has_ellipsoid", thin), ("centre", centre), ("axes", axes)):
@@ -66,5 +70,11 @@ class Ellipsoids:
         found = []
         for block in np.flatnonzero(((low <= to) & (high >= from_)).all(axis=1)):
             points = arrays.read(self.partition, "position", *arrays.block_range(int(block), summary["n_splats"]))
-            found.append(points[((points >= from_) & (points <= to)).all(axis=1)])
+            found.append(_about(points, some, reach))
         return np.concatenate(found)
+
+
+def _about(points: np.ndarray, some: np.ndarray, reach: float) -> np.ndarray:
+    """Of `points` (n, 3) those in the box of `some` (m, 3), grown by `reach`, in their order."""
+    from_, to = some.min(axis=0) - reach, some.max(axis=0) + reach
+    return points[((points >= from_) & (points <= to)).all(axis=1)]

@@ -6,6 +6,7 @@ source that holds one can be sent to another process. An archive is never unpack
 
 from __future__ import annotations
 
+import errno
 import io
 import lzma
 import os
@@ -118,7 +119,9 @@ class Archive:
         try:
             with zipfile.ZipFile(self.path) as archive, archive.open(self.filed_as[name]) as member:
                 yield io.BufferedReader(member, _BLOCK_BYTES)
-        except _DAMAGE as error:
+        except (*_DAMAGE, OSError) as error:
+            if isinstance(error, OSError) and error.errno != errno.EINVAL:  # a place that no file has
+                raise
             raise InvalidScan(self.label(name), f"damaged inside the archive ({error})", "a whole .zip") from error
 
     @contextmanager
@@ -141,6 +144,9 @@ Members = Folder | Archive
 
 
 def _check_entry(path: str, entry: zipfile.ZipInfo, name: str) -> None:
+    if not 0 <= entry.header_offset < os.path.getsize(path):
+        where = f"{path}:{shown(name)}"
+        raise InvalidScan(where, f"a member at byte {entry.header_offset}", "one within the archive")
     if escapes(name):
         raise InvalidScan(f"{path}:{shown(name)!r}", "a name that leaves the archive", "relative names without '..'")
     if stat.S_ISLNK(entry.external_attr >> 16):
