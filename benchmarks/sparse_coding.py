@@ -20,6 +20,7 @@ from pipeline.coding.omp import pursue_patches, ready_for
 from pipeline.execution.threads import available_cores
 
 N_ATOMS = 8
+SPAMS = "SPAMS omp"  # which is order-recursive: "ormp" is its equal, OMP leaves more
 
 
 def peers(patches: np.ndarray, dictionary: np.ndarray) -> tuple[dict, dict[str, int], list[str]]:
@@ -29,8 +30,8 @@ def peers(patches: np.ndarray, dictionary: np.ndarray) -> tuple[dict, dict[str, 
         import spams
 
         y, d = np.asfortranarray(patches.T), np.asfortranarray(dictionary.T)
-        works["SPAMS omp"] = lambda: spams.omp(y, d, L=N_ATOMS, eps=0.0, numThreads=-1)
-        counts["SPAMS omp"] = len(patches)
+        works[SPAMS] = lambda: spams.omp(y, d, L=N_ATOMS, eps=0.0, numThreads=-1)
+        counts[SPAMS] = len(patches)
     except ImportError:
         missing.append("SPAMS is not installed (pip install spams-bin)")
     try:
@@ -60,6 +61,7 @@ def ours(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray) -> dict
         "exact": lambda: pursue_patches(patches, whole, search="exact", **options),
         "certified": lambda: pursue_patches(patches, ready, search="certified", **options),
         "approximate": lambda: pursue_patches(patches, ready, search="approximate", **options),
+        "ormp, certified": lambda: pursue_patches(patches, ready, search="certified", pursuit="ormp", **options),
         "in components": lambda: pursue_patches(coefficients, in_components, search="exact", **options),
     }
 
@@ -71,7 +73,12 @@ def measure(patches: np.ndarray, dictionary: np.ndarray, basis: np.ndarray, roun
     taken = in_turns(works | others, rounds, processor)
     rate = {name: counts.get(name, len(patches)) / s for name, s in taken.items()}
     cost = {name: 1e6 * s / counts.get(name, len(patches)) for name, s in processor.items()}
-    error = {name: float(works[name]().residual.sum()) for name in ("exact", "certified", "approximate")}
+    error = {
+        name: float(works[name]().residual.sum()) for name in ("exact", "certified", "approximate", "ormp, certified")
+    }
+    if SPAMS in others:
+        decoded = (dictionary.T @ others[SPAMS]().toarray()).T
+        error[SPAMS] = float(((patches - decoded).astype(np.float64) ** 2).sum())
     return {
         "atoms": len(dictionary),
         "patches": len(patches),
