@@ -67,9 +67,9 @@ class Pursuit(NamedTuple):
 
     codes: Codes
     weight_code: np.ndarray  # (n, r) int32, index into the weight levels of the rank; zeros where weights are exact
-    path: (
-        np.ndarray
-    )  # (n, r + 1) float64: the squared norm of what is left with no atom, one, and so on; zeros beyond n_atoms
+    # (n, r + 1) float64: the squared norm of what is left with no atom, one, and so on; zeros beyond n_atoms. Of a beam, what
+    # the best support of as many atoms leaves, which need not be the first of the codes'.
+    path: np.ndarray
 
     @property
     def residual(self) -> np.ndarray:

@@ -456,7 +456,7 @@ VIEW_KNOBS = (
         int,
         "atoms of each splat that are drawn, the first of those it has",
         "frame time, which grows with atoms",
-        "what later atoms would mend: they were chosen after these, so the first are the best of as many",
+        "what later atoms would mend: they were chosen after these, so the first are the best of as many, or nearly where a beam chose them",
         "render",
         low=0,
         high=MAX_ATOMS,
