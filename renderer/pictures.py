@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import tempfile
 from pathlib import Path
 
@@ -23,6 +24,26 @@ def save_picture(path: Path, rgb: np.ndarray) -> None:
     """Write a PNG, or by the ending .jpg a JPEG; it appears under its name only when it is whole."""
     path = Path(path)
     write_whole(path, _encoded(rgb, "jpeg" if path.suffix == ".jpg" else "png", PHOTO_QUALITY))
+
+
+def on_background(rgb: np.ndarray, coverage: np.ndarray, background: tuple[int, int, int] | None = None) -> np.ndarray:
+    """A picture (height, width, 3) with its coverage (height, width) as alpha, 0 or 255, or opaque on a colour."""
+    if background is None:
+        return np.dstack([rgb, np.where(coverage, 255, 0).astype(np.uint8)])
+    return np.where(coverage[..., None], rgb, np.array(background, np.uint8))
+
+
+def save_animation(path: Path, frames: list[np.ndarray], frames_a_second: int = 25) -> None:
+    """Frames (height, width, 3 or 4) as an endless WebP; it appears under its name only when it is whole."""
+    from PIL import Image
+
+    first, *others = (Image.fromarray(frame) for frame in frames)
+    made = io.BytesIO()
+    first.save(
+        made, "WEBP", save_all=True, append_images=others, duration=round(1000 / frames_a_second), loop=0, quality=80,
+        minimize_size=False,
+    )  # fmt: skip
+    write_whole(Path(path), made.getvalue())
 
 
 def resized(rgb: np.ndarray, width_px: int, height_px: int) -> np.ndarray:

@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from renderer.evaluate.compare import psnr_db, ssim
-from renderer.pictures import resized, save_picture
+from renderer.evaluate.holes import outline_holes
+from renderer.pictures import on_background, resized, save_picture
 from renderer.splats.baseline import PhotoSplats
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
@@ -57,11 +58,11 @@ def make_previews(
 ) -> list[dict]:
     """Write pictures into `folder`/previews and return the rows of `quality.views` of the report.
 
-    From up to `n_cameras` of the scene's cameras, evenly among them: `NAME.packed.png` and, with `read_photo`,
+    Renderings are PNGs whose alpha is their coverage. From up to `n_cameras` of the scene's cameras, evenly among them: `NAME.packed.png` and, with `read_photo`,
     `NAME.baseline.png` and `NAME.photo.jpg`. Without cameras: `n_orbits` views around the scene, packed alone.
     `progress` is told after every view how many of them are done.
 
-    Each row has `camera`, `width_px`, `height_px`, `coverage`, the FIGURES (None where there is nothing to compare
+    Each row has `camera`, `width_px`, `height_px`, `coverage`, `holes` (of its outline, see `holes.py`), the FIGURES (None where there is nothing to compare
     with), `device` (what drew it), `accumulation` (see renderer/splats/targets.py), `seconds` and `baseline_seconds` by
     render pass (None without a baseline), and `pictures` by kind, as paths relative to `folder`.
 
@@ -157,9 +158,9 @@ def _draw(
 def _save(
     folder: Path, name: str, packed: Picture, baseline: Picture | None, photo: np.ndarray | None
 ) -> dict[str, str]:
-    pictures = {"packed": (f"{FOLDER}/{name}.packed.png", packed.rgb)}
+    pictures = {"packed": (f"{FOLDER}/{name}.packed.png", on_background(packed.rgb, packed.coverage))}
     if baseline is not None:
-        pictures["baseline"] = (f"{FOLDER}/{name}.baseline.png", baseline.rgb)
+        pictures["baseline"] = (f"{FOLDER}/{name}.baseline.png", on_background(baseline.rgb, baseline.coverage))
     if photo is not None:
         pictures["photo"] = (f"{FOLDER}/{name}.photo.jpg", photo)
     for path, rgb in pictures.values():
@@ -183,6 +184,7 @@ def _row(view: Camera, packed: Picture, baseline: Picture | None, photo: np.ndar
         | figures
         | {
             "coverage": float(covered.mean()),
+            "holes": outline_holes(packed.coverage),
             "accumulation": packed.accumulation,
             "programs": list(packed.programs),
             "seconds": packed.pass_seconds,

@@ -185,7 +185,9 @@ def _render(options: argparse.Namespace) -> int:
         _scan_path(options.packed),
         Path(options.out),
         camera=options.camera,
-        n_orbit=options.orbit,
+        n_orbit=options.turntable or options.orbit,
+        animated=bool(options.turntable),
+        background=options.background,
         size=options.size,
         max_atoms=options.atoms,
         precision=options.precision,
@@ -193,6 +195,25 @@ def _render(options: argparse.Namespace) -> int:
     )
     for path in paths:
         print(path)
+    return OK
+
+
+def _coverage(options: argparse.Namespace) -> int:
+    from services.processes.render import coverage_of
+
+    found = coverage_of(_scan_path(options.packed))
+    if options.json:
+        print(json.dumps(found))
+        return OK
+    print(
+        f"{'view':<12}{'holes':>9}{'behind':>9}{'before':>9}{'overdraw':>10}   of the surface, against discs of exact sizes"
+    )
+    for row in found["surface"]:
+        shares = "".join(f"{100 * row[k]:8.2f}%" for k in ("holes", "see_through", "before"))
+        print(f"{row['camera']:<12}{shares}{row['overdraw']:10.2f}")
+    print(f"{'view':<12}{'covered':>9}{'holes':>9}   of the picture; inside the outline, closed by 9x9 px")
+    for row in found["outline"]:
+        print(f"{row['camera']:<12}{100 * row['coverage']:8.2f}%{100 * row['holes']:8.2f}%")
     return OK
 
 
@@ -463,6 +484,17 @@ def _large_count(text: str) -> int:
     return int(number)
 
 
+def _color(text: str) -> tuple[int, int, int]:
+    digits = text.removeprefix("#")
+    try:
+        if len(digits) != 6:
+            raise ValueError
+        red, green, blue = bytes.fromhex(digits)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no colour; allowed: #RRGGBB, as #ffffff") from None
+    return red, green, blue
+
+
 def _size(text: str) -> tuple[int, int]:
     try:
         width, height = (int(part) for part in text.lower().split("x"))
@@ -506,6 +538,12 @@ def _parser() -> argparse.ArgumentParser:
     view = render.add_mutually_exclusive_group(required=True)
     view.add_argument("--camera", metavar="NAME", help="one of the scan's cameras")
     view.add_argument("--orbit", metavar="N", type=_count, help="N pictures around the scan")
+    view.add_argument(
+        "--turntable", metavar="N", type=_count, help="N pictures around the scan, and turntable.webp of them"
+    )
+    render.add_argument(
+        "--background", type=_color, metavar="#RRGGBB", help="opaque pictures on that colour; default: transparent"
+    )
     render.add_argument("--size", type=_size, metavar="WxH", help="default: the camera's own, or 1280x720")
     render.add_argument(
         "--light",
@@ -516,6 +554,10 @@ def _parser() -> argparse.ArgumentParser:
     add_view_knobs(render)
     render.add_argument("--out", required=True, metavar="DIR")
     render.set_defaults(command=_render)
+    coverage = commands.add_parser("coverage", help="holes and overdraw of a packed file's splats, view by view")
+    coverage.add_argument("packed", metavar="PACKED")
+    coverage.add_argument("--json", action="store_true", help="what was measured as the last line of stdout")
+    coverage.set_defaults(command=_coverage)
     report = commands.add_parser("report", help="measure a packed file against its scan")
     report.add_argument("packed", metavar="PACKED")
     report.add_argument("--scan", required=True, metavar="SCAN")

@@ -12,7 +12,7 @@ from typing import NoReturn
 ARGUMENTS = 1  # exit code of wrong arguments
 GROUPS = {
     "a scan": ("compress", "inspect", "check", "tradeoff", "estimate", "effects", "evaluate", "iso", "map", "demo"),
-    "a packed file": ("render", "report", "view", "export", "fly", "pages"),
+    "a packed file": ("render", "coverage", "report", "view", "export", "fly", "pages"),
     "how large, how long": ("plan",),
     "the service": ("serve", "api", "runner", "token", "backup", "restore"),
     "a service's user": (

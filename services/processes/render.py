@@ -1,12 +1,15 @@
-"""Pictures of a packed file, as files."""
+"""Pictures of a packed file, as files; and how well its splats cover its surface in them."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 from renderer.effects.relighting import Light
+from renderer.evaluate.coverage import surface_coverage
+from renderer.evaluate.holes import outline_holes
 from renderer.evaluate.previews import safe_names
-from renderer.pictures import save_picture
+from renderer.pictures import on_background, save_animation, save_picture
 from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
 from renderer.splats.targets import NARROW, WIDE
@@ -16,6 +19,7 @@ from storage.packed.packed import PackedFile
 from storage.packed.schema import MAX_ATOMS, Camera, Header
 
 DEFAULT_SIZE = (1280, 720)
+OUTLINE_VIEWS, SIZE_PX = 4, (960, 720)
 
 
 def render_views(
@@ -28,8 +32,11 @@ def render_views(
     max_atoms: int = MAX_ATOMS,
     precision: str = "auto",
     light: Light | None = None,
+    background: tuple[int, int, int] | None = None,
+    animated: bool = False,
 ) -> list[Path]:
-    """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`; returns their paths. `precision`
+    """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`, with their coverage as alpha or on a
+    `background`, and where `animated` into turntable.webp beside them; returns their paths. `precision`
     is that of pipeline.planning.knobs.VIEW_KNOBS. With a `light`
     it is lit, whether or not the file asks for it; with smoothed normals, unless it was planned without."""
     with PackedFile(packed) as opened:
@@ -44,11 +51,17 @@ def render_views(
         gpu_scene.accumulation, gpu_scene.watched = {"16": NARROW, "32": WIDE}[precision], False
     if light is not None and "relighting" not in gpu_scene.drawn:
         gpu_scene.drawn |= {"relighting", "normal_smoothing"}
-    paths = []
+    paths, frames = [], []
     for view, name in zip(views, safe_names([v.name for v in views])):
         paths.append(out / f"{name}.png")
         paths[-1].parent.mkdir(parents=True, exist_ok=True)
-        save_picture(paths[-1], renderer.render(gpu_scene, view, max_atoms, light).rgb)
+        picture = renderer.render(gpu_scene, view, max_atoms, light)
+        frames.append(on_background(picture.rgb, picture.coverage, background))
+        save_picture(paths[-1], frames[-1])
+        frames = frames if animated else []
+    if animated:
+        paths.append(out / "turntable.webp")
+        save_animation(paths[-1], frames)
     return paths
 
 
@@ -58,3 +71,18 @@ def _camera_named(header: Header, name: str, packed: Path) -> Camera:
             return camera
     names = ", ".join(c.name for c in header.cameras[:20]) or "none: use --orbit"
     raise InvalidScan(str(packed), f"no camera {name!r}", names)
+
+
+def coverage_of(packed: Path) -> dict:
+    """`surface`: rows of three orbit views, as `renderer.evaluate.coverage` measures discs; `outline`: of four orbit views as they are drawn,
+    `camera`, `coverage` and `holes`, the share of pixels without a splat inside the outline closed by 9x9 px."""
+    with PackedFile(packed) as opened:
+        scene = opened.load()
+    renderer = Renderer()
+    gpu_scene = GpuScene(scene, renderer.context)
+    outline = []
+    for view in orbit_views(scene, OUTLINE_VIEWS, SIZE_PX):
+        covered = renderer.render(gpu_scene, view).coverage
+        outline.append({"camera": view.name, "coverage": float(covered.mean()), "holes": outline_holes(covered)})
+    gpu_scene.release()
+    return {"surface": [asdict(row) for row in surface_coverage(scene)], "outline": outline}

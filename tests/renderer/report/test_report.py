@@ -93,6 +93,7 @@ def full_views(folder):
                 "width_px": 40,
                 "height_px": 30,
                 "coverage": 0.5,
+                "holes": 0.01,
                 "psnr_vs_baseline_db": 40.0,
                 "ssim_vs_baseline": 0.98,
                 "psnr_vs_photo_db": 30.0,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
 from services.cli.main import main
@@ -277,3 +278,31 @@ def test_cli__what_takes_a_second_is_looked_at_before_workers_start(scan, tmp_pa
     code, _, err = run(capsys, "compress", tmp_path / "Wände 2.ply", "--out", tmp_path / "o", "--no-render")
     assert code == 3 and "Wände 2.ply" in err and len(err.splitlines()) == 1
     assert not (tmp_path / "o").exists()
+
+
+def test_cli__pictures_are_transparent_unless_a_background_is_asked_for(compressed, tmp_path, capsys):
+    from PIL import Image
+
+    file = next(compressed.glob("*.splatpress"))
+    size = ["--size", "80x60"]
+    assert run(capsys, "render", str(file), "--orbit", "1", *size, "--out", str(tmp_path / "clear"))[0] == 0
+    with Image.open(next((tmp_path / "clear").glob("*.png"))) as picture:
+        assert picture.mode == "RGBA" and set(np.unique(np.asarray(picture)[..., 3])) == {0, 255}
+    turned = ["--turntable", "3", "--background", "#ffffff", *size, "--out", str(tmp_path / "turned")]
+    assert run(capsys, "render", str(file), *turned)[0] == 0
+    assert len(list((tmp_path / "turned").glob("*.png"))) == 3
+    with Image.open(tmp_path / "turned" / "turntable.webp") as animation:
+        assert animation.n_frames == 3
+    with Image.open(next((tmp_path / "turned").glob("*.png"))) as picture:
+        assert picture.mode == "RGB" and (np.asarray(picture) == 255).all(axis=2).any()
+    code, _, err = run(capsys, "render", str(file), "--orbit", "1", "--background", "white", "--out", str(tmp_path))
+    assert code == 1 and "'white' is no colour; allowed: #RRGGBB" in err
+
+
+def test_cli__coverage_has_holes_and_overdraw_view_by_view(compressed, capsys):
+    file = next(compressed.glob("*.splatpress"))
+    code, out, _ = run(capsys, "coverage", str(file), "--json")
+    found = json.loads(out.splitlines()[-1])
+    assert code == 0 and len(found["surface"]) == 3 and len(found["outline"]) == 4
+    assert all(row["holes"] < 0.1 and row["overdraw"] < 1.5 for row in found["surface"])
+    assert "overdraw" in run(capsys, "coverage", str(file))[1]
