@@ -61,6 +61,11 @@ def chunk_bytes(array: Array, shape: tuple[int, ...]) -> int:
     return int(np.prod(chunk_shape(array, shape))) * np.dtype(array.dtype).itemsize
 
 
+def dimension_names(array: Array) -> list[str | None]:
+    """Of dimensions with a name; one of a fixed size has none, for some readers want all names to differ (32 x 32 texels)."""
+    return [None if dim.isdigit() else dim for dim in array.dims]
+
+
 def metadata_of(array: Array, shape: tuple[int, ...]) -> dict:
     """What an array's zarr.json says, word for word."""
     little = {"configuration": {"endian": "little"}} if np.dtype(array.dtype).itemsize > 1 else {}
@@ -76,7 +81,7 @@ def metadata_of(array: Array, shape: tuple[int, ...]) -> dict:
             {"name": "zstd", "configuration": {"level": ZSTD_LEVEL, "checksum": False}},
         ],
         "fill_value": 0,
-        "dimension_names": list(array.dims),
+        "dimension_names": dimension_names(array),
         "attributes": {},
         "storage_transformers": [],
     }

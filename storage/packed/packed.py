@@ -32,6 +32,7 @@ from storage.packed.layout import (
     chunk_bytes,
     chunk_member,
     chunk_shape,
+    dimension_names,
     members_of,
     metadata_member,
     shape_of,
@@ -75,7 +76,7 @@ def create_array(root: zarr.Group, header: Header, array: Array, n_words: int = 
         shape=shape,
         chunks=chunk_shape(array, shape),
         dtype=array.dtype,
-        dimension_names=array.dims,
+        dimension_names=dimension_names(array),
         compressors=[ZstdCodec(level=ZSTD_LEVEL)],
         fill_value=0,
     )
