@@ -17,6 +17,7 @@ class Task(StrEnum):
     PART = "1,048,576 points of the file, or a leaf of about as many"
     BLOCK = "a block of 16,384 splats"
     GROUP = "65,536 splats"
+    POINTS_OF_GROUP = "8,192 splats of a coarser level"
     VOLUME = "the volume"
     SLICES = "some slices of a volume"
     SAMPLE = "one of at most 16 blocks"
@@ -92,6 +93,16 @@ CATALOGUE = (
     StageEntry(
         "sizes", "stages/points/sizes.py", Phase.POINTS, Task.BLOCK,
         "the size that each splat needs, in 3 bits; decided before splats are made", ("partition", "neighbours"),
+    ),
+    StageEntry(
+        "coarser-level", "stages/points/levels.py", Phase.POINTS, Task.POINTS_OF_GROUP,
+        "a quarter of the splats, each for about four that lie together; a stage a level",
+        ("partition", "neighbours", "sizes"), when="levels are on",
+    ),
+    StageEntry(
+        "levels", "stages/points/levels.py", Phase.POINTS, Task.BLOCK,
+        "points, neighbours and sizes of all levels, the coarsest first", ("coarser-level", "partition"),
+        when="levels are on",
     ),
     StageEntry(
         "sampled", "stages/points/sampled.py", Phase.EVALUATION, Task.BLOCK,

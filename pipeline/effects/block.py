@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.geometry.frame import Direction, tangent_frames
+from pipeline.splats.coarser import first_finest
 from pipeline.splats.decoded import decoded_centres, seen_by_cameras, splat_radii
 from storage.packed.schema import NO_CAMERA, Camera
 from storage.work import arrays, work
@@ -41,6 +42,11 @@ class Sources:
     @cached_property
     def n_splats(self) -> int:
         return work.summary(self.splats)["n_splats"]
+
+    @cached_property
+    def first_finest(self) -> int:
+        """The first splat of the finest level; coarser ones stand before it."""
+        return first_finest(work.summary(self.partition))
 
     @cached_property
     def origin(self) -> np.ndarray:

@@ -18,7 +18,8 @@ def measured_by(summary: dict) -> Measured:
 
 
 def _conclude(sums: list[dict], sources: Sources) -> Measured:
-    return Measured(0.0) if sources.sizes is None else measured_by(work.summary(sources.sizes))
+    found = {} if sources.sizes is None else work.summary(sources.sizes)
+    return measured_by(found) if "large_share" in found else Measured(0.0)
 
 
 EFFECT = Effect(

@@ -45,7 +45,7 @@ class Cloud:
 
 
 def cloud_of(scene: PackedScene) -> Cloud:
-    """Every splat, in the file's order, with the colour that its patch has in the middle.
+    """Every splat of the finest level, in the file's order, with the colour that its patch has in the middle.
 
     The middle is the patch seen through a Gaussian window of WINDOW_IN_RADII, so atoms count in any turn alike.
     """
@@ -58,16 +58,17 @@ def cloud_of(scene: PackedScene) -> Cloud:
     if len(splat):
         solid[splat] = True
         axes[splat] = decode_ellipsoids(fields, scene.arrays["normal"][splat], header.up, header.ahead, radius[splat])
-    return Cloud(positions_of(scene), axes, solid, _middle_colors(scene), header.origin)
+    columns = (positions_of(scene), axes, solid, _middle_colors(scene))
+    return Cloud(*(column[header.first_finest :] for column in columns), header.origin)
 
 
 def samples_of(scene: PackedScene, cloud: Cloud) -> Cloud:
-    """Every splat as points on a grid of its square, those on its disc, with the colours that its texture has there."""
+    """Every splat of the cloud of a scene as points on a grid of its square, those on its disc, with the colours that its texture has there."""
     middle = (np.arange(GRID) + 0.5) * 2 / GRID - 1
     y, x = (axis.ravel() for axis in np.meshgrid(middle, middle, indexing="ij"))
     inside = x * x + y * y < 1
     place = np.column_stack([x, y])[inside]  # (m, 2)
-    color = np.concatenate([patch[:, inside] for patch in _patches(scene)])
+    color = np.concatenate([patch[:, inside] for patch in _patches(scene)])[scene.header.first_finest :]
     n, m = len(cloud), len(place)
     offset = np.einsum("mk,nkc->nmc", place, cloud.axes[:, :2])
     axes = np.repeat(cloud.axes * np.array([GRID_RADIUS, GRID_RADIUS, 1.0])[:, None], m, axis=0)

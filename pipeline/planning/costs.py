@@ -23,7 +23,8 @@ from pipeline.stages.packed.pack import TASK_SPLATS as PACK_BLOCK
 from pipeline.stages.points.grid_counts import IN_MEMORY as MOST_HELD  # units that any stage has in memory at once
 from pipeline.stages.points.grid_counts import MOST_PARTS, PART
 from pipeline.stages.points.ingest import MOST_SLICES, SLICE
-from storage.packed.schema import ATOM_SIZES
+from storage.packed.levels import FEWER
+from storage.packed.schema import ATOM_SIZES, GROUP
 from storage.work.arrays import BLOCK
 
 DISPATCH_S = 1e-3  # of Dask's scheduler, a call: its documentation says "about 1 ms", and one process does it all
@@ -202,6 +203,7 @@ def _n_tasks(name: str, job: Job) -> int:
         Task.BLOCK: BLOCK,
         Task.SAMPLE: BLOCK,
         Task.GROUP: PACK_BLOCK,
+        Task.POINTS_OF_GROUP: FEWER * GROUP,
         Task.TRAINING: TRAINING_BLOCK,
     }.get(kind)
     return 1 if rows is None else max(1, -(-int(_units(name, job)) // rows))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pipeline.readers.attributes.marks import WORDS as MARK_WORDS
 from pipeline.readers.attributes.marks import canonical_marks
 from pipeline.readers.attributes.options import STATION_WORDS, canonical_station
+from storage.packed.levels import MOST_LEVELS
 from storage.packed.schema import ATOM_SIZES, MAX_ATOMS
 
 PURSUITS = ("omp", "ormp", "1x4", "2x2", "4x2", "4x4", "8x2", "8x4")  # words of pipeline.coding.beam.form
@@ -286,6 +287,17 @@ KNOBS = (
         low=0.0,
         optional=True,
         above_low=True,
+    ),
+    Knob(
+        "levels",
+        int,
+        "coarser levels of the splats, at most; by default 3 where the scan has more splats than a picture has pixels (effect `levels`), else none",
+        "far views as fast as near ones, each level a quarter of the splats",
+        "a third more bytes and time at most",
+        "coarser-level",
+        low=0,
+        high=MOST_LEVELS,
+        optional=True,
     ),
     Knob(
         "view_distance",

@@ -29,6 +29,7 @@ class Settings:
     subspace_floor_db: float = 10.0
     density: float = 1.0
     radius: float | None = None
+    levels: int | None = None
     view_distance: float | None = None
     iso: str = ""  # of a volume, as pipeline.volumes.request writes it; "" leaves the value to the volume
     cell: float | None = None
@@ -52,11 +53,13 @@ class Settings:
 
     @property
     def asked_effects(self) -> str:
-        """What is asked of effects, with what `texture` says of station maps."""
+        """What is asked of effects, with what `texture` says of station maps, and a number of `levels` of these."""
         from pipeline.effects.plan.request import canonical_request  # finds all effects, which `inspect` can do without
 
         asked = {"color": "off", "atoms": "on"}.get(self.texture)
-        return canonical_request([self.effects] + ([f"station_maps={asked}"] if asked else []))
+        parts = [f"station_maps={asked}"] if asked else []
+        parts += [] if self.levels is None else [f"levels={'on' if self.levels else 'off'}"]
+        return canonical_request([self.effects, *parts])
 
 
 PRESETS = {

@@ -6,6 +6,11 @@
 #endif
 
 flat in vec3 average;
+#ifdef DETAIL
+flat in float share;
+#else
+const float share = 1.0;
+#endif
 layout(location = 0) out vec4 weighted;  // linear light times weight, weight
 #include "lit.frag.glsl"
 
@@ -20,6 +25,7 @@ void main() {
 #else
     vec3 color = average;
 #endif
-    weighted = vec4(BY_LAMP(color), 1.0) * (1.0 - d2);
-    ADD_NORMAL(1.0 - d2)
+    float weight = share * (1.0 - d2);
+    weighted = vec4(BY_LAMP(color), 1.0) * weight;
+    ADD_NORMAL(weight)
 }

@@ -2,6 +2,7 @@
 
 #include "view.glsl"
 #include "find_splat.glsl"
+#include "detail.glsl"
 #include "splat_geometry.glsl"
 #ifdef ELLIPSOID
 #include "ellipsoid.glsl"
@@ -31,6 +32,9 @@ const float TO_COARSER = 0.45;
 
 #include "lit.vert.glsl"
 out vec4 place;
+#ifdef DETAIL
+flat out float share;
+#endif
 flat out vec3 average;  // in linear light where there are no atoms, else sRGB
 
 void main() {
@@ -44,6 +48,9 @@ void main() {
     Disc disc = outline_of(decode_ellipsoid(splat, ellipsoids[first_ellipsoid(group) + row]));
 #else
     Disc disc = decode_disc(splat);
+#endif
+#ifdef DETAIL
+    share = share_of(group);
 #endif
     Quad quad = splat_quad(disc);
     SET_NORMAL(disc)

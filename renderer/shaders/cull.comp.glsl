@@ -1,10 +1,11 @@
 // Pass 1: one invocation a group writes its draws, one a batch and one for all batches; empty where its box lies
-// outside the view.
+// outside the view, or where other levels are drawn instead.
 
 layout(local_size_x = 64) in;
 
 #include "view.glsl"
 #include "running_counts.glsl"
+#include "detail.glsl"
 
 struct Draw { uint n_indices, n_instances, first_index, base_vertex, base_instance; };
 layout(std430, binding = 7) readonly buffer GroupBoxes { float group_boxes[]; };  // low, high; grown by the radius
@@ -31,7 +32,7 @@ void main() {
     uint at = group * 6u;
     vec3 low = against_eye(vec3(group_boxes[at], group_boxes[at + 1u], group_boxes[at + 2u]));
     vec3 high = against_eye(vec3(group_boxes[at + 3u], group_boxes[at + 4u], group_boxes[at + 5u]));
-    bool visible = in_view(low, high);
+    bool visible = share_of(group) > 0.0 && in_view(low, high);
     uint chunk = last_chunk(group);
     for (uint batch = 0u; batch <= scene.n_batches; ++batch) {
         uint n_splats = batch < scene.n_batches ? counted_of(chunk, batch) : counted(chunk, scene.n_batches);

@@ -3,6 +3,7 @@
 #define PUSHED 1
 #include "view.glsl"
 #include "find_splat.glsl"
+#include "detail.glsl"
 #include "splat_geometry.glsl"
 #ifdef ELLIPSOID
 #include "ellipsoid.glsl"
@@ -20,7 +21,7 @@ out vec4 place;
 
 void main() {
     uint splat = splat_of_row(drawn_group(), drawn_row());
-    if (!is_drawn(splat)) {
+    if (!is_drawn(splat) || share_of(drawn_group()) < HIDES_FROM) {
         gl_Position = vec4(2.0, 2.0, 2.0, 1.0);  // outside the picture
         return;
     }

@@ -27,13 +27,14 @@ _NO_CLIPLINE = int(encode_cliplines(np.array([[0.0, 0.0, 1.0]]))[0])  # keeps th
 
 
 def splats_by_camera(scene: PackedScene) -> tuple[np.ndarray, dict[tuple[int, bool], tuple[int, int]]]:
-    """All splats sorted by their camera, of each first discs, then ellipsoids; and of each such run its (first,
-    number)."""
+    """The splats of the finest level sorted by their camera, of each first discs, then ellipsoids; and of each such run its
+    (first, number)."""
     camera = scene.arrays.get("camera")
     if camera is None:
         camera = np.full(scene.header.n_splats, NO_CAMERA, np.uint16)
     key = 2 * camera.astype(np.int64) + (scene.rows.extra["ellipsoid"] >= 0)
-    order = np.argsort(key, kind="stable").astype(np.uint32)
+    order = np.argsort(key, kind="stable")
+    order = order[order >= scene.header.first_finest].astype(np.uint32)
     present, first, number = np.unique(key[order], return_index=True, return_counts=True)
     return order, {(int(k) // 2, bool(k % 2)): (int(f), int(n)) for k, f, n in zip(present, first, number, strict=True)}
 

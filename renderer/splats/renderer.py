@@ -21,6 +21,7 @@ from renderer.effects import defines_of
 from renderer.effects.relighting import AS_PHOTOGRAPHED, Light, usual_light
 from renderer.splats.baseline import PhotoSplats
 from renderer.splats.context import gl_context
+from renderer.splats.detail import FINEST, Detail
 from renderer.splats.programs import Programs, set_uniforms
 from renderer.splats.projection import checked_view, view_block
 from renderer.splats.scene import DRAWS, GpuScene
@@ -70,13 +71,20 @@ class Renderer:
         self._targets: Targets | None = None
 
     def render(
-        self, gpu_scene: GpuScene, view: Camera, max_atoms: int = MAX_ATOMS, light: Light | None = None
+        self,
+        gpu_scene: GpuScene,
+        view: Camera,
+        max_atoms: int = MAX_ATOMS,
+        light: Light | None = None,
+        detail: Detail = Detail(),
     ) -> Picture:
         """The scene from `view`, each splat with at most `max_atoms` of its atoms; lit where its effects say that it
-        can be, by default as it was photographed, or by a lamp where its colours have no light in them.
+        can be, by default as it was photographed, or by a lamp where its colours have no light in them; of levels what
+        `detail` asks for.
 
         Raises: InvalidScan for a view that is not finite, ResourceExhausted for one too large.
         """
+        gpu_scene.show(checked_view(view), detail)
         return self._drawn(
             gpu_scene,
             view,
@@ -85,12 +93,13 @@ class Renderer:
         )
 
     def render_baseline(self, photos: PhotoSplats, view: Camera) -> Picture:
-        """The same splats from `view`, textured from the photographs themselves: what compression is compared with."""
+        """The splats of the finest level from `view`, textured from the photographs themselves: what compression is compared with."""
 
         def draw(frame: _Frame) -> None:
             self._begin_attributes(frame)
             frame.programs += photos.draw(self._programs, view)
 
+        photos.gpu_scene.show(checked_view(view), FINEST)
         return self._drawn(photos.gpu_scene, view, draw, AS_PHOTOGRAPHED)
 
     # --- passes ------------------------------------------------------------------------------------------------------
@@ -124,7 +133,7 @@ class Renderer:
         self._view.bind_to_uniform_block(0)
         gpu_scene.bind()
         with self._pass(frame, "cull"):
-            name, program = self._programs.compute("cull")
+            name, program = self._programs.compute("cull", DETAIL=gpu_scene.defines["DETAIL"])
             frame.programs.append(name)
             program.run(-(-gpu_scene.scene.header.n_groups // _INVOCATIONS))
             self.context.memory_barrier(moderngl.Context.COMMAND_BARRIER_BIT)

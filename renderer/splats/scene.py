@@ -16,15 +16,18 @@ from pipeline.effects.plan.request import OFF, asked_by
 from pipeline.geometry.ellipsoids import lengths_of
 from pipeline.splats.decoded import scene_radii
 from renderer.splats.atlas import atlas_layout, upload_atlas
+from renderer.splats.detail import Detail, GroupTree, group_tree, shares_of
 from renderer.splats.stacks import has_stacks
 from renderer.splats.targets import NARROW, WIDE
 from storage.errors import ResourceExhausted
 from storage.packed.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.packed.packed import PackedScene
-from storage.packed.schema import GROUP, MIP_SIZES, Header, color_bits
+from storage.packed.schema import GROUP, MIP_SIZES, Camera, Header, color_bits
 
 # Bindings of the shader storage blocks; the shaders say the same numbers.
-SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS, ELLIPSOIDS, COLORS = range(11)
+SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS, ELLIPSOIDS, COLORS, SHARES = (
+    range(12)
+)
 DRAW_BYTES = 20
 
 
@@ -150,11 +153,14 @@ class GpuScene:
     bytes_by_part: dict[str, int] = field(default_factory=dict)
     accumulation: str = NARROW  # of its colours: wide where splats are copies, and once the renderer finds overdraw
     watched: bool = True  # whether the renderer looks for overdraw, and may widen: not where the job asked for 16 bits
+    tree: GroupTree | None = None  # of a scene with levels
+    n_chosen: int = 0  # splats of the groups that were chosen last, in view or not
     drawn: frozenset[str] = frozenset()  # effects whose shader parts its programs have
 
     def __post_init__(self) -> None:
         header, arrays = self.scene.header, self.scene.arrays
-        self.drawn = frozenset(header.effects) - {"mip_levels"}
+        self.drawn = frozenset(header.effects) - {"mip_levels", "levels"}
+        self.n_chosen = header.n_splats
         if header.n_dictionary == 0 or header.coarsest_size == header.atom_size:
             self.drawn -= {"level_blending"}
         if "relighting" not in self.drawn:
@@ -179,6 +185,9 @@ class GpuScene:
                 self._upload(WEIGHTS, "dictionary", weight_table(arrays), "weights")
                 self.atlas, n_bytes = upload_atlas(self.context, [arrays[f"atoms_{size}"] for size in header.mip_sizes])
                 self.bytes_by_part["dictionary"] += n_bytes
+            if header.levels:
+                self.tree = group_tree(self.scene)
+                self.buffers[SHARES] = self.context.buffer(reserve=4 * header.n_groups)
             self.buffers[DRAWS] = self.context.buffer(reserve=header.n_groups * (len(header.batches) + 1) * DRAW_BYTES)
             self.uniforms = self.context.buffer(self._uniform_block())
         with_geometry = 16 * header.n_chunks if header.color_step else 3 * header.n_splats
@@ -200,7 +209,16 @@ class GpuScene:
     @property
     def defines(self) -> dict[str, int]:
         """What the programs that decode its splats are compiled with."""
-        return {"COLOR_BOXES": int(COLORS in self.buffers), "SIZE_BITS": self.scene.header.size_bits}
+        with_boxes, with_levels = int(COLORS in self.buffers), int(self.tree is not None)
+        return {"COLOR_BOXES": with_boxes, "SIZE_BITS": self.scene.header.size_bits, "DETAIL": with_levels}
+
+    def show(self, view: Camera, detail: Detail) -> None:
+        """Choose the groups that the next passes draw of it."""
+        if self.tree is not None:
+            shares = shares_of(self.tree, view, self.scene.header, detail)
+            with self.context:
+                self.buffers[SHARES].write(shares.tobytes())
+            self.n_chosen = int(self.tree.n_splats[shares > 0].sum())
 
     @property
     def n_leading(self) -> int:

@@ -10,12 +10,14 @@ from pipeline.effects.mip_levels import stored_sizes
 from pipeline.effects.plan.request import ON, parse_request
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
+from pipeline.geometry.sizes import BITS
 from pipeline.planning.settings import Settings
 from pipeline.stages.packed.pack import Pack, batches_of, write_packed
 from services.flow.prepare import Prepared
 from services.flow.run import Run
 from services.flow.textures import Coded, color_step
 from storage.packed.schema import BY_NAME, EXTRAS, Camera, Header
+from storage.work import arrays
 
 
 def texels_of_levels(prepared: Prepared, settings: Settings) -> tuple[int, int]:
@@ -60,7 +62,8 @@ def pack(
         up=up,
         ahead=ahead,
         margin_radii=margin,
-        size_bits=prepared.effects.outcomes.get("sizes", {"bits": 0})["bits"],
+        levels=tuple(levels) if len(levels := prepared.partition.summary.get("levels", ())) > 1 else (),
+        size_bits=BITS if arrays.exists(prepared.splats.folder, "size_code") else 0,
         n_dictionary=coded.n_dictionary if coded else 0,
         dictionary_bits=_stored_index_bits(coded, settings),
         weight_bits=settings.weight_bits,

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.effects.block import Sources
+from pipeline.effects.levels import measured_by as levels_measured
+from pipeline.effects.levels import possible_levels
 from pipeline.effects.plan.plan import EffectPlan, measured_effects, plan_effects
 from pipeline.effects.plan.registry import effects
 from pipeline.effects.plan.request import AUTO, OFF, ON, parse_request
@@ -19,6 +21,7 @@ from pipeline.stages.points.depth_maps import DepthMaps
 from pipeline.stages.points.grid_counts import IN_MEMORY, GridCounts
 from pipeline.stages.points.ingest import Ingest
 from pipeline.stages.points.leaves import DealtLeaves
+from pipeline.stages.points.levels import with_levels
 from pipeline.stages.points.measure_effects import MeasureEffects, measures_of
 from pipeline.stages.points.neighbours import Neighbourhoods, radius_of
 from pipeline.stages.points.partition import Partition
@@ -31,6 +34,7 @@ from services.flow.maps import StationMaps, draw_maps, maps_for, with_edits
 from services.flow.run import Run
 from services.flow.volumes import refuse_surfaces, surface_points
 from storage.errors import InvalidScan
+from storage.work import work
 
 
 @dataclass(frozen=True)
@@ -64,14 +68,13 @@ def prepare(
     surface: SurfaceRequest = SurfaceRequest(),
     reading: ReadOptions = ReadOptions(),
     edited_maps: Path | None = None,
+    levels: int | None = None,
 ) -> Prepared:
     """The scan as splats, and with the effects that they call for; the photographs `held_out` texture none,
-    `surface` is what is asked of a volume, and `edited_maps` a folder of edited pictures of stations' maps."""
-    return with_maps(
-        run,
-        with_effects(run, splats_of(run, scan, radius, request, held_out, density, surface, reading), request),
-        edited_maps,
-    )
+    `surface` is what is asked of a volume, `edited_maps` a folder of edited pictures of stations' maps, and `levels` how many
+    coarser ones there are at most; None leaves that to the scan."""
+    splats = splats_of(run, scan, radius, request, held_out, density, surface, reading, levels)
+    return with_maps(run, with_effects(run, splats, request), edited_maps)
 
 
 def with_maps(run: Run, prepared: Prepared, edited: Path | None = None) -> Prepared:
@@ -140,9 +143,11 @@ def splats_of(
     density: float = 1.0,
     surface: SurfaceRequest = SurfaceRequest(),
     reading: ReadOptions = ReadOptions(),
+    levels: int | None = None,
 ) -> Prepared:
-    """Read the scan, put its points in chunk order, and make splats of them."""
-    return splats_from(run, *points_of(run, scan, density, surface, reading), str(scan), radius, request, held_out)
+    """Read the scan, put its points in chunk order, and make splats of them, and of coarser levels of them."""
+    points = points_of(run, scan, density, surface, reading)
+    return splats_from(run, *points, str(scan), radius, request, held_out, levels)
 
 
 def ingest_of(run: Run, scan: Path, reading: ReadOptions = ReadOptions()) -> StageRecord:
@@ -193,8 +198,9 @@ def splats_from(
     radius: float | None,
     request: str = "",
     held_out: tuple[int, ...] = (),
+    levels: int | None = None,
 ) -> Prepared:
-    """Make splats of points in chunk order: of `radius`, or each of the size that the scan calls for."""
+    """Make splats of points in chunk order: of `radius`, or each of the size that the scan calls for; and of its levels."""
     neighbours = run.do(Neighbourhoods(partition.folder))
     asked_radius, radius = radius, radius_of(neighbours.summary, radius, scan)
     needed, sizes = None, None
@@ -204,19 +210,28 @@ def splats_from(
     depth = None
     if ingest.summary["cameras"] and not ingest.summary["has_visibility"]:
         depth = run.do(DepthMaps(ingest.folder, partition.folder, radius, sizes)).folder
-    splats = run.do(Splats(ingest.folder, partition.folder, neighbours.folder, depth, radius, held_out, sizes=sizes))
+    counts = possible_levels(partition.summary["n_splats"], levels)
+    near = neighbours.folder
+    if len(counts) > 1 and (levels or _calls_for_levels(counts, request)):
+        partition, near, sizes = with_levels(run.do, partition, near, needed, sizes, radius, len(counts) - 1)
+    splats = run.do(Splats(ingest.folder, partition.folder, near, depth, radius, held_out, sizes=sizes))
     sources = Sources(
         ingest.folder,
         partition.folder,
-        neighbours.folder,
+        near,
         depth,
         splats.folder,
         radius,
         *directions_of(ingest.summary["cameras"]),
         held_out,
-        needed.folder if needed else None,
+        sizes or (needed.folder if needed else None),
     )
     return Prepared(ingest, partition, neighbours, splats, radius, sources, held_out)
+
+
+def _calls_for_levels(counts: tuple[int, ...], request: str) -> bool:
+    known = {"levels": effects()["levels"]}
+    return bool(plan_effects({"levels": levels_measured(counts)}, parse_request(request), known=known).enabled)
 
 
 def _calls_for_sizes(summary: dict, request: str) -> bool:
@@ -230,7 +245,8 @@ def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[Effe
     made."""
     if sources.scan.get("is_albedo") and request["relighting"] == AUTO:
         request = request | {"relighting": ON}  # colours without light in them show no shape
-    request = request if sources.sizes else request | {"sizes": OFF}  # who fixed one radius asked for no other
+    if not sources.sizes or "large_share" not in work.summary(sources.sizes):
+        request = request | {"sizes": OFF}  # who fixed one radius asked for no other
     names = measured_effects(request)
     if not names:
         return plan_effects({}, request, sources.n_splats), {}

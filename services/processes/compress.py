@@ -82,6 +82,7 @@ def make(
         surface=surface_request(settings),
         reading=settings.reading,
         edited_maps=edited_maps,
+        levels=settings.levels,
     )
     coded = code(run, prepared, settings) if wants_texture(prepared, settings.texture) else None
     packed = pack(run, prepared, coded, settings, name, path)

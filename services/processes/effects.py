@@ -37,8 +37,9 @@ def effects_of(
                 density=settings.density,
                 surface=surface_request(settings),
                 reading=settings.reading,
+                levels=settings.levels,
             ).sources,
-            parse_request(settings.effects),
+            parse_request(settings.asked_effects),
         )[0].to_json()
 
 
@@ -70,6 +71,7 @@ def worth_of_effects(
                 density=asked.density,
                 surface=surface_request(asked),
                 reading=asked.reading,
+                levels=asked.levels,
             )
             coded = code(run, prepared, asked) if has_photographs(prepared) else None
             path = Path(folder) / f"{len(variants)}{SUFFIX}"

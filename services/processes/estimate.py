@@ -112,6 +112,7 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
         density=settings.density,
         surface=surface_request(settings),
         reading=settings.reading,
+        levels=settings.levels,
     )
     ran: dict[Path, tuple[Stage, StageRecord]] = {}
 

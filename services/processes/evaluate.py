@@ -97,6 +97,7 @@ def _measure(
         density=settings.density,
         surface=surface_request(settings),
         reading=settings.reading,
+        levels=settings.levels,
     )
     if not has_photographs(prepared):
         raise InvalidScan(
@@ -216,7 +217,14 @@ def _held_out_photos(scan: Path, prepared: Prepared, every: int) -> tuple[int, .
 def _held_out(e: Evaluation, out: Path, every: int, chosen: tuple[int, ...]) -> None:
     """The file made without every N-th photograph, seen from their cameras."""
     prepared = prepare(
-        e.run, e.scan, e.settings.radius, e.settings.effects, chosen, e.settings.density, e.settings.reading
+        e.run,
+        e.scan,
+        e.settings.radius,
+        e.settings.effects,
+        chosen,
+        e.settings.density,
+        reading=e.settings.reading,
+        levels=e.settings.levels,
     )
     coded = code(e.run, prepared, e.settings)
     path = e.out / f"held-out{SUFFIX}"

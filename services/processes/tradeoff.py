@@ -175,6 +175,7 @@ def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
         density=step.settings.density,
         surface=surface_request(step.settings),
         reading=step.settings.reading,
+        levels=step.settings.levels,
     )
     if not has_photographs(prepared):
         raise InvalidScan(

@@ -12,6 +12,7 @@ from math import isfinite
 from zipfile import ZIP_STORED, ZipFile
 
 from storage.packed.layout import ROOT_MEMBER, chunk_count, members_of, metadata_member, metadata_of, shape_of
+from storage.packed.levels import MOST_LEVELS, are_levels
 from storage.packed.schema import (
     ATOM_SIZES,
     COARSEST_COLOR_STEP,
@@ -79,6 +80,12 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
             f"a direction of length up to {LONGEST_DIRECTION}, 60 degrees or more from up",
         ),
         ("margin_radii", h.margin_radii, h.margin_radii >= 0 and isfinite(h.margin_radii), "finite, 0 or more"),
+        (
+            "levels",
+            h.levels,
+            not h.levels or (sum(h.levels) == h.n_splats and are_levels(h.levels)),
+            f"2 to {MOST_LEVELS + 1} that add up to all splats, each a quarter of the next in whole groups",
+        ),
         ("size_bits", h.size_bits, h.size_bits in SIZE_BITS, f"one of {SIZE_BITS}"),
         ("dictionary_bits", h.dictionary_bits, 0 <= h.dictionary_bits <= 16, "0..16"),
         ("weight_bits", h.weight_bits, 1 <= h.weight_bits <= 8, "1..8"),

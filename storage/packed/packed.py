@@ -214,7 +214,7 @@ class PackedFile:
                 arrays[stream.table] = np.zeros(1, np.uint32)
             if self.header.color_step:
                 self._read_colors(arrays, index)
-            part = PackedScene(replace(self.header, n_splats=len(arrays["position"])), arrays)
+            part = PackedScene(replace(self.header, n_splats=len(arrays["position"]), levels=()), arrays)
             check_tables(part)
         return part
 

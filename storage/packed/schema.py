@@ -149,6 +149,7 @@ class Header:
     coarsest_size: int = 1  # texels to a side of an atom's coarsest level, one of MIP_SIZES up to atom_size
     n_ranks: int = MAX_ATOMS  # rows of weight levels: no splat has more atoms
     size_bits: int = 0  # of a splat's radius, one of SIZE_BITS
+    levels: tuple[int, ...] = ()  # splats of each level, the coarsest first, which stand so; none: all are of one
     color_step: int = 0  # what cells of colours are no larger than, as a code; 0 where `color` has whole bytes
 
     @property
@@ -160,6 +161,15 @@ class Header:
     def n_indices(self) -> int:
         """Atoms that an index may name: each of the dictionary's in every turn."""
         return self.n_dictionary * self.n_turns
+
+    @property
+    def n_finest(self) -> int:
+        """Splats of the finest level, which are the last."""
+        return self.levels[-1] if self.levels else self.n_splats
+
+    @property
+    def first_finest(self) -> int:
+        return self.n_splats - self.n_finest
 
     @property
     def n_chunks(self) -> int:
@@ -180,7 +190,8 @@ class Header:
             batch if batch["ellipsoid"] else {k: v for k, v in batch.items() if k != "ellipsoid"}
             for batch in header["batches"]
         )
-        return header if self.effects else {name: value for name, value in header.items() if name != "effects"}
+        called_for = {"effects": self.effects, "levels": self.levels}
+        return {name: value for name, value in header.items() if called_for.get(name, True)}
 
     @staticmethod
     def from_json(data: dict) -> Header:
@@ -188,6 +199,7 @@ class Header:
         return _typed(
             Header,
             {"effects": {}} | data,
+            levels=tuple(_plain(n, "int", "a level") for n in _list(data.get("levels", ()))),
             origin=_numbers(data["origin"], 3),
             up=_whole_numbers(data["up"], 3),
             ahead=_whole_numbers(data["ahead"], 3),

@@ -24,7 +24,7 @@ import numpy as np
 
 from storage.whole import whole
 
-LAYOUT_VERSION = 12  # raised when a stage's output changes for equal inputs
+LAYOUT_VERSION = 13  # raised when a stage's output changes for equal inputs
 
 
 def write_json(path: Path, data: Any) -> None:

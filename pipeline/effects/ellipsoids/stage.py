@@ -11,6 +11,7 @@ from pipeline.effects.ellipsoids.classes import radius_classes
 from pipeline.effects.ellipsoids.decision import WIDEST_RADII, thin_splats
 from pipeline.effects.ellipsoids.fit import fit
 from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, distinct, thinned_of_distinct
+from pipeline.splats.coarser import first_finest
 from pipeline.splats.decoded import splat_radii
 from storage.work import arrays, work
 
@@ -42,8 +43,10 @@ class Ellipsoids:
         thin, centre = np.zeros(stop - start, bool), np.zeros((stop - start, 3))
         axes = np.zeros((stop - start, 3, 3), np.float32)
         classes = list(radius_classes(splat_radii(self.sizes, self.radius, start, stop), self.radius))
+        finest = max(start, self._first_finest()) - start  # a coarser level is of discs: its neighbourhoods are others
+        classes = [(radius, rows) for radius, rows in ((r, rows[rows >= finest]) for r, rows in classes) if len(rows)]
         widest = max((radius for radius, _ in classes), default=self.radius)
-        there = distinct(self._points_about(position, WIDEST_RADII * widest))
+        there = distinct(self._points_about(position[finest:], WIDEST_RADII * widest)) if classes else position[:0]
         for radius, rows in classes:
             points = _about(there, position[rows], WIDEST_RADII * radius)
             around = thinned_of_distinct(points, CELL_RADII * radius)
@@ -62,15 +65,22 @@ class Ellipsoids:
         n_ellipsoids = sum(r["n_ellipsoids"] for r in results)
         return {"n_splats": n, "n_ellipsoids": n_ellipsoids, "share": n_ellipsoids / n}
 
+    def _first_finest(self) -> int:
+        """The first splat of the finest level."""
+        return first_finest(work.summary(self.partition))
+
     def _points_about(self, some: np.ndarray, reach: float) -> np.ndarray:
         """All points of the scan that can be neighbours of `some` (m, 3): those in their box, grown by `reach`."""
         summary = work.summary(self.partition)
         low, high = np.array(summary["block_low"]), np.array(summary["block_high"])
         from_, to = some.min(axis=0) - reach, some.max(axis=0) + reach
         found = []
+        first = self._first_finest()
         for block in np.flatnonzero(((low <= to) & (high >= from_)).all(axis=1)):
-            points = arrays.read(self.partition, "position", *arrays.block_range(int(block), summary["n_splats"]))
-            found.append(_about(points, some, reach))
+            start, stop = arrays.block_range(int(block), summary["n_splats"])
+            if stop > first:
+                points = arrays.read(self.partition, "position", max(first, start), stop)
+                found.append(_about(points, some, reach))
         return np.concatenate(found)
 
 

@@ -42,18 +42,21 @@ class Measure:
 
     def run(self, folder: Path, index: int) -> dict:
         with PackedFile(self.packed, verify=False) as packed:
-            scene = packed.group(index)
+            scene, coarser = packed.group(index), index * GROUP < packed.header.first_finest
             atoms, levels = decoded_atoms(packed)
         patches = self._resample(scene, index * GROUP)
         texel = patches.texel
         color = decoded_colors(scene)
         squared, weighted = 0.0, 0.0
         for at in range(0, len(texel), ROWS):
+            if coarser:
+                break
             rows = slice(at, min(at + ROWS, len(texel)))
             lost = patch_errors(texel[rows], color[rows], decode_patches(scene, rows, atoms, levels))
             squared, weighted = squared + lost[0], weighted + lost[1]
         return {
             "n_splats": len(texel),
+            "n_measured": 0 if coarser else len(texel),
             "squared_error": squared,
             "weighted_error": weighted,
             "histogram": np.bincount(scene.n_atoms, minlength=scene.header.n_ranks + 1).tolist(),

@@ -25,14 +25,18 @@ class MeasureEffects:
     most_splats = MOST_BLOCKS * arrays.BLOCK
 
     def init(self, folder: Path) -> int:
-        return min(MOST_BLOCKS, arrays.n_blocks(self.sources.n_splats))
+        return min(MOST_BLOCKS, len(self._blocks()))
 
     def run(self, folder: Path, index: int) -> dict:
-        n_blocks = arrays.n_blocks(self.sources.n_splats)
-        chosen = index * n_blocks // min(MOST_BLOCKS, n_blocks)
-        block = self.sources.block(chosen, dict(self.surveys))
+        blocks = self._blocks()
+        chosen = index * len(blocks) // min(MOST_BLOCKS, len(blocks))
+        block = self.sources.block(blocks[chosen], dict(self.surveys))
         start, stop = block.rows
         return {"n_splats": stop - start, "sums": {name: effects()[name].measure_block(block) for name in self.names}}
+
+    def _blocks(self) -> range:
+        """Those of the finest level; the first may begin with a group of a coarser one."""
+        return range(self.sources.first_finest // arrays.BLOCK, arrays.n_blocks(self.sources.n_splats))
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         return {

@@ -69,8 +69,10 @@ class Partition:
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         boxes = {name: [box for r in results for box in r[name]] for name in ("block_low", "block_high")}
+        n = sum(r["n_splats"] for r in results)
         return {
-            "n_splats": sum(r["n_splats"] for r in results),
+            "n_splats": n,
+            "levels": [n],
             "origin": origin_of(work.summary(self.ingest)),
             **boxes,
         }

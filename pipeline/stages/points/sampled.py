@@ -41,7 +41,14 @@ class Sampled:
         return {"n_splats": len(rows)}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return work.summary(self.partition) | work.summary(self.source) | {"n_splats": results[0]["n_splats"]}
+        return (
+            work.summary(self.partition)
+            | work.summary(self.source)
+            | {
+                "n_splats": results[0]["n_splats"],
+                "levels": [results[0]["n_splats"]],
+            }
+        )
 
 
 def chosen_chunks(n: int, n_wanted: int) -> np.ndarray:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.numerics.accuracy import psnr_db
+from pipeline.stages.texture.resample import n_coarser_of
 from pipeline.stages.texture.strata import census
 from pipeline.texture.colors import decode_colors, encode_colors, fit_color_boxes
 from pipeline.texture.resample import PATCH_DIM
@@ -18,7 +19,7 @@ from storage.work import arrays
 @dataclass(frozen=True)
 class Colors:
     """A task a block. Arrays by splat: average (n, 3) float32 in 255ths, as it is decoded, and energy (n,) float32,
-    squared norm of the patch less that; with boxes color_code (n,) uint32, and by chunk color_low (c, 3) int16,
+    squared norm of the patch less that; the census, of octaves of it, is of the finest level; with boxes color_code (n,) uint32, and by chunk color_low (c, 3) int16,
     color_size (c, 3) uint8."""
 
     patches: Path
@@ -41,9 +42,10 @@ class Colors:
         average = self._in_boxes(folder, start, exact) if self.step else np.floor(exact + 0.5).astype(np.float32)
         lost = ((average - exact) ** 2).sum(axis=1) * (PATCH_DIM // 3 / 255**2)
         energy = (arrays.read(self.patches, "energy", start, stop) + lost).astype(np.float32)
+        finest = max(0, n_coarser_of(self.patches) - start)
         arrays.write(folder, "average", start, average)
         arrays.write(folder, "energy", start, energy)
-        return {"n_splats": stop - start, "lost": float(lost.sum()), "census": census(energy).tolist()}
+        return {"n_splats": stop - start, "lost": float(lost.sum()), "census": census(energy[finest:]).tolist()}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         n = sum(r["n_splats"] for r in results)

@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.geometry.frame import Direction
 from pipeline.numerics.accuracy import psnr_db
+from pipeline.splats.coarser import first_finest
 from pipeline.splats.decoded import decoded_squares
 from pipeline.texture.patches import Patches, make_patches
 from pipeline.texture.resample import PATCH_DIM
@@ -61,7 +62,13 @@ class Resample:
             "resampling_psnr_db": psnr_db(error, n_probes),
             "energy": sum(r["energy"] for r in results),
             "n_flagged": sum(r["n_flagged"] for r in results),
+            "n_coarser": first_finest(work.summary(self.partition)),
         }
+
+
+def n_coarser_of(patches: Path) -> int:
+    """How many of the patches, the first, are of coarser levels: whole groups. Nothing is learned or said of them."""
+    return work.summary(patches).get("n_coarser", 0)
 
 
 def resampled_block(

@@ -15,6 +15,7 @@ from pipeline.coding.omp_kernels import squared_norms
 from pipeline.coding.subspace import HALF, find_components, halves_suffice, project
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.numerics.hashing import uniform_hash
+from pipeline.stages.texture.resample import n_coarser_of
 from pipeline.stages.texture.strata import octave_of, shares
 from pipeline.texture.patches import centred
 from storage.packed.schema import ATOM_SIZES, PATCH_SIZE
@@ -37,7 +38,7 @@ class TrainingSet:
     float64, the hash as a share of what its octave is taken below: who is below a half is a half of the set, of each
     octave.
 
-    A splat is taken if a hash of its point's place in the scan's files and the seed says so, and patches are in the
+    A splat of the finest level is taken if a hash of its point's place in the scan's files and the seed says so, and patches are in the
     order of that hash: neither depends on tasks or workers, nor on chunks, which turn with the scan.
     """
 
@@ -58,7 +59,9 @@ class TrainingSet:
     def run(self, folder: Path, index: int) -> dict:
         plan, n_tasks = work.read_json(folder / "share.json"), work.read_json(folder / "plan.json")["n_tasks"]
         n, share = plan["n_splats"], np.array(plan["share"])
-        start, stop = (min(n, arrays.n_blocks(n) * i // n_tasks * arrays.BLOCK) for i in (index, index + 1))
+        rows = [min(n, arrays.n_blocks(n) * i // n_tasks * arrays.BLOCK) for i in (index, index + 1)]
+        first = n_coarser_of(self.patches)
+        start, stop = first + rows[0], first + rows[1]
         energy = arrays.read(self.colors, "energy", start, stop)
         active = energy > self.tolerance
         draw = uniform_hash(arrays.read(self.patches, "point", start, stop), self.seed)

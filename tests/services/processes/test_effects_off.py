@@ -34,6 +34,7 @@ class Traces:
 
 TRACES = {
     "sizes": Traces(("sizes",), ("size_scale", "sizes"), words=("bits=3",), define="SIZE_BITS"),
+    "levels": Traces(define="DETAIL"),  # of scans of 32,768 splats and more: tests/renderer/test_detail.py
     "cliplines": Traces(
         ("nearest-points", "cliplines"), ("cliplines", "clipline_word"), words=("clipline",), define="CLIPLINE"
     ),

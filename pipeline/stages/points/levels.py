@@ -1,0 +1,187 @@
+"""Points in chunk order -> coarser levels of them, and all levels as the points of one scan, the coarsest first.
+
+What comes after treats them as splats like others: they are quantised, textured from the photographs, coded and packed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.execution.stage import StageRecord
+from pipeline.geometry.chunks import bounds
+from pipeline.geometry.sizes import encode_sizes, fit_scales
+from pipeline.splats.coarser import coarser_splats, mean_colors, rows_of_group
+from pipeline.splats.decoded import splat_radii
+from pipeline.splats.normals import usable_normals
+from pipeline.stages.points.kept import columns_of
+from pipeline.stages.points.sizes import create_sizes
+from storage.packed.levels import n_coarser
+from storage.packed.schema import CHUNK, GROUP, ONE_SIZE
+from storage.work import arrays, work
+
+LEVEL_SHIFT = 56  # bits of `point` above a place in the file: chosen by hash, a level's splats are not those of another
+POINTS, NEIGHBOURS, SIZES = PARTS = ("points", "neighbours", "sizes")
+
+
+@dataclass(frozen=True)
+class CoarserLevel:
+    """A task a group. Arrays: the columns of the finer level's points; splat_normal (n, 3) float32, unit length and turned
+    either way; splat_radius (n,) float32; degenerate (n,) bool. `points` and `neighbours` are the partition's and the
+    neighbours' folders at level 1, beyond it both the folder of the level before."""
+
+    points: Path
+    neighbours: Path
+    sizes: Path | None
+    radius: float
+    level: int
+    name = "coarser-level"
+
+    def init(self, folder: Path) -> int:
+        n = n_coarser(work.summary(self.points)["n_splats"])
+        for name, dtype in columns_of(self.points).items():
+            arrays.create(folder, name, (n, *dtype.shape), str(dtype.base), (GROUP, *dtype.shape))
+        arrays.create(folder, "splat_normal", (n, 3), "float32", (GROUP, 3))
+        arrays.create(folder, "splat_radius", (n,), "float32", (GROUP,))
+        arrays.create(folder, "degenerate", (n,), "bool", (GROUP,))
+        return n // GROUP
+
+    def run(self, folder: Path, index: int) -> dict:
+        start, stop = rows_of_group(index, work.summary(self.points)["n_splats"])
+        columns = {name: arrays.read(self.points, name, start, stop) for name in columns_of(self.points)}
+        if self.level == 1:
+            normal = arrays.read(self.neighbours, "normal", start, stop)
+            radius = splat_radii(self.sizes, self.radius, start, stop)
+        else:
+            normal, radius = (arrays.read(self.points, name, start, stop) for name in ("splat_normal", "splat_radius"))
+        found = coarser_splats(columns["position"], normal, radius)
+        made = {name: column[found.middle] for name, column in columns.items()}
+        made["position"] = found.position
+        made["point"] = (made["point"] & (1 << LEVEL_SHIFT) - 1) | self.level << LEVEL_SHIFT
+        if "color" in made:
+            made["color"] = mean_colors(columns["color"], radius, found.cell)
+        if "normal" in made:
+            made["normal"] = _turned(found.normal, made["normal"])
+        made["splat_normal"], made["splat_radius"] = found.normal, found.radius
+        made["degenerate"] = arrays.read(self.neighbours, "degenerate", start, stop)[found.middle]
+        for name, rows in made.items():
+            arrays.write(folder, name, index * GROUP, rows)
+        return {"n_splats": GROUP}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        return {"n_splats": sum(r["n_splats"] for r in results)}
+
+
+@dataclass(frozen=True)
+class Levels:
+    """A task a block of all levels. `part` says whose folder it stands for with all of them: the partition's (POINTS), the
+    neighbours' (NEIGHBOURS) or the sizes' (SIZES). Levels are whole groups but the last, the finest, so that no chunk or
+    group has splats of two."""
+
+    part: str
+    finest: Path  # the folder of the part of the finest level; of sizes that nothing told, the partition's
+    coarser: tuple[Path, ...]  # of `CoarserLevel`, the coarsest first
+    radius: float
+    even: bool = False  # all splats of the finest level have the radius, whatever sizes they need
+    name = "levels"
+
+    def init(self, folder: Path) -> int:
+        n = sum(self._counts())
+        if self.part == SIZES:
+            create_sizes(folder, n)
+        for name, dtype in self._columns().items():
+            arrays.create(folder, name, (n, *dtype.shape), str(dtype.base))
+        return arrays.n_blocks(n)
+
+    def run(self, folder: Path, index: int) -> dict:
+        counts = self._counts()
+        start, stop = arrays.block_range(index, sum(counts))
+        firsts = np.cumsum([0, *counts[:-1]])
+        pieces = [
+            (level, max(0, start - int(first)), min(count, stop - int(first)))
+            for level, (first, count) in enumerate(zip(firsts, counts))
+            if first < stop and first + count > start
+        ]
+        if self.part == SIZES:
+            found = [self._sizes(*piece) for piece in pieces]
+            arrays.write(folder, "size_code", start, np.concatenate([code for code, _ in found]))
+            arrays.write(folder, "size_scale", start // CHUNK, np.concatenate([scale for _, scale in found]))
+            return {"n_splats": stop - start}
+        columns = {name: np.concatenate([self._read(name, *piece) for piece in pieces]) for name in self._columns()}
+        for name, rows in columns.items():
+            arrays.write(folder, name, start, rows)
+        if self.part == NEIGHBOURS:
+            return {"n_splats": stop - start}
+        low, high = bounds(columns["position"])
+        return {"n_splats": stop - start, "block_low": low.tolist(), "block_high": high.tolist()}
+
+    def finalise(self, folder: Path, results: list[dict]) -> dict:
+        known = {} if self.part == SIZES and not arrays.exists(self.finest, "size_code") else work.summary(self.finest)
+        boxes = {name: [r[name] for r in results] for name in ("block_low", "block_high") if self.part == POINTS}
+        return known | boxes | {"n_splats": sum(r["n_splats"] for r in results), "levels": self._counts()}
+
+    def _counts(self) -> list[int]:
+        """Splats of each level, the coarsest first."""
+        named = next(n for n in ("position", "spacing", "size_code") if arrays.exists(self.finest, n))
+        n_finest = arrays.layout_of(self.finest, named).shape[0]
+        return [work.summary(level)["n_splats"] for level in self.coarser] + [n_finest]
+
+    def _columns(self) -> dict[str, np.dtype]:
+        if self.part == POINTS:
+            return columns_of(self.finest)
+        of_neighbours = {"spacing": np.dtype("f4"), "normal": np.dtype(("f4", 3)), "degenerate": np.dtype(bool)}
+        return of_neighbours if self.part == NEIGHBOURS else {}
+
+    def _read(self, name: str, level: int, start: int, stop: int) -> np.ndarray:
+        if level == len(self.coarser):
+            return arrays.read(self.finest, name, start, stop)
+        if self.part == NEIGHBOURS:
+            name = {"spacing": "splat_radius", "normal": "splat_normal"}.get(name, name)
+        return arrays.read(self.coarser[level], name, start, stop)
+
+    def _sizes(self, level: int, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+        """Codes and scales of rows of one level, which begin a chunk."""
+        if level < len(self.coarser):
+            size = arrays.read(self.coarser[level], "splat_radius", start, stop).astype(np.float64)
+            scales = fit_scales(size, self.radius)
+            return encode_sizes(size, scales), scales.step
+        n_chunks = -(-(stop - start) // CHUNK)
+        if self.even:
+            return np.zeros(stop - start, np.uint8), np.full((n_chunks, 2), ONE_SIZE, np.uint8)
+        first = start // CHUNK
+        return (
+            arrays.read(self.finest, "size_code", start, stop),
+            arrays.read(self.finest, "size_scale", first, first + n_chunks),
+        )
+
+
+def with_levels(
+    do: Callable[[CoarserLevel | Levels], StageRecord],
+    partition: StageRecord,
+    neighbours: Path,
+    needed: StageRecord | None,
+    sizes: Path | None,
+    radius: float,
+    n_coarser: int,
+) -> tuple[StageRecord, Path, Path]:
+    """The points, neighbours and sizes of all levels, in the place of those of the finest, by stages that `do` does; its splats
+    have the one radius where they have no `sizes`, even if they `needed` some."""
+    coarser: tuple[Path, ...] = ()
+    for level in range(1, n_coarser + 1):
+        source = (coarser[0],) * 2 if coarser else (partition.folder, neighbours)
+        coarser = (do(CoarserLevel(*source, sizes, radius, level)).folder, *coarser)
+    finest = {POINTS: partition.folder, NEIGHBOURS: neighbours, SIZES: needed.folder if needed else partition.folder}
+    points, near, sized = (
+        do(Levels(part, finest[part], coarser, radius, part == SIZES and sizes is None)) for part in PARTS
+    )
+    return points, near.folder, sized.folder
+
+
+def _turned(normal: np.ndarray, given: np.ndarray) -> np.ndarray:
+    """The merged normals, turned as those that the scan gave of the middle ones; where it gave none that is usable, none."""
+    usable, bad = usable_normals(given)
+    side = np.where((normal * usable).sum(axis=1, keepdims=True) < 0, -1, 1)
+    return np.where(bad[:, None], given, side * normal).astype(np.float32)
