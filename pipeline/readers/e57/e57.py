@@ -58,6 +58,12 @@ class _Opened:
     warnings: tuple[str, ...]
 
     @property
+    def n_fields(self) -> tuple[int, ...]:
+        """Of each scan that is read; 0 for those that are left out."""
+        read = {s.index for s in self.stations}
+        return tuple(len(f) if f is not None and i in read else 0 for i, f in enumerate(self.fields))
+
+    @property
     def is_sample(self) -> bool:
         return any(look.n_points < s.n_points for look, s in zip(self.looks, self.stations, strict=True))
 
@@ -95,7 +101,7 @@ def _pieces(opened: _Opened, max_points: int) -> Iterator[Piece]:
 
 def _slice(opened: _Opened, first: int, stop: int, max_points: int) -> Iterator[Piece]:
     """Points first..stop of all stations in a row, without those before them."""
-    packets, before = packets_of(opened.path, tuple(map(len, opened.fields))), 0
+    packets, before = packets_of(opened.path, opened.n_fields), 0
     for i, station in enumerate(opened.stations):
         names = [name for name in dict.fromkeys(station.used) if name in station.fields]
         for at in range(max(0, first - before), min(station.n_points, stop - before), max_points):
@@ -219,7 +225,7 @@ def _source(opened: _Opened) -> ScanSource:
         format="e57",
         n_points=opened.n_points,
         pieces=partial(_pieces, opened),
-        read_slice=partial(_slice, opened) if None not in opened.fields else None,
+        read_slice=partial(_slice, opened) if all(opened.n_fields[s.index] for s in stations) else None,
         settle=partial(_settled, opened) if opened.is_sample else None,
         unit="metre",
         cameras=images.cameras,

@@ -72,8 +72,14 @@ def bit_fields(prototype: libe57.StructureNode) -> tuple[BitField, ...] | None:
     return tuple(fields)
 
 
+_NONE = Packets(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 0), np.int64))
+
+
 def packets_of(path: str, n_fields: tuple[int, ...]) -> tuple[Packets, ...]:
-    """The packets of each scan of a file, of so many fields each. Raises InvalidScan for what cannot be."""
+    """The packets of each scan of a file, of so many fields each; none of one of 0 fields, which is not to be read.
+
+    Raises InvalidScan for what cannot be.
+    """
     stat = os.stat(path)
     return _packets_of(path, n_fields, stat.st_size, stat.st_mtime_ns)
 
@@ -83,7 +89,7 @@ def _packets_of(path: str, n_fields: tuple[int, ...], _size: int, _changed: int)
     with open(path, "rb") as stream:
         pages, xml = _opened(path, stream)
         offsets = _sections(path, xml, len(n_fields))
-        return tuple(_walk(pages, offset, n) for offset, n in zip(offsets, n_fields))
+        return tuple(_walk(pages, offset, n) if n else _NONE for offset, n in zip(offsets, n_fields))
 
 
 def read_points(

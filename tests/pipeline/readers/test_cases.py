@@ -97,6 +97,21 @@ def test_cases__come_out_as_their_maker_made_them(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", SAID)
+def test_cases__a_run_of_points_is_the_same_read_from_its_middle(name, tmp_path):
+    source = open_scan(case(name, tmp_path))
+    if source.read_slice is None:
+        return
+    whole = list(source.pieces(source.n_points))
+    for first in (0, source.n_points // 3):
+        run = list(source.read_slice(first, source.n_points, 100))
+        for column in ("position", "color", "normal"):
+            rows = [getattr(p, column) for p in whole]
+            if rows[0] is not None:
+                expected = np.concatenate(rows)[first:]
+                np.testing.assert_array_equal(np.concatenate([getattr(p, column) for p in run]), expected)
+
+
+@pytest.mark.parametrize("name", SAID)
 def test_cases__check_and_inspect_say_it_before(name, tmp_path):
     path = case(name, tmp_path)
     findings = check_scan(str(path))
