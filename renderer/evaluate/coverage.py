@@ -1,7 +1,7 @@
 """How well the discs of a packed file cover its surface: against discs as large as each splat's surroundings ask for, exactly.
 
 Drawn here, one disc after the other, in float64, with the low-pass filter of a pixel that the shaders have (docs/FORMAT.md): a measure that
-does not rest on the renderer, and that needs no GPU. Ellipsoids count as discs.
+does not rest on the renderer, and that needs no GPU. Splats that are ellipsoids are no part of the surface, and cover it as discs.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ def surface_coverage(scene: PackedScene, n_views: int = 3, size: tuple[int, int]
     header, position = scene.header, decoded_positions(scene)
     spacing = cKDTree(np.unique(position, axis=0)).query(position, k=5)[0][:, 4]
     exact, radius = needed_sizes(position, spacing, header.radius), scene_radii(scene)
+    exact[scene.ellipsoids[0]] = 0.0
     u, v, _ = tangent_frames(scene.arrays["normal"], header.up, header.ahead)
     return [
         _of_view(view, position + np.array(header.origin), u, v, exact, radius)
@@ -55,7 +56,8 @@ def _of_view(view: Camera, position, u, v, exact: np.ndarray, radius: np.ndarray
     surface, drawn = (np.full((view.height_px, view.width_px), np.inf) for _ in range(2))
     owner = np.full(surface.shape, -1)
     n_exact = draw_discs(*local, exact, lens, surface, owner)
-    n_drawn = draw_discs(*local, radius, lens, drawn, np.full(surface.shape, -1))
+    n_drawn = draw_discs(*local, np.where(exact > 0, radius, 0.0), lens, drawn, np.full(surface.shape, -1))
+    draw_discs(*local, np.where(exact > 0, 0.0, radius), lens, drawn, np.full(surface.shape, -1))
     there = np.isfinite(surface)
     off = np.where(there, np.where(np.isfinite(drawn), drawn, 0) - np.where(there, surface, 0), 0)
     far = np.abs(off) > OFF_RADII * exact[owner]
@@ -68,13 +70,13 @@ def _of_view(view: Camera, position, u, v, exact: np.ndarray, radius: np.ndarray
 @kernel()
 def draw_discs(centre, u, v, radius, lens, depth, owner):
     """Lower `depth` (height, width) to that of discs, in camera axes, and let `owner` have their numbers; returns how many pixels
-    were drawn, one over the other. Discs nearer to the eye than two radii are left out."""
+    were drawn, one over the other. Discs nearer to the eye than two radii, and those without a radius, are left out."""
     height, width = depth.shape
     fx, fy, cx, cy = lens
     n_drawn = 0
     for i in range(centre.shape[0]):
         c, p, q, r = centre[i], u[i], v[i], radius[i]
-        if c[2] <= 2 * r:
+        if r <= 0 or c[2] <= 2 * r:
             continue
         x, y = c[0] / c[2], c[1] / c[2]
         reach = r / (c[2] - r)
