@@ -278,7 +278,14 @@ def _submit(options: argparse.Namespace) -> int:
         )
         if options.watch:
             return _watched(client, job["jobID"], options)
+        if not options.json:
+            _say_next(f"watch {job['jobID']}", client)
     return _print(options, job, job["jobID"])
+
+
+def _say_next(words: str, client) -> None:
+    """Beside the result, which scripts read from standard output."""
+    print(f"next: splatpress {words}   (page: {client.url.rstrip('/')}/)", file=sys.stderr)
 
 
 def _process(options: argparse.Namespace) -> dict:
@@ -321,6 +328,8 @@ def _watched(client, id: str, options: argparse.Namespace) -> int:
         print(f"splatpress: {job['problem']['class']} error: {job['problem']['detail']}", file=sys.stderr)
     _print(options, job, f"{job['jobID']} {job['status']}")
     kind = (job["problem"] or {}).get("class")
+    if not options.json:
+        _say_next(f"fetch {id} --out DIR" if job["status"] == "successful" else f"logs {id}, then retry {id}", client)
     return OK if job["status"] == "successful" else {"data": 3, "internal": INTERNAL}.get(kind, INPUT_OUTPUT)
 
 

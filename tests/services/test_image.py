@@ -106,7 +106,7 @@ def _as_nobody_special() -> tuple[dict, list[str]]:
 
 @contextmanager
 def started_image():
-    """Its service, ready, and a client with a token."""
+    """Its service, ready: a client with the token of an owner."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         Path(folder).chmod(0o755)
         image = Image(Path(folder))
@@ -123,7 +123,7 @@ def started_image():
 
         try:
             until(is_ready)
-            yield Client(url, image.run("splatpress", "token", "ann", "--data", image.here("/data")))
+            yield lambda owner: Client(url, image.run("splatpress", "token", owner, "--data", image.here("/data")))
         finally:
             process.terminate()
             try:
@@ -146,9 +146,21 @@ def test_image__its_environment_names_folders_that_its_user_may_write():
     shutil.which("splatpress", path=str(Path(sys.executable).parent)) is None, reason="splatpress is not installed here"
 )
 def test_image__its_default_command_starts_and_a_job_goes_through(tmp_path):
-    with started_image() as client:
-        scan = client.upload(photo_scan(tmp_path / "plane", n_side=24))["id"]
-        job = client.submit(scan, preset="draft", options={"iterations": 1, "training_splats": 500})["jobID"]
+    options = {"iterations": 1, "training_splats": 500}
+    scan = photo_scan(tmp_path / "plane", n_side=24)
+    with started_image() as client_of, client_of("ann") as client:
+        job = client.submit(client.upload(scan)["id"], preset="draft", options=options)["jobID"]
         ended = client.watch(job, lambda event: None)
         assert ended["status"] == "successful", ended["problem"]
         assert {"plane.splatpress", "report.html"} <= {a["name"] for a in client.artifacts(job)}
+        # The same bytes brought by another owner under another name: nothing of his job tells of the first
+        scan.rename(tmp_path / "bridge")
+        with client_of("bob") as other:
+            found = other.upload(tmp_path / "bridge")
+            assert found["file"] == "bridge.zip" and found["id"] == ended["scan"]
+            job = other.submit(found["id"], preset="draft", options=options)["jobID"]
+            assert other.watch(job, lambda event: None)["name"] == "bridge"
+            assert "bridge.splatpress" in {a["name"] for a in other.artifacts(job)}
+            paths = other.fetch(job, tmp_path / "out")
+            texts = [path.read_text() for path in paths if path.suffix in (".json", ".html")]
+            assert texts and not [text for text in texts if re.search(r"\bplane(\.zip|\.splatpress|\")", text)]

@@ -355,9 +355,13 @@ def test_service__the_command_line_does_it_all(served, scan, tmp_path, capsys, m
     monkeypatch.setenv("SPLATPRESS_URL", served.url)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
 
+    said: list[str] = []
+
     def run(*arguments) -> tuple[int, str]:
         code = main([str(a) for a in arguments])
-        return code, capsys.readouterr().out.strip()
+        out, err = capsys.readouterr()
+        said.append(err)
+        return code, out.strip()
 
     assert run("login", "--url", served.url, "--token", "")[0] == 0
     code, id = run("upload", scan)
@@ -365,7 +369,7 @@ def test_service__the_command_line_does_it_all(served, scan, tmp_path, capsys, m
     options = [f"--option={name}={value}" for name, value in OPTIONS.items()]
     code, last = run("submit", id, "--preset", "draft", *options, "--watch")
     job, status = last.split()
-    assert code == 0 and status == "successful"
+    assert code == 0 and status == "successful" and f"next: splatpress fetch {job} --out DIR" in said[-1]
     assert "progress: 100" in run("status", job)[1] and "encode: " in run("logs", job)[1] and job in run("ls")[1]
     assert run("fetch", job, "report.json", "--out", tmp_path / "got")[1] == str(tmp_path / "got" / "report.json")
     assert run("fetch", job, "nothing", "--out", tmp_path / "got")[0] == 2 and run("status", "0" * 32)[0] == 3
