@@ -33,7 +33,6 @@ export class Packed {
     header.effects ??= {};
     this.nChunks = Math.ceil(header.n_splats / CHUNK);
     this.nGroups = Math.ceil(header.n_splats / GROUP);
-    this.firstFinest = header.levels ? (header.n_splats - header.levels.at(-1)) / GROUP : 0; // groups of coarser levels stand before it
     this.counts = new Map();
     for (const name of members.keys()) {
       const array = name.slice(0, name.indexOf("/"));

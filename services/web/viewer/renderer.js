@@ -271,8 +271,8 @@ export function visibleGroups(scene, { rotation, eye, fx, fy, cx, cy, width, hei
   const planes = [[0, 0, 1], [fx, 0, cx + SPARE_PX], [-fx, 0, width - cx + SPARE_PX], [0, fy, cy + SPARE_PX], [0, -fy, height - cy + SPARE_PX]]
     .map((plane) => [0, 1, 2].map((i) => plane[0] * rotation[0][i] + plane[1] * rotation[1][i] + plane[2] * rotation[2][i]));
   const groups = [], boxes = scene.groupBoxes;
-  const { firstFinest, nGroups } = scene.packed; // of levels the finest is drawn
-  for (let group = firstFinest, at = 6 * firstFinest; group < nGroups; ++group, at += 6) {
+  const { nGroups } = scene.packed;
+  for (let group = 0, at = 0; group < nGroups; ++group, at += 6) {
     const inside = planes.every((inward) => {
       let reach = 0;
       for (let i = 0; i < 3; ++i) reach += inward[i] * (boxes[at + (inward[i] > 0 ? 3 : 0) + i] - eye[i]);

@@ -1,0 +1,138 @@
+"""Files with levels of detail in the viewer: the same cut through them as the product's, within a budget, without holes while they arrive."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from pipeline.execution.executors import SerialExecutor
+from pipeline.planning.settings import settings_for
+from renderer.splats.detail import Detail, group_tree, shares_of
+from renderer.splats.scene import GpuScene
+from services.processes.compress import compress
+from storage.packed.packed import PackedFile
+from storage.packed.schema import GROUP, Camera
+from tests.pipeline.readers.workspace import write_ply
+from tests.services.chromium import Page, chromium_path
+from tests.services.scans import Heard
+from tests.services.web.served import READY, open_viewer, picture_of, serving, small
+
+pytestmark = pytest.mark.skipif(chromium_path() is None, reason="needs Chromium (apt-get install chromium)")
+N = 5 * GROUP + 300
+SIZE = 160
+
+
+@pytest.fixture(scope="module")
+def packed(tmp_path_factory):
+    """A wavy square metre with one coarser level."""
+    folder, rng = tmp_path_factory.mktemp("levels"), np.random.default_rng(0)
+    position = rng.uniform(0, 1, (N, 3)).astype(np.float32)
+    position[:, 2] = 0.02 * np.sin(20 * position[:, 0])
+    wave = np.sin(30 * position[:, 0]) * np.cos(25 * position[:, 1])
+    color = np.rint(127 + 100 * np.stack([wave, 0 * wave, -wave], axis=1)).astype(np.uint8)
+    write_ply(folder / "scan.ply", position, np.tile(np.float32([0, 0, 1]), (N, 1)), color)
+    settings = settings_for("draft", levels=1)
+    compress(folder / "scan.ply", folder / "out", settings, SerialExecutor(), Heard(), render=False)
+    return folder / "out" / "scan.splatpress"
+
+
+@pytest.fixture(scope="module")
+def scene(packed):
+    with PackedFile(packed) as opened:
+        return opened.load()
+
+
+@pytest.fixture(scope="module")
+def url(packed):
+    with serving(packed) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    opened = Page(tmp_path_factory.mktemp("profile"))
+    small(opened, SIZE, SIZE)
+    yield opened
+    opened.close()
+
+
+def view_from(distance: float, side: float = 0.0) -> Camera:
+    """Down on the surface from so far above its middle."""
+    rotation = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
+    return Camera("above", SIZE, SIZE, 200.0, 200.0, SIZE / 2, SIZE / 2, rotation, (0.5 + side, 0.5, distance))
+
+
+def stand(page, view: Camera) -> None:
+    """As on a photograph, and wait for what is to be seen there."""
+    page.look(f"(viewer.complete = false, viewer.camera.stand({json.dumps(asdict(view))}), viewer.moved(), null)")
+    page.until("viewer.complete && !viewer.queued")
+
+
+def db(squared: np.ndarray) -> float:
+    return float(10 * np.log10(255**2 / max(squared.mean(), 1e-9)))
+
+
+def test_levels__shares_are_those_of_the_renderer(page, url, scene):
+    open_viewer(page, url)
+    assert scene.header.levels == (GROUP, N)
+    tree = group_tree(scene)
+    for view, most in (
+        (view_from(0.4), None),
+        (view_from(3.0), None),
+        (view_from(1.2), None),
+        (view_from(0.4), 12_000),
+    ):
+        stand(page, view)
+        expected = shares_of(tree, view, scene.header, Detail(1.0, most))
+        script = f"""(async () => {{
+          const {{ sharesOf }} = await import('/web/viewer/detail.js'), {{ visibleGroups }} = await import('/web/viewer/renderer.js');
+          const view = viewer.camera.view({SIZE}, {SIZE}), seen = new Set(visibleGroups(viewer.scene, view));
+          return JSON.stringify([...sharesOf(viewer.scene.tree, view, {{ mostSplats: {most or "Infinity"}, isSeen: (g) => seen.has(g) }})]);
+        }})()"""
+        np.testing.assert_allclose(json.loads(page.look(script)), expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("distance", [0.5, 1.2, 4.0])
+def test_levels__pictures_are_those_of_the_renderer(page, url, scene, renderer, distance):
+    open_viewer(page, url)
+    view = view_from(distance)
+    stand(page, view)
+    rgb, covered = picture_of(page, view)
+    gpu_scene = GpuScene(scene, renderer.context)
+    picture = renderer.render(gpu_scene, view)
+    gpu_scene.release()
+    both = covered & picture.coverage
+    assert both.mean() > 0.05 and (covered != picture.coverage).mean() <= 0.004  # rims of the square
+    squared = np.sort(((picture.rgb.astype(float) - rgb) ** 2).mean(axis=-1)[both])
+    assert db(squared[: -max(2, len(squared) // 100)]) >= 45
+    assert page.complaints == []
+
+
+def test_levels__a_budget_bounds_what_is_drawn_and_loaded(page, url, scene):
+    open_viewer(page, url + "?budget=9000")
+    stand(page, view_from(3.0))
+    found = json.loads(page.look("JSON.stringify(viewer.statistics())"))
+    assert found["splats"] <= 9000 < scene.header.n_splats
+    rgb, covered = picture_of(page, view_from(3.0))
+    assert covered[60:100, 60:100].all()  # the square lies there
+    stand(page, view_from(0.2))
+    assert json.loads(page.look("JSON.stringify(viewer.statistics())"))["splats"] <= 9000
+
+
+def test_levels__no_hole_while_children_are_on_their_way(page, url, scene):
+    """Drawn with the coarsest level alone, as when nothing else has arrived."""
+    open_viewer(page, url)
+    stand(page, view_from(0.5))
+    page.look("(viewer.scene.state.fill(0, 1), null)")
+    _, covered = picture_of(page, view_from(0.5))
+    assert covered[20:140, 20:140].mean() > 0.999
+    page.open("about:blank")
+
+
+def test_levels__ready_is_said(page, url):
+    page.open(url)
+    page.until(READY, 90)
+    assert page.look("viewer.statistics().complete")
