@@ -15,6 +15,7 @@ from pipeline.execution.compiled import kernel
 # A 256 among 8-bit values is white that somebody scaled by 256 / 255; so is 4096 of 12 bits.
 _TOPS = np.array([0.0, 1.001, 256.0, 1024.0, 4096.0, 16384.0, 65536.0])
 _MULTIPLES = np.union1d(np.arange(256, 1 << 16, 256), np.arange(257, 1 << 16, 257))
+FEW = 1024  # values that tell the most frequent one, which matters only where nearly all are alike
 STRAYS = 0.005  # the share of values that may lie beyond the range of all others
 REACHED = 0.75  # of 10 and 14 bits, which are rare: a dark 16-bit scan is likelier unless the values fill them
 ALIKE = 0.999  # the share of points of one value that make a constant
@@ -31,7 +32,7 @@ class Evidence:
     above: np.ndarray = field(default_factory=lambda: np.zeros(len(_TOPS), np.int64))  # values above each of _TOPS
     n_scaled: int = 0  # values that are multiples of 256 or of 257, and not 0: 8 bits that were made 16
     highest: float = 0.0
-    first: np.ndarray | None = None  # the most frequent value of the first piece
+    first: np.ndarray | None = None  # the most frequent value of FEW of the first piece
     n_as_first: int = 0
 
     def add(self, values: np.ndarray) -> None:
@@ -45,7 +46,8 @@ class Evidence:
             return
         self.n_points += len(values)
         if self.first is None:
-            distinct, counts = np.unique(values, axis=0, return_counts=True)
+            some = values[:: max(1, len(values) // FEW)]
+            distinct, counts = np.unique(some, axis=0, return_counts=True)
             self.first = distinct[counts.argmax()].astype(np.float64)
         values = np.ascontiguousarray(values)
         if values.dtype in (np.uint8, np.uint16):
