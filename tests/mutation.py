@@ -37,11 +37,16 @@ PURSUIT = [
     "tests/hard_cases/test_coding.py",
     "tests/pipeline/stages/texture/test_prices.py",
 ]
+BEAM = ["tests/pipeline/coding/test_beam.py", "tests/hard_cases/test_coding.py"]
 LEARNING = ["tests/pipeline/coding/test_ksvd.py", "tests/hard_cases/test_learning.py"]
 GEOMETRY = ["tests/pipeline/geometry", "tests/hard_cases/test_geometry.py"]
 TARGETS = {  # file: tests that ought to notice
     "pipeline/coding/omp.py": PURSUIT,
     "pipeline/coding/omp_kernels.py": PURSUIT,
+    "pipeline/coding/beam/scores.py": BEAM,
+    "pipeline/coding/beam/nodes.py": BEAM,
+    "pipeline/coding/beam/by_gram.py": BEAM,
+    "pipeline/coding/beam/by_steps.py": BEAM,
     "pipeline/coding/ksvd.py": LEARNING,
     "pipeline/geometry/chunks.py": GEOMETRY,
     "pipeline/geometry/positions.py": GEOMETRY,
