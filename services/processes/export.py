@@ -69,14 +69,17 @@ def _page(packed: Path, header: Header, format: str, out: Path) -> Exported:
     out.parent.mkdir(parents=True, exist_ok=True)
     with whole(out) as partial:
         partial.write_bytes(data)
-    return Exported(format, out, len(data), header.n_splats, ())
+    return Exported(format, out, len(data), header.n_finest, ())
 
 
 def _lost_by_all(scene: PackedScene, cloud: Cloud, kind: str, textured: bool) -> tuple[str, ...]:
     n, lost = len(cloud), []
-    n_lines = int((scene.rows.clipline >= 0).sum())
+    first = scene.header.first_finest
+    n_lines = int((scene.rows.clipline[first:] >= 0).sum())
+    if first:
+        lost.append(f"coarser levels of detail, {first:,} splats")
     if scene.header.n_dictionary:
-        n_textured = int((scene.n_atoms > 0).sum())
+        n_textured = int((scene.n_atoms[first:] > 0).sum())
         lost.append(
             f"textures of {n_textured:,} of {n:,} splats: "
             + (f"{GRID} x {GRID} samples of each" if textured else "each has the one colour of its patch's middle")

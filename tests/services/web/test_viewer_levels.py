@@ -13,6 +13,7 @@ from pipeline.planning.settings import settings_for
 from renderer.splats.detail import Detail, group_tree, shares_of
 from renderer.splats.scene import GpuScene
 from services.processes.compress import compress
+from services.processes.export import export
 from storage.packed.packed import PackedFile
 from storage.packed.schema import GROUP, Camera
 from tests.pipeline.readers.workspace import write_ply
@@ -136,3 +137,8 @@ def test_levels__ready_is_said(page, url):
     page.open(url)
     page.until(READY, 90)
     assert page.look("viewer.statistics().complete")
+
+
+def test_levels__exports_are_of_the_finest(packed, tmp_path):
+    made = export(packed, "ply", tmp_path / "a.ply")
+    assert made.n_elements == N and f"coarser levels of detail, {GROUP:,} splats" in made.lost
