@@ -29,7 +29,8 @@ fitted by `benchmarks/fit_costs.py` to: {fitted}. Tasks count by their processor
     python -m benchmarks.fit_costs others.jsonl --check     # a run outside the fit: predicted beside measured
 
 What it does not know: a network store slower than a local disk (the bytes read and written are there to compare with
-one's own), scans whose patches take more or fewer atoms than those it was fitted to, ellipsoids, pictures. A short piece of
+one's own), scans whose patches take more or fewer atoms than those it was fitted to, ellipsoids, pictures, coarser levels (a third more of
+all from `splats` on, where a scan has them). A short piece of
 work like that of the stages (`pipeline/planning/probe.py`) tells how fast a machine is beside the one that the costs were measured on;
 `plan` scales seconds by that, this page and `--as-measured` do not.
 
