@@ -22,6 +22,7 @@ POLICY = (
 # Of the one page: its script is text of its own, and becomes modules of its own; nothing is asked of anyone.
 _POLICY_OF_ONE_PAGE = "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'"
 _IMPORT = re.compile(r'^import \{ ([\w, ]+) \} from "\./([\w.]+)";\n', re.MULTILINE)
+_COMMENTS = re.compile(r"^ *(?://[^\n]*|/\*\*.*?\*/)\n", re.MULTILINE | re.DOTALL)  # on lines of their own
 _EXPORT = re.compile(r"^export (?=(?:async )?(?:function|class|const) (\w+))", re.MULTILINE)
 
 
@@ -94,6 +95,7 @@ def bundle(entry: str) -> str:
 def _as_function(name: str, text: str) -> tuple[str, set[str]]:
     """A module as a function that is called at once, and what it exports."""
     exported = set(_EXPORT.findall(text))
+    text = _COMMENTS.sub("", text)
     text = _IMPORT.sub(lambda match: f"const {{ {match[1]} }} = modules['{match[2]}'];\n", text)
     text = _EXPORT.sub("", text)
     if re.search(r"^(import|export)\b", text, re.MULTILINE):
