@@ -51,7 +51,7 @@ def test_blending__sums_in_half_floats_break_at_a_thousand_bright_layers(rendere
     scene = build_scene(stack(1000, "bright", True, 0.0))
     expected, covered = render(scene, VIEW)
     for module in ("renderer", "scene"):
-        monkeypatch.setattr(f"renderer.{module}.WIDE", NARROW)
+        monkeypatch.setattr(f"renderer.splats.{module}.WIDE", NARROW)
     picture = drawn(renderer, scene)
     assert np.abs(picture.rgb / 255 - expected)[covered & picture.coverage].max() > 5 / 255
 
