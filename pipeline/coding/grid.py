@@ -80,7 +80,7 @@ def turned_back(rows: np.ndarray, size: int) -> np.ndarray:
     """The transpose of `in_all_turns`: rows (8 k, 3 size^2) turned back and added up, (k, 3 size^2)."""
     by_turn = rows.reshape(-1, TURNS, size, size, 3)
     total = sum(_turned_back(by_turn[:, turn], turn) for turn in range(TURNS))
-    return total.reshape(len(by_turn), -1)
+    return total.reshape(len(by_turn), -1)  # type: ignore[union-attr]
 
 
 def turned_texels(texels: np.ndarray, turn: int) -> np.ndarray:

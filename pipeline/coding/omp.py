@@ -174,7 +174,7 @@ def pursue_patches(
     if beam and in_components:
         step = by_steps.rows_at_a_time(len(dictionary.dictionary), beam.width)
     else:
-        step = rows_at_a_time(dictionary) if in_components else dictionary.rows
+        step = rows_at_a_time(dictionary) if in_components else dictionary.rows  # type: ignore[arg-type, union-attr]
 
     def pursue_block(start: int) -> None:
         part = slice(start, start + step)
@@ -197,17 +197,17 @@ def pursue_patches(
         )
         stop = (tolerance[todo], price, levels)
         if beam and in_components:
-            by_steps.pursue_beam_rows(rows, energy, dictionary, *stop, beam.width, beam.candidates, *found)
+            by_steps.pursue_beam_rows(rows, energy, dictionary, *stop, beam.width, beam.candidates, *found)  # type: ignore[arg-type]
         elif in_components:
-            pursue_rows(rows, energy, dictionary, certify and len(dictionary.basis) > 0, *stop, *found)
+            pursue_rows(rows, energy, dictionary, certify and len(dictionary.basis) > 0, *stop, *found)  # type: ignore[arg-type, union-attr]
         else:
             products = (
-                *dictionary.products(rows, energy),
+                *dictionary.products(rows, energy),  # type: ignore[union-attr]
                 dictionary.rest,
                 certify,
                 energy,
-                dictionary.gram,
-                dictionary.turns,
+                dictionary.gram,  # type: ignore[union-attr]
+                dictionary.turns,  # type: ignore[union-attr]
             )
             if beam:
                 pursue_beam(rows, dictionary.dictionary, *products, *stop, beam.width, beam.candidates, *found)

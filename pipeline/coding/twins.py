@@ -30,7 +30,7 @@ def distinct_directions(candidates: np.ndarray, taken: np.ndarray, n_wanted: int
     for start in range(0, len(candidates), 256):
         rows = candidates[start : start + 256].astype(np.float32)
         norms = np.linalg.norm(rows, axis=1, keepdims=True)
-        rows = rows / np.where(norms > 0, norms, 1)
+        rows = rows / np.where(norms > 0, norms, 1)  # type: ignore[assignment]
         twin, sketch = norms[:, 0] == 0, _sketched(rows)
         for other in others:
             _mark_twins(sketch.short @ other.short.T, *sketch, *other, np.ones(len(other.rows), bool), NO_END, twin)

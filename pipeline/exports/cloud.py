@@ -59,7 +59,7 @@ def cloud_of(scene: PackedScene) -> Cloud:
         solid[splat] = True
         axes[splat] = decode_ellipsoids(fields, scene.arrays["normal"][splat], header.up, header.ahead, radius[splat])
     columns = (positions_of(scene), axes, solid, _middle_colors(scene))
-    return Cloud(*(column[header.first_finest :] for column in columns), header.origin)
+    return Cloud(*(column[header.first_finest :] for column in columns), header.origin)  # type: ignore[arg-type, call-arg]
 
 
 def samples_of(scene: PackedScene, cloud: Cloud) -> Cloud:

@@ -38,7 +38,8 @@ def inspect_volume(path: str, choice: Choice = Choice()) -> dict:
 
 def check_volume(path: str, choice: Choice = Choice()) -> tuple[list[str], list[str]]:
     """Warnings and notes of a volume from one pass over its voxels. Raises InvalidScan, UnsupportedScan for what stops `compress`."""
-    volume, warnings = open_volume(path, choice), []
+    volume = open_volume(path, choice)
+    warnings: list[str] = []
     n_unknown, low, high = 0, np.inf, -np.inf
     for slice_ in volume.slices(warnings.append):
         finite = slice_[np.isfinite(slice_)]

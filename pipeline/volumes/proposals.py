@@ -146,7 +146,7 @@ def _peaks(curve: np.ndarray) -> list[int]:
             if curve[found[-1] : p + 1].min() < DIP * lower:
                 break
             if curve[found[-1]] >= curve[p]:
-                p = -1
+                p = -1  # type: ignore[assignment]
                 break
             found.pop()
         if p >= 0:

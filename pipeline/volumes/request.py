@@ -56,7 +56,7 @@ def parse_isos(text: str) -> tuple[Iso, ...]:
             raise ValueError(f"iso {part!r}; allowed: VALUE or VALUE=#RRGGBB, joined by commas")
         if any(number == iso.value for iso in isos):
             raise ValueError(f"iso {number:g} occurs twice; allowed: every value once")
-        isos.append(Iso(number, tuple(rgb)))
+        isos.append(Iso(number, tuple(rgb)))  # type: ignore[arg-type]
     return tuple(isos)
 
 

@@ -64,7 +64,7 @@ def _of_view(view: Camera, position, u, v, exact: np.ndarray, radius: np.ndarray
     holes = there & ~np.isfinite(drawn)
     n = max(1, int(there.sum()))
     shares = (int(a.sum()) / n for a in (holes, there & ~holes & far & (off > 0), there & ~holes & far & (off < 0)))
-    return ViewCoverage(view.name, int(there.sum()), *shares, n_drawn / max(1, n_exact))
+    return ViewCoverage(view.name, int(there.sum()), *shares, n_drawn / max(1, n_exact))  # type: ignore[call-arg]
 
 
 @kernel()

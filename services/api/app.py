@@ -73,7 +73,10 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         app.add_exception_handler(away, _database)
     app.add_exception_handler(Exception, _mistake)
     app.add_middleware(
-        BodyGuard, admit=owner_of, guards=lambda *request: _guards(settings, *request), idle_s=settings.body_idle_s
+        BodyGuard,
+        admit=owner_of,  # type: ignore[arg-type]
+        guards=lambda *request: _guards(settings, *request),
+        idle_s=settings.body_idle_s,  # type: ignore[arg-type]
     )
     app.add_middleware(Head)
     app.middleware("http")(_secured)

@@ -141,7 +141,7 @@ def post_execution(
     """Submit a job, whose statusInfo is the answer; its address is Location."""
     _check_process(id)
     try:
-        wanted = JobRequest(**{**execute.inputs, "process": id})
+        wanted = JobRequest(**{**execute.inputs, "process": id})  # type: ignore[arg-type]
     except ValidationError as error:
         found = [{**e, "loc": ("body", "inputs", *e["loc"])} for e in error.errors(include_url=False)]
         raise RequestValidationError(jsonable_encoder(found, custom_encoder={Exception: str})) from None

@@ -62,7 +62,10 @@ def main(arguments: list[str] | None = None) -> int:
             from services.problems import is_of_database
 
             if is_of_database(error):
-                print(f"splatpress: resource error: the database does not answer: {error.orig}", file=sys.stderr)
+                print(
+                    f"splatpress: resource error: the database does not answer: {getattr(error, 'orig', error)}",
+                    file=sys.stderr,
+                )
                 return INPUT_OUTPUT
         # Whatever else comes here is ours to mend, and must not look like wrong arguments.
         traceback.print_exc()

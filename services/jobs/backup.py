@@ -131,7 +131,8 @@ def restore(settings: ServiceSettings, path: Path) -> Backup:
     try:
         copy_rows(source, target)
     finally:
-        source.close(), target.close()
+        source.close()
+        target.close()
         for left in settings.data.glob(f"{taken.name}*"):
             left.unlink()
     (settings.data / ABOUT).unlink()

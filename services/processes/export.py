@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -150,9 +151,7 @@ def _y_up(header: Header) -> Rotation:
     return to_y_up(np.asarray(up_direction(header)))
 
 
-_WRITERS: dict[
-    str, Callable[[Path, Cloud | Gaussians, Header], tuple[str, ...]]
-] = {  # each returns what it alone loses
+_WRITERS: dict[str, Callable[[Path, Any, Header], tuple[str, ...]]] = {  # each returns what it alone loses
     "ply": _write_ply,
     "las": _write_las,
     "laz": _write_las,

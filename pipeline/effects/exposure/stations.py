@@ -50,7 +50,7 @@ class StationLight:
         start, stop = arrays.block_range(chosen, n)
         block = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
         rows = np.arange(0, stop - start, EVERY)
-        seen = {"splat": [], "station": [], "light": []}
+        seen: dict[str, list] = {"splat": [], "station": [], "light": []}
         for station in range(block.n_stations):
             station_map = block.map_of(station)
             if station_map is None:

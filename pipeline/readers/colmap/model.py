@@ -239,8 +239,8 @@ def _registered(model: pycolmap.Reconstruction, image_id: int, copied: _Copied) 
         width_px=int(camera.width),
         height_px=int(camera.height),
         params=tuple(float(p) for p in camera.params),
-        rotation=tuple(tuple(map(float, row)) for row in pose.rotation.matrix()),
-        centre=tuple(map(float, centre)),
+        rotation=tuple(tuple(map(float, row)) for row in pose.rotation.matrix()),  # type: ignore[misc]
+        centre=tuple(map(float, centre)),  # type: ignore[arg-type]
     )
 
 

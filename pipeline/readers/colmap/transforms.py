@@ -78,8 +78,8 @@ def _photo(data: dict, frame: object, where: str, i: int) -> RegisteredPhoto:
         width_px=width,
         height_px=height,
         params=(*focal, *middle, *lens),
-        rotation=tuple(tuple(map(float, row)) for row in rotation),
-        centre=tuple(map(float, centre)),
+        rotation=tuple(tuple(map(float, row)) for row in rotation),  # type: ignore[misc]
+        centre=tuple(map(float, centre)),  # type: ignore[arg-type]
     )
 
 

@@ -133,7 +133,8 @@ def open_workspace(path: str, members: Members, workspace: Workspace, options: R
     Raises: InvalidScan naming the file and what is wrong with it; UnsupportedScan for a camera model by name.
     """
     members = members.below(workspace.root)
-    points, warnings = workspace.points, []
+    points = workspace.points
+    warnings: list[str] = []
     if workspace.transforms:
         model, named = read_transforms(members, workspace.transforms)
         points, models = _named_points(members, named) or points, [model]
@@ -189,4 +190,4 @@ def _source(opened: _Opened) -> ScanSource:
 
 def _settled(opened: _Opened, looks: Looks) -> ScanSource | None:
     settled = opened.vertices.settled(looks)
-    return settled and _source(replace(opened, vertices=settled))
+    return settled and _source(replace(opened, vertices=settled))  # type: ignore[return-value]

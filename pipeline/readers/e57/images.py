@@ -69,7 +69,7 @@ def _camera(name: str, pinhole: libe57.StructureNode, pose: Pose, where: str) ->
         fy_px=focal_m / pixel_height_m,
         cx_px=float(child_number(pinhole, "principalPointX", where)),
         cy_px=float(child_number(pinhole, "principalPointY", where)),
-        rotation=tuple(tuple(map(float, row)) for row in rotation),
+        rotation=tuple(tuple(map(float, row)) for row in rotation),  # type: ignore[misc]
         centre=pose.translation,
     )
 
@@ -118,7 +118,9 @@ def read_images(file: libe57.ImageFile, path: str) -> Images:
     """
     if not file.root().isDefined("images2D"):
         return Images()
-    cameras, blobs, warnings = [], [], []
+    cameras: list[Camera] = []
+    blobs: list = []
+    warnings: list[str] = []
     for i, image in enumerate(file.root()["images2D"]):
         name = _name_of(image, i, {c.name for c in cameras})
         if reason := _why_not(image):

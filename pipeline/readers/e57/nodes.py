@@ -89,4 +89,4 @@ def read_pose(node: libe57.StructureNode, where: str) -> Pose | None:
         rotation = rotation_matrix(*quaternion)
     if pose.isDefined("translation"):
         translation = [float(child_number(pose["translation"], c, f"{where}.translation")) for c in "xyz"]
-    return Pose(tuple(tuple(map(float, row)) for row in rotation), tuple(translation))
+    return Pose(tuple(tuple(map(float, row)) for row in rotation), tuple(translation))  # type: ignore[arg-type, misc]

@@ -208,7 +208,7 @@ def _sections(path: str, xml: bytes, n_scans: int) -> list[int]:
 
 def _walk(pages: _Pages, offset: int, n_fields: int) -> Packets:
     start = pages.logical(offset)
-    kind, n_bytes, data, _ = _SECTION.unpack(pages.read(start, start + _SECTION.size))
+    kind, n_bytes, data, _ = _SECTION.unpack(pages.read(start, start + _SECTION.size))  # type: ignore[arg-type]
     if kind != _COMPRESSED_VECTOR or n_bytes > pages.n_bytes:
         raise InvalidScan(
             pages.path, f"a section of kind {kind} and {n_bytes} bytes", f"kind {_COMPRESSED_VECTOR}, within the file"

@@ -118,7 +118,7 @@ class Archive:
     def open(self, name: str) -> Iterator[BinaryIO]:
         try:
             with zipfile.ZipFile(self.path) as archive, archive.open(self.filed_as[name]) as member:
-                yield io.BufferedReader(member, _BLOCK_BYTES)
+                yield io.BufferedReader(member, _BLOCK_BYTES)  # type: ignore[type-var]
         except (*_DAMAGE, OSError) as error:
             if isinstance(error, OSError) and error.errno != errno.EINVAL:  # a place that no file has
                 raise

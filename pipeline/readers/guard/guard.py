@@ -113,7 +113,7 @@ def iterate(path: str, function: Callable[..., Iterator], *arguments) -> Iterato
                 continue
             is_whole = True
             if kind == ERROR:
-                raise value
+                raise value  # type: ignore[misc]
             if kind == MEMORY:
                 found = f"needs more than {n_bytes >> 20:,} MiB to read"
                 raise ResourceExhausted(path, found, "files that say what they hold", "the file may be damaged")

@@ -75,11 +75,11 @@ def main() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     while True:
         try:
-            _, (function, arguments, seconds, n_bytes) = receive(connection)
+            _, (function, arguments, seconds, n_bytes) = receive(connection)  # type: ignore[misc]
         except (EOFError, OSError):
             return
-        _limit_memory(n_bytes)
-        _answer(connection, function, arguments, seconds)
+        _limit_memory(n_bytes)  # type: ignore[has-type]
+        _answer(connection, function, arguments, seconds)  # type: ignore[has-type]
 
 
 if __name__ == "__main__":

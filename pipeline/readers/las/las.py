@@ -61,8 +61,8 @@ def _layout(header: LasHeader) -> np.dtype:
     first = RECORD_SIZES[header.point_format]
     fields |= {f"extra {f.name}": (f"<{f.dtype}", first + f.at) for f in extra_fields(header)}
     names, values = list(fields), list(fields.values())
-    kinds, at = [v[0] for v in values], [v[1] for v in values]
-    return np.dtype({"names": names, "formats": kinds, "offsets": at, "itemsize": header.record_size})
+    kinds, at = [v[0] for v in values], [v[1] for v in values]  # type: ignore[assignment]
+    return np.dtype({"names": names, "formats": kinds, "offsets": at, "itemsize": header.record_size})  # type: ignore[call-overload]
 
 
 class _Records(Protocol):
@@ -213,7 +213,7 @@ def _chunk_rows(header: LasHeader) -> int:
 def _source(opened: _Opened) -> ScanSource:
     path, header, options, look = opened.path, opened.header, opened.options, opened.look
     decision = opened.decision
-    units = units_from_records(header.records)
+    units = units_from_records(header.records)  # type: ignore[arg-type]
     has_bounds = bool(np.isfinite([*header.low, *header.high]).all())
     warnings = [*header.warnings, *_warnings(path, units, has_bounds, options)]
     warnings += reasons(path, look, decision, header.point_format in _RGB_AT, False, TOP, True, header.n_points)

@@ -152,7 +152,9 @@ def parse_header(stream: BinaryIO, where: str) -> PlyHeader:
     Raises: InvalidScan for a header that breaks the format, naming the line.
     """
     head, n_bytes = _header_bytes(stream, where)
-    encoding, comments, elements, number = "", [], [], 1
+    comments: list[str] = []
+    elements: list = []
+    encoding, number = "", 1
     for number, line in enumerate(_lines(head, where), 2):
         words, at = line.split(), f"{where}:header line {number}"
         if not words or words[0] in ("comment", "obj_info"):

@@ -187,7 +187,7 @@ def unused_properties(vertices: Vertices) -> tuple[str, ...]:
 
 def open_ply(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
     """A PLY file as a scan without cameras. Raises: InvalidScan."""
-    return _source(path, options, open_vertices(partial(open, path, "rb"), os.path.getsize(path), path))
+    return _source(path, options, open_vertices(partial(open, path, "rb"), os.path.getsize(path), path))  # type: ignore[arg-type]
 
 
 def _source(path: str, options: ReadOptions, vertices: Vertices) -> ScanSource:
@@ -216,4 +216,4 @@ def _source(path: str, options: ReadOptions, vertices: Vertices) -> ScanSource:
 
 def _settled(path: str, options: ReadOptions, vertices: Vertices, looks: Looks) -> ScanSource | None:
     settled = vertices.settled(looks)
-    return settled and _source(path, options, settled)
+    return settled and _source(path, options, settled)  # type: ignore[return-value]

@@ -106,7 +106,7 @@ def _rows(block: _Block, values: np.ndarray, with_color: bool) -> tuple[dict[str
 
 def open_ptx(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
     """A PTX file: all its blocks one after the other. Raises: InvalidScan naming line and column."""
-    n_bytes, blocks, firsts = os.path.getsize(path), [], []
+    n_bytes, blocks, firsts = os.path.getsize(path), [], []  # type: ignore[var-annotated]
     with open(path, "rb") as stream:
         lines = numbered_lines(stream)
         while (head := _header(lines, path, n_bytes)) is not None:
@@ -119,7 +119,7 @@ def open_ptx(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
             if len(blocks) == MOST_BLOCKS:
                 raise InvalidScan(path, f"more than {MOST_BLOCKS} blocks", "fewer")
             rotation = tuple(tuple(map(float, row[:3])) for row in matrix[:3])
-            block = _Block(n_points, n_columns, rotation, tuple(map(float, matrix[3, :3])))
+            block = _Block(n_points, n_columns, rotation, tuple(map(float, matrix[3, :3])))  # type: ignore[arg-type]
             n_first = min(n_points, FIRST_POINTS)
             rest = list(islice(lines, max(0, n_first - 1)))
             if n_points:

@@ -60,7 +60,7 @@ class ResampleMaps:
         color = arrays.read(self.splats, "color", start, stop)[blind]
         texel[blind] = np.tile(color, PATCH_SIZE * PATCH_SIZE)
         average, energy = measured(texel)
-        for name, rows in (("texel", texel), ("average", average), ("energy", energy)):
+        for name, rows in (("texel", texel), ("average", average), ("energy", energy)):  # type: ignore[assignment]
             arrays.write(folder, name, start, rows)
         arrays.write(folder, "point", start, arrays.read(self.partition, "point", start, stop))
         return {

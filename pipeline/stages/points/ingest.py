@@ -156,12 +156,12 @@ def _slice_ends(source: ScanSource) -> Iterator[int]:
 
 def _regrouped(pieces: Iterator[Piece], ends: Iterator[int]) -> Iterator[list[Piece]]:
     """The pieces up to each end, cut where they cross one."""
-    held, at, end = [], 0, next(ends)
+    held, at, end = [], 0, next(ends)  # type: ignore[var-annotated]
     for piece in pieces:
         while at + len(piece.position) >= end:
             first, piece = _cut(piece, end - at)
             yield [*held, first]
-            held, at, end = [], end, next(ends, np.inf)
+            held, at, end = [], end, next(ends, np.inf)  # type: ignore[assignment]
         at += len(piece.position)
         held.append(piece)
 

@@ -47,7 +47,7 @@ def kept_pieces(
 ) -> Iterator[dict[str, np.ndarray]]:
     """The kept ones of rows start..stop by column, PIECE rows at a time: those of `names` that the ingest has, positions
     against the origin, and `point`, the place in the ingest."""
-    names, origin = [name for name in columns_of(ingest) if name in names], np.array(origin_of(work.summary(ingest)))
+    names, origin = [name for name in columns_of(ingest) if name in names], np.array(origin_of(work.summary(ingest)))  # type: ignore[assignment]
     for at in range(start, stop, PIECE):
         end = min(at + PIECE, stop)
         place, rows = np.arange(at, end), {name: arrays.read(ingest, name, at, end) for name in names}

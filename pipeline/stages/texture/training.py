@@ -68,8 +68,8 @@ class TrainingSet:
         chosen = np.flatnonzero(active & (draw < share[octave_of(energy)]))
         order = np.argsort(draw[chosen])
         for name, source in (("texel", self.patches), ("average", self.colors)):
-            rows = arrays.read_rows(source, name, start + chosen)[order]
-            arrays.store(folder, f"{name}_{index}", rows, rows.shape)
+            rows = arrays.read_rows(source, name, start + chosen)[order]  # type: ignore[assignment]
+            arrays.store(folder, f"{name}_{index}", rows, rows.shape)  # type: ignore[arg-type, attr-defined]
         luck = (draw / np.maximum(share[octave_of(energy)], 1e-300))[chosen][order]
         arrays.store(folder, f"luck_{index}", luck, luck.shape)
         shown = _patches(folder, index, slice(SHOWN))

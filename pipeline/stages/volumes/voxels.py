@@ -38,7 +38,8 @@ class Voxels:
         return 1
 
     def run(self, folder: Path, index: int) -> dict:
-        volume, warnings = open_volume(self.volume_path, self.choice), []
+        volume = open_volume(self.volume_path, self.choice)
+        warnings: list[str] = []
         n_a_chunk = arrays.layout_of(folder, "voxels").chunks[0]
         low, high, n_unknown, first, waiting = np.inf, -np.inf, 0, 0, []
         for k, slice_ in enumerate(volume.slices(warnings.append)):

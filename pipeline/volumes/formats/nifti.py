@@ -74,7 +74,7 @@ def open_nifti(path: str, choice: Choice = Choice()) -> Volume:
     volume = Volume(
         path,
         "nifti",
-        sizes[:3],
+        sizes[:3],  # type: ignore[arg-type]
         kept,
         Slices(stream, kept),
         tuple(map(tuple, affine[:3, :3].tolist())),

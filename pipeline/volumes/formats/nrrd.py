@@ -65,7 +65,7 @@ def open_nrrd(path: str, choice: Choice = Choice()) -> Volume:
     if not data_files and skip_bytes >= 0 and not skip_lines:
         stream_skip, paths = (n_header + skip_bytes, 0), (path,)
     else:
-        stream_skip, paths = (skip_bytes, skip_lines), data_files or (path,)
+        stream_skip, paths = (skip_bytes, skip_lines), data_files or (path,)  # type: ignore[assignment]
     if not data_files and encoding in ("gzip", "bzip2", "text") or (not data_files and skip_lines):
         # Voxels of an attached header begin at its end: its lines are skipped before anything is decompressed.
         stream_skip = (skip_bytes, skip_lines + _n_lines(path, n_header))
@@ -82,7 +82,7 @@ def open_nrrd(path: str, choice: Choice = Choice()) -> Volume:
     volume = Volume(
         path,
         "nrrd",
-        tuple(sizes[a] for a in space),
+        tuple(sizes[a] for a in space),  # type: ignore[arg-type]
         kept,
         Slices(stream, kept),
         directions,
@@ -98,7 +98,7 @@ def open_nrrd(path: str, choice: Choice = Choice()) -> Volume:
 
 def _header(path: str) -> tuple[dict, tuple[str, ...], int]:
     """Fields by name, the data files of a detached header, and the bytes of the header."""
-    lines, n_bytes = [], 0
+    lines, n_bytes = [], 0  # type: ignore[var-annotated]
     with open(path, "rb") as file:
         while len(lines) < MAX_LINES:
             line = file.readline(MAX_LINE_BYTES)

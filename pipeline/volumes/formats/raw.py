@@ -49,7 +49,7 @@ def open_raw(path: str, choice: Choice = Choice()) -> Volume:
         kept,
         Slices(stream, kept),
         tuple(map(tuple, np.diag(spacing).tolist())),
-        tuple(origin),
+        tuple(origin),  # type: ignore[arg-type]
         unit=unit_of(unit),
         warnings=(*notes, *check_length(stream)),
         details={"type": told["type"]},

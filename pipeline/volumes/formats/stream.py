@@ -168,7 +168,7 @@ class _Bytes:
 
     def _guarded(self, n_bytes: int) -> bytes:
         try:
-            return self._file.read(n_bytes)
+            return self._file.read(n_bytes)  # type: ignore[attr-defined]
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             raise InvalidScan(
                 self._path, f"does not decompress ({error})", "a whole file", "it may be truncated"

@@ -166,7 +166,7 @@ class _Pages:
             outer = self._sizes[: len(self._sizes) - len(series.keyframe.shape)]
             for k in range(self._sizes[k_axis]):
                 index = tuple(k if a == k_axis else self._chosen.get(a, 0) for a in range(len(outer)))
-                page = _page(self._path, series.pages[int(np.ravel_multi_index(index, outer))])
+                page = _page(self._path, series.pages[int(np.ravel_multi_index(index, outer))])  # type: ignore[arg-type]
                 inner = tuple(self._chosen.get(a, slice(None)) for a in range(len(outer), len(self._sizes)))
                 yield np.ascontiguousarray(page[inner], self._kept)
 
@@ -206,7 +206,7 @@ def _spacing(tif: tifffile.TiffFile) -> tuple[tuple[float, float, float], str, t
         )
         found = [pixels.get(f"PhysicalSize{a}") if pixels is not None else None for a in "XYZ"]
         if all(found):
-            return tuple(map(float, found)), unit_of(pixels.get("PhysicalSizeXUnit", "um")), ()
+            return tuple(map(float, found)), unit_of(pixels.get("PhysicalSizeXUnit", "um")), ()  # type: ignore[return-value]
     page, told = tif.pages[0], tif.imagej_metadata or {}
     width, height = (_pixel_size(page, name) for name in ("XResolution", "YResolution"))
     if told.get("spacing") and width and height:
