@@ -9,6 +9,7 @@ from pathlib import Path
 from pipeline.execution.stage import Executor, Progress
 from pipeline.planning.settings import Settings
 from pipeline.readers.files.spelling import shown
+from pipeline.stages.packed.pack import write_packed
 from renderer.report.report import sizes_of
 from services.flow.budget import check_budget
 from services.flow.code import code
@@ -85,9 +86,10 @@ def make(
         levels=settings.levels,
     )
     coded = code(run, prepared, settings) if wants_texture(prepared, settings.texture) else None
-    packed = pack(run, prepared, coded, settings, name, path)
+    packed = pack(run, prepared, coded, settings, name, None)
     if settings.budget_bytes is not None:
         check_budget(settings.budget_bytes, prepared.splats.summary["n_splats"], packed_gpu_bytes(packed))
+    write_packed(packed.folder, path)
     return finish(run, path, prepared, coded, settings, out, render)
 
 
