@@ -9,6 +9,8 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import os
+import shlex
 import shutil
 import sys
 import traceback
@@ -22,7 +24,7 @@ from services.cli.looks import add_edited_maps, add_iso, add_map, settings_with_
 from services.cli.packed_files import add_export, add_view
 from services.cli.parser import ARGUMENTS, Parser
 from services.cli.service import add_service_verbs
-from storage.errors import ResourceExhausted, SplatpressError
+from storage.errors import InvalidScan, ResourceExhausted, SplatpressError
 from storage.version import VERSION
 
 OK, INPUT_OUTPUT, INVALID_INPUT, INTERNAL, GATE_MISSED, INTERRUPTED = 0, 2, 3, 4, 7, 130
@@ -44,6 +46,9 @@ def main(arguments: list[str] | None = None) -> int:
     except WrongArgument as error:
         print(f"splatpress: {error}", file=sys.stderr)
         return ARGUMENTS
+    except BrokenPipeError:  # whoever read our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OK
     except OSError as error:
         print(f"splatpress: {error}", file=sys.stderr)
         _print_notes(error)
@@ -127,6 +132,7 @@ def _check(options: argparse.Namespace) -> int:
     else:
         for finding in found["findings"]:
             print(f"{finding['severity']}: {finding['text']}")
+        print("ok: compress takes it" if found["ok"] else "not ok: see above")
     return OK if found["ok"] else INVALID_INPUT
 
 
@@ -245,6 +251,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         raise WrongArgument(f"--rows has {', '.join(map(repr, unknown))}; allowed: {', '.join(ROWS)}")
     scan = _scan_path(options.scan)
     _refuse_to_overwrite(out, options.overwrite)
+    _needs_photographs(scan, settings.reading, "there is no texture to evaluate")
     with _executor(options) as executor:
         made = evaluate(
             scan,
@@ -311,6 +318,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
         raise WrongArgument(str(error)) from error
     scan = _scan_path(options.scan)
     _refuse_to_overwrite(out, options.overwrite)
+    _needs_photographs(scan, settings.reading, "without, no knob trades accuracy")
     with _executor(options) as executor:
         made = tradeoff(
             scan,
@@ -402,6 +410,14 @@ def _look_first(scan: Path, draws: bool, reading: ReadOptions) -> None:
             ) from error
 
 
+def _needs_photographs(scan: Path, reading: ReadOptions, why: str) -> None:
+    """Told by the header, before workers start."""
+    from services.processes.inspect import inspect
+
+    if not inspect(scan, reading).get("cameras", {}).get("count"):
+        raise InvalidScan(str(scan), "no photographs", f"a scan with photographs: {why}")
+
+
 def _made(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     return folder
@@ -426,9 +442,11 @@ def _show_report(report: dict, out: Path, options: argparse.Namespace) -> int:
 
 def _missed_gate(report: dict, options: argparse.Namespace) -> str | None:
     wanted, got = options.require_psnr_db, report["quality"]["texture_psnr_db"]
-    if wanted is None or got is None or got >= wanted:
+    if wanted is None:
         return None
-    return f"texture PSNR is {got:.2f} dB, asked for {wanted:g}"
+    if got is None:
+        return f"no texture PSNR is measured without photographs, asked for {wanted:g}"
+    return None if got >= wanted else f"texture PSNR is {got:.2f} dB, asked for {wanted:g}"
 
 
 def _summary(report: dict, out: Path) -> str:
@@ -453,6 +471,8 @@ def _summary(report: dict, out: Path) -> str:
     lines.append(f"report           {out / 'report.html'}")
     if quality["views"]:
         lines.append(f"previews         {out / 'previews'}")
+    packed = next(out.glob("*.splatpress"))
+    lines += [f"packed           {packed}", f"look at it       splatpress view {shlex.quote(str(packed))}"]
     return "\n".join(lines)
 
 

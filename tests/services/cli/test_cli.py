@@ -306,3 +306,16 @@ def test_cli__coverage_has_holes_and_overdraw_view_by_view(compressed, capsys):
     assert code == 0 and len(found["surface"]) == 3 and len(found["outline"]) == 4
     assert all(row["holes"] < 0.1 and row["overdraw"] < 1.5 for row in found["surface"])
     assert "overdraw" in run(capsys, "coverage", str(file))[1]
+
+
+def test_cli__a_gate_without_a_measure_is_missed(tmp_path, capsys):
+    ball = point_scan(tmp_path / "ball.ply")
+    arguments = ("--executor", "serial", "--no-render", "--preset", "draft", "--require-psnr-db", "30")
+    code, out, err = run(capsys, "compress", ball, "--out", tmp_path / "o", *arguments)
+    assert code == 7 and "no texture PSNR is measured without photographs" in err
+    assert f"packed           {tmp_path / 'o' / 'ball.splatpress'}" in out and "splatpress view" in out
+
+
+def test_cli__check_always_says_something(scan, capsys):
+    code, out, _ = run(capsys, "check", scan)
+    assert code == 0 and out.splitlines()[-1] == "ok: compress takes it"

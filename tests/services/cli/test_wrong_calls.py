@@ -44,6 +44,8 @@ CALLS = [
     ("tradeoff {scan} --out {tmp}/o --knob denisty=1", 1, "denisty"),
     ("tradeoff {scan} --out {tmp}/o --budget soon", 1, "90s, 10min or 2h"),
     ("evaluate {scan} --out {tmp}/o --rows d8w5", 1, "d8w5"),
+    ("evaluate {points} --out {tmp}/o", 3, "no photographs; allowed: a scan with photographs"),
+    ("tradeoff {points} --out {tmp}/o", 3, "no photographs; allowed: a scan with photographs"),
     ("evaluate {tmp}/nothing --out {tmp}/o", 2, "nothing"),
     ("estimate {tmp}/nothing", 2, "nothing"),
     ("effects {tmp}/nothing", 2, "nothing"),
@@ -79,7 +81,7 @@ def test_cli__a_wrong_call_has_its_exit_code_and_one_line(places, capsys, call, 
     out, said = capsys.readouterr()
     said = said or out  # what `check` finds is its output
     assert found == code, said
-    assert len(said.splitlines()) == 1 and words in said
+    assert len(said.splitlines()) == (2 if call.startswith("check") and code == 3 else 1) and words in said
     assert not (places["tmp"] / "o").exists()
 
 
