@@ -364,7 +364,7 @@ def test_whole__check_prints_a_line_a_finding_and_exits_with_0_or_3(tmp_path, ca
         assert all(word in out for word in words) and (out == "") == (not words)
         assert main(["check", str(scan), "--json"]) == code
         found = json.loads(capsys.readouterr().out)
-        assert found["ok"] == (code == 0) and len(found["findings"]) == len(out.splitlines())
+        assert found["ok"] == (code == 0) and len(found["findings"]) + 1 == len(out.splitlines())
 
 
 REAL = [
@@ -383,6 +383,10 @@ def test_whole__real_hard_scans_pass_readers_and_geometry(tmp_path, name):
 
     scan = shared_scan(name)
     assert all(f.severity != "error" for f in check_scan(str(scan)))
-    prepared = prepare(Run(tmp_path, SerialExecutor(), Heard()), scan, None)
-    made = prepared.splats.summary
-    assert made["mean_position_error"] < 0.05 * prepared.radius and made["mean_normal_error_degrees"] < 0.35
+    run = Run(tmp_path, SerialExecutor(), Heard())
+    discs = prepare(run, scan, None, "ellipsoids=off")
+    made = discs.splats.summary
+    assert made["mean_position_error"] < 0.05 * discs.radius and made["mean_normal_error_degrees"] < 0.35
+    # Against the scanned points, too: ellipsoids lie where a branch has its middle, not where the scanner met its bark.
+    drawn = prepare(run, scan, None)
+    assert drawn.splats.summary["mean_position_error"] < 0.12 * drawn.radius
