@@ -11,7 +11,7 @@ export class Camera {
   constructor(scene) {
     this.header = scene.header;
     this.up = upOf(scene.header);
-    const { low, high } = trimmedBox(scene);
+    const { low, high } = trimmedBox(scene, scene.header.effects.relighting?.lamp ? 0 : TRIMMED); // surfaces of a volume have no strays
     this.middle = low.map((x, i) => (x + high[i]) / 2);
     this.size = Math.max(Math.hypot(...high.map((x, i) => x - low[i])) / 2, scene.header.radius);
     this.nearest = 4 * scene.header.radius;
@@ -121,14 +121,14 @@ export class Camera {
 }
 
 // What most chunks lie in; mirrors trimmed_box of renderer/splats/views.py.
-function trimmedBox({ arrays: { box_low, box_size }, packed: { nChunks } }) {
+function trimmedBox({ arrays: { box_low, box_size }, packed: { nChunks } }, share) {
   const ends = [0, 1, 2].map((axis) => {
     const middles = Float64Array.from({ length: nChunks }, (_, i) => box_low[3 * i + axis] + box_size[3 * i + axis] / 2).sort();
-    const at = (share) => {
-      const place = share * (nChunks - 1), i = Math.floor(place), next = middles[Math.min(i + 1, nChunks - 1)];
+    const at = (part) => {
+      const place = part * (nChunks - 1), i = Math.floor(place), next = middles[Math.min(i + 1, nChunks - 1)];
       return middles[i] + (place - i) * (next - middles[i]);
     };
-    const low = at(TRIMMED), high = at(1 - TRIMMED), half = (high - low) / 2 / (1 - 2 * TRIMMED);
+    const low = at(share), high = at(1 - share), half = (high - low) / 2 / (1 - 2 * share);
     return [(low + high) / 2 - half, (low + high) / 2 + half];
   });
   return { low: ends.map(([low]) => low), high: ends.map(([, high]) => high) };
