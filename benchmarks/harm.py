@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import io
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -177,11 +176,13 @@ def answer(path: str) -> tuple[int, str]:
 
 def serve() -> None:
     """Answer the paths on stdin, so that imports are paid for once; a mutant that ends this process is seen by its parent."""
+    from pipeline.execution.task import peak_rss_bytes
+
     for line in sys.stdin:
         path, temporary = line.rstrip("\n").split("\t")
         tempfile.tempdir = temporary
         code, said = answer(path)
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        peak = peak_rss_bytes()  # not getrusage's, which counts what the parent held when it forked
         print(f"{code}\t{peak}\t{said!r}", flush=True)
 
 

@@ -29,7 +29,7 @@ def run_task(stage: Stage, folder: Path, index: int) -> dict:
         result = {
             **result,
             "seconds": time.perf_counter() - begun,
-            "peak_rss_bytes": _peak_rss_bytes(),
+            "peak_rss_bytes": peak_rss_bytes(),
             "processor_seconds": time.process_time() - begun_processor,
             "compile_seconds": compiling.duration if compiling.done else 0.0,
         }
@@ -57,7 +57,8 @@ def _forget_peak() -> None:
         pass
 
 
-def _peak_rss_bytes() -> int:
+def peak_rss_bytes() -> int:
+    """The most memory that this process has held since it began, or since `_forget_peak`."""
     try:
         for line in Path("/proc/self/status").read_text().splitlines():
             if line.startswith("VmHWM:"):
