@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import OpenImageIO as oiio
 
 from pipeline.execution.executors import SerialExecutor
 from pipeline.planning.settings import settings_for
+from services.cli.client import zip_folder
 from services.processes.compress import compress
 from tests.pipeline.execution.test_stage import Heard
 from tests.pipeline.readers.workspace import write_photo, write_ply, write_workspace
@@ -38,3 +40,11 @@ def packed_by_compress(scan: Path, out: Path, options: dict) -> bytes:
     """What `splatpress compress --preset draft` packs, in this process."""
     compress(scan, out, settings_for("draft", **options), SerialExecutor(), Heard(), render=False)
     return (out / f"{scan.name}.splatpress").read_bytes()
+
+
+def padded_scan(folder: Path, megabytes: int) -> Path:
+    """A small scan as a .zip of about that size: what takes a while to upload, and none to compress."""
+    zip_folder(photo_scan(folder / "plane", n_side=12), folder / "large.zip")
+    with zipfile.ZipFile(folder / "large.zip", "a") as archive:
+        archive.writestr("padding.bin", bytes(range(256)) * (megabytes << 12))
+    return folder / "large.zip"

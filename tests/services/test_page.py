@@ -7,15 +7,13 @@ import json
 import os
 import threading
 import time
-import zipfile
 from pathlib import Path
 
 import httpx
 import pytest
 
-from services.cli.client import zip_folder
 from tests.services.chromium import Page, chromium_path
-from tests.services.scans import photo_scan, point_scan
+from tests.services.scans import padded_scan, point_scan
 from tests.services.service_process import ApiProcess, service, until
 
 pytestmark = pytest.mark.skipif(chromium_path() is None, reason="needs Chromium (apt-get install chromium)")
@@ -26,11 +24,7 @@ TUS = {"Tus-Resumable": "1.0.0"}
 @pytest.fixture(scope="module")
 def large(tmp_path_factory) -> Path:
     """A scan of 40 MB."""
-    folder = tmp_path_factory.mktemp("large")
-    zip_folder(photo_scan(folder / "plane", n_side=12), folder / "large.zip")
-    with zipfile.ZipFile(folder / "large.zip", "a") as archive:
-        archive.writestr("padding.bin", bytes(range(256)) * (40 << 12))
-    return folder / "large.zip"
+    return padded_scan(tmp_path_factory.mktemp("large"), 40)
 
 
 @pytest.fixture

@@ -9,13 +9,11 @@ import shutil
 import subprocess
 import threading
 import time
-import zipfile
 from pathlib import Path
 
 import pytest
 
-from services.cli.client import zip_folder
-from tests.services.scans import photo_scan
+from tests.services.scans import padded_scan
 from tests.services.service_process import ApiProcess, until
 
 SCRIPT = Path(__file__).with_name("tus_client.cjs")
@@ -41,11 +39,7 @@ def modules(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def large(tmp_path_factory) -> Path:
     """A scan of 20 MB."""
-    folder = tmp_path_factory.mktemp("large")
-    zip_folder(photo_scan(folder / "plane", n_side=12), folder / "large.zip")
-    with zipfile.ZipFile(folder / "large.zip", "a") as archive:
-        archive.writestr("padding.bin", bytes(range(256)) * (20 << 12))
-    return folder / "large.zip"
+    return padded_scan(tmp_path_factory.mktemp("large"), 20)
 
 
 @pytest.fixture
