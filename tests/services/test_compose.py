@@ -143,5 +143,10 @@ def test_compose__a_job_goes_through_though_postgresql_is_restarted(composed, sc
         composed.postgres.ensure_postgres_running()
 
     found, log = run_and_break(composed, scan, tmp_path / "a", 1, restart)
-    assert "the database was away" in log and log.count("ksvd-update: ") == OPTIONS["iterations"]
+    # Where it went away at the end of a step, the stages of before are passed once more, as reused; the line of the
+    # iteration at hand may be lost, or stand twice where its commit was not acknowledged. None is computed again.
+    told = [line for line in log.splitlines() if line.startswith("ksvd-update: ")]
+    computed = [line for line in told if not line.endswith("reused")]
+    assert "the database was away" in log and len(told) >= OPTIONS["iterations"]
+    assert abs(len(computed) - OPTIONS["iterations"]) <= 1
     assert found == packed_by_compress(scan, tmp_path / "out", {**OPTIONS, "seed": 1})
