@@ -215,7 +215,8 @@ def pursue_patches(
                 pursue(rows, dictionary.dictionary, *products, *stop, *found)
             if isinstance(dictionary, TurnedDictionary):
                 found[0][:] = dictionary.numbers(found[0])
-        for whole, rows_found in zip((codes.atom_index, codes.weight, weight_code, codes.n_atoms, path), found):
+        kept: tuple[np.ndarray, ...] = (codes.atom_index, codes.weight, weight_code, codes.n_atoms, path)
+        for whole, rows_found in zip(kept, found):
             whole[todo] = rows_found
 
     run_all(pursue_block, range(0, n, step), n_threads)
