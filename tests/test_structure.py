@@ -169,8 +169,6 @@ def test_structure__a_file_holds_one_idea():
         "pipeline/effects/ellipsoids/decision.py": "kernels, each kept whole",
         "pipeline/planning/knobs.py": "a table",
         "services/store/store.py": "all changes of a job's state, to be read beside each other",
-        "services/cli/main.py": "the commands and their options",
-        "services/cli/service.py": "the commands of the service and their options",
         "services/api/uploads.py": "the tus protocol",
         "services/processes/evaluate.py": "the rows and figures of the paper",
         "services/processes/estimate.py": "a pilot, and what it says of the whole",

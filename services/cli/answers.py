@@ -7,6 +7,7 @@ from pathlib import PurePosixPath, PureWindowsPath
 
 import httpx
 
+from services.cli.exit_codes import BY_KIND, INTERNAL
 from storage.errors import SplatpressError
 
 PROBLEM_JSON = "application/problem+json"
@@ -19,7 +20,7 @@ class ServiceError(SplatpressError):
         super().__init__(f"service answered {status}", problem.get("detail", ""), "", problem.get("hint", ""))
         self.status, self.problem = status, problem
         self.kind = problem.get("class", "internal")
-        self.exit_code = {"data": 3, "resource": 2}.get(self.kind, 4)
+        self.exit_code = BY_KIND.get(self.kind, INTERNAL)
 
     def __reduce__(self):
         return type(self), (self.status, self.problem)

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from typing import NoReturn
 
-ARGUMENTS = 1  # exit code of wrong arguments
+from services.cli.exit_codes import ARGUMENTS
+
 GROUPS = {
     "a scan": ("compress", "inspect", "check", "tradeoff", "estimate", "effects", "evaluate", "iso", "map", "demo"),
     "a packed file": ("render", "coverage", "report", "view", "export", "fly", "pages"),

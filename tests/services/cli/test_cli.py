@@ -271,7 +271,7 @@ def test_cli__what_takes_a_second_is_looked_at_before_workers_start(scan, tmp_pa
         raise AssertionError("workers started")
 
     monkeypatch.setattr("renderer.splats.context.gl_context", fails)
-    monkeypatch.setattr("services.cli.main._executor", starts)
+    monkeypatch.setattr("services.cli.commands.compress.executor_for", starts)
     code, _, err = run(capsys, "compress", scan, "--out", tmp_path / "o")
     assert code == 2 and "install libegl1; or go without pictures: --no-render" in err
     (tmp_path / "Wände 2.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n")

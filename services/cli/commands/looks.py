@@ -10,13 +10,16 @@ from pathlib import Path
 from pipeline.planning.settings import Settings
 from pipeline.readers.attributes.options import ReadOptions
 from services.cli.arguments import WrongArgument, add_knobs, settings_of
+from services.cli.commands.options import add_executor, add_output
+from services.cli.commands.running import executor_for, progress_bars, refuse_to_overwrite, scan_path
+from services.cli.exit_codes import OK
 
 ROWS, WIDTH = 32, 40  # of the printed histogram
 READING = ("station", "marked_points")  # knobs of how a laser scan is read
 
 
-def add_iso(commands, add_executor) -> None:
-    """The verb; `add_executor` adds where it runs."""
+def add_iso(commands) -> None:
+    """The verb `iso`."""
     iso = commands.add_parser("iso", help="the histogram of a volume, and the iso values that it proposes")
     iso.add_argument("volume", metavar="VOLUME")
     iso.add_argument("--component", type=int, metavar="N", help="which number of a voxel, of several")
@@ -31,18 +34,17 @@ def add_iso(commands, add_executor) -> None:
 def _iso(options: argparse.Namespace) -> int:
     from pipeline.volumes.request import parse_spacing
     from pipeline.volumes.volume import Choice
-    from services.cli.main import _executor, _progress, _scan_path
     from services.processes.inspect import iso_values
 
     try:
         choice = Choice(options.component, options.time, parse_spacing(options.spacing or ""))
     except ValueError as error:
         raise WrongArgument(str(error)) from error
-    path = _scan_path(options.volume)
-    with _executor(options) as executor:
-        found = iso_values(path, choice, executor, _progress(), Path(options.work) if options.work else None)
+    path = scan_path(options.volume)
+    with executor_for(options) as executor:
+        found = iso_values(path, choice, executor, progress_bars(), Path(options.work) if options.work else None)
     print(json.dumps(found) if options.json else as_text(found))
-    return 0
+    return OK
 
 
 def as_text(found: dict) -> str:
@@ -92,8 +94,8 @@ def _histogram(found: dict) -> list[str]:
 # --- maps -----------------------------------------------------------------------------------------------------------
 
 
-def add_map(commands, add_executor, add_output) -> None:
-    """The verb; `add_executor` adds where it runs, `add_output` where it writes."""
+def add_map(commands) -> None:
+    """The verb `map`."""
     maps = commands.add_parser("map", help="what each station of a laser scan saw, as pictures to edit")
     maps.add_argument("scan", metavar="SCAN")
     add_output(maps)
@@ -104,6 +106,7 @@ def add_map(commands, add_executor, add_output) -> None:
 
 
 def add_edited_maps(compress: argparse.ArgumentParser) -> None:
+    """The option `--maps`."""
     compress.add_argument(
         "--maps", metavar="DIR", help="pictures of stations that `map` wrote and somebody edited: texture from these"
     )
@@ -120,17 +123,16 @@ def settings_with_maps(options: argparse.Namespace) -> Settings:
 
 
 def _map(options: argparse.Namespace) -> int:
-    from services.cli.main import _executor, _progress, _refuse_to_overwrite, _scan_path
     from services.flow.map_pictures import map_scan
 
     reading: ReadOptions = settings_of(options).reading
-    scan, out = _scan_path(options.scan), Path(options.out)
-    _refuse_to_overwrite(out, options.overwrite)
+    scan, out = scan_path(options.scan), Path(options.out)
+    refuse_to_overwrite(out, options.overwrite)
     work = Path(options.work) if options.work else None
-    with _executor(options) as executor:
-        rows = map_scan(scan, out, executor, _progress(), reading=reading, work=work)
+    with executor_for(options) as executor:
+        rows = map_scan(scan, out, executor, progress_bars(), reading=reading, work=work)
     print(json.dumps(rows) if options.json else maps_as_text(rows, out))
-    return 0
+    return OK
 
 
 def maps_as_text(rows: list[dict], out: Path) -> str:

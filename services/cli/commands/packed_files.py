@@ -10,11 +10,11 @@ from pathlib import Path
 
 from pipeline.exports.formats import FORMATS, POINTS
 from services.cli.arguments import WrongArgument
-
-OK = 0
+from services.cli.exit_codes import OK
 
 
 def add_export(commands) -> None:
+    """The verb `export`."""
     export = commands.add_parser("export", help="a packed file as what others open: points, Gaussians")
     export.add_argument("packed", metavar="PACKED")
     export.add_argument(
@@ -57,6 +57,7 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def add_view(commands) -> None:
+    """The verb `view`."""
     view = commands.add_parser("view", help="look at a packed file in the browser; Ctrl-C ends it")
     view.add_argument("packed", metavar="PACKED")
     view.add_argument("--port", type=int, default=0, help="on 127.0.0.1; default: one that is free")

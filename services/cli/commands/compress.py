@@ -1,0 +1,162 @@
+"""The commands that make a report: `compress`, `report` and `demo`; and the gate that they may have to pass."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import shutil
+import sys
+from pathlib import Path
+
+from services.cli.arguments import add_preset, add_settings, settings_of
+from services.cli.commands.looks import add_edited_maps, settings_with_maps
+from services.cli.commands.options import add_output, add_running, add_strict
+from services.cli.commands.running import (
+    executor_for,
+    look_first,
+    made_folder,
+    progress_bars,
+    refuse_to_overwrite,
+    scan_path,
+)
+from services.cli.exit_codes import GATE_MISSED, OK
+
+
+def add_compress(commands) -> None:
+    """The verb `compress`."""
+    compress = commands.add_parser("compress", help="a scan into a packed file, previews and a report")
+    compress.add_argument(
+        "scan",
+        metavar="SCAN",
+        help="COLMAP or nerfstudio workspace (folder or .zip), .ply, .las, .laz, .e57, .ptx, .pts, .xyz, .pcd; a volume, see iso",
+    )
+    add_output(compress)
+    add_settings(compress)
+    add_edited_maps(compress)
+    add_strict(compress)
+    add_running(compress)
+    compress.set_defaults(command=_compress)
+
+
+def _compress(options: argparse.Namespace) -> int:
+    from services.processes.compress import compress
+
+    settings = settings_with_maps(options)
+    scan, out = scan_path(options.scan), Path(options.out)
+    refuse_to_overwrite(out, options.overwrite)
+    look_first(scan, draws=not options.no_render, reading=settings.reading)
+    with executor_for(options) as executor:
+        report = compress(
+            scan,
+            out,
+            settings,
+            executor,
+            progress_bars(),
+            render=not options.no_render,
+            work=Path(options.work) if options.work else None,
+            strict=options.strict,
+            edited_maps=Path(options.maps) if options.maps else None,
+        )
+    return _show_report(report, out, options)
+
+
+def add_report(commands) -> None:
+    """The verb `report`."""
+    report = commands.add_parser("report", help="measure a packed file against its scan")
+    report.add_argument("packed", metavar="PACKED")
+    report.add_argument("--scan", required=True, metavar="SCAN")
+    report.add_argument("--out", required=True, metavar="DIR")
+    add_running(report)
+    report.set_defaults(command=_report)
+
+
+def _report(options: argparse.Namespace) -> int:
+    from services.processes.report import report
+
+    out = Path(options.out)
+    with executor_for(options) as executor:
+        made = report(
+            scan_path(options.packed),
+            scan_path(options.scan),
+            out,
+            executor,
+            progress_bars(),
+            render=not options.no_render,
+        )
+    return _show_report(made, out, options)
+
+
+def add_demo(commands) -> None:
+    """The verb `demo`."""
+    demo = commands.add_parser("demo", help="compress a real stereo pair")
+    demo.add_argument("--out", default="demo-output", metavar="DIR")
+    add_preset(demo)
+    demo.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
+    add_running(demo)
+    demo.set_defaults(command=_demo)
+
+
+def _demo(options: argparse.Namespace) -> int:
+    import tempfile
+
+    from services.processes.compress import compress
+    from services.processes.demo import write_motorcycle
+
+    settings, out = settings_of(options), Path(options.out)
+    refuse_to_overwrite(out, options.overwrite)
+    with tempfile.TemporaryDirectory(dir=made_folder(out.absolute().parent)) as folder:
+        scan = write_motorcycle(Path(folder) / "motorcycle")
+        look_first(scan, draws=not options.no_render, reading=settings.reading)
+        with executor_for(options) as executor:
+            report = compress(scan, out, settings, executor, progress_bars(), render=not options.no_render)
+        shutil.move(scan, out / "scan")
+    return _show_report(report, out, options)
+
+
+def _show_report(report: dict, out: Path, options: argparse.Namespace) -> int:
+    missed = _missed_gate(report, options)
+    if options.json:
+        print(json.dumps({**report, "out": str(out), "gate_missed": missed}))
+    else:
+        print(_summary(report, out))
+    if missed:
+        print(f"splatpress: quality gate missed: {missed}", file=sys.stderr)
+        return GATE_MISSED
+    return OK
+
+
+def _missed_gate(report: dict, options: argparse.Namespace) -> str | None:
+    wanted, got = options.require_psnr_db, report["quality"]["texture_psnr_db"]
+    if wanted is None:
+        return None
+    if got is None:
+        return f"no texture PSNR is measured without photographs, asked for {wanted:g}"
+    return None if got >= wanted else f"texture PSNR is {got:.2f} dB, asked for {wanted:g}"
+
+
+def _summary(report: dict, out: Path) -> str:
+    sizes, quality = report["sizes"], report["quality"]
+    lines = [
+        f"splats           {report['splats']:,}",
+        f"size             {sizes['bytes_per_splat']:.2f} bytes a splat on the GPU, file {sizes['file_bytes']:,} bytes",
+    ]
+    if quality["texture_psnr_db"] is not None:
+        from renderer.report.report_words import decibels
+
+        texture, visible, resampling = (
+            decibels(quality[f"{what}_psnr_db"]) for what in ("texture", "visible", "resampling")
+        )
+        lines.append(f"texture PSNR     {texture}, visible {visible}, resampling {resampling}")
+    if sizes["compression_factor_total"] is not None:
+        lines.append(
+            f"compression      {sizes['compression_factor_total']:.1f} times in all, "
+            f"{sizes['compression_factor_texture']:.1f} times the textures"
+        )
+    lines += [f"warning          {w}" for w in report.get("warnings", [])]
+    lines.append(f"report           {out / 'report.html'}")
+    if quality["views"]:
+        lines.append(f"previews         {out / 'previews'}")
+    for packed in out.glob("*.splatpress"):  # none where one that lies elsewhere was measured
+        lines += [f"packed           {packed}", f"look at it       splatpress view {shlex.quote(str(packed))}"]
+    return "\n".join(lines)

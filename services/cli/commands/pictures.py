@@ -1,0 +1,85 @@
+"""The commands that draw a packed file: `render` and `coverage`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from services.cli.arguments import add_view_knobs
+from services.cli.commands.options import color, count, direction, size
+from services.cli.commands.running import scan_path
+from services.cli.exit_codes import OK
+
+
+def add_render(commands) -> None:
+    """The verb `render`."""
+    render = commands.add_parser("render", help="pictures of a packed file")
+    render.add_argument("packed", metavar="PACKED")
+    view = render.add_mutually_exclusive_group(required=True)
+    view.add_argument("--camera", metavar="NAME", help="one of the scan's cameras")
+    view.add_argument("--orbit", metavar="N", type=count, help="N pictures around the scan")
+    view.add_argument(
+        "--turntable", metavar="N", type=count, help="N pictures around the scan, and turntable.webp of them"
+    )
+    render.add_argument(
+        "--background", type=color, metavar="#RRGGBB", help="opaque pictures on that colour; default: transparent"
+    )
+    render.add_argument("--size", type=size, metavar="WxH", help="default: the camera's own, or 1280x720")
+    render.add_argument(
+        "--light",
+        type=direction,
+        metavar="RIGHT,UP,TOWARDS",
+        help="a distant lamp that way from the viewer, as 1,1,1; default: as photographed",
+    )
+    add_view_knobs(render)
+    render.add_argument("--out", required=True, metavar="DIR")
+    render.set_defaults(command=_render)
+
+
+def _render(options: argparse.Namespace) -> int:
+    from renderer.effects.relighting import lamp
+    from services.processes.render import render_views
+
+    paths = render_views(
+        scan_path(options.packed),
+        Path(options.out),
+        camera=options.camera,
+        n_orbit=options.turntable or options.orbit,
+        animated=bool(options.turntable),
+        background=options.background,
+        size=options.size,
+        max_atoms=options.atoms,
+        precision=options.precision,
+        light=lamp(*options.light) if options.light else None,
+    )
+    for path in paths:
+        print(path)
+    return OK
+
+
+def add_coverage(commands) -> None:
+    """The verb `coverage`."""
+    coverage = commands.add_parser("coverage", help="holes and overdraw of a packed file's splats, view by view")
+    coverage.add_argument("packed", metavar="PACKED")
+    coverage.add_argument("--json", action="store_true", help="what was measured as the last line of stdout")
+    coverage.set_defaults(command=_coverage)
+
+
+def _coverage(options: argparse.Namespace) -> int:
+    from services.processes.render import coverage_of
+
+    found = coverage_of(scan_path(options.packed))
+    if options.json:
+        print(json.dumps(found))
+        return OK
+    print(
+        f"{'view':<12}{'holes':>9}{'behind':>9}{'before':>9}{'overdraw':>10}   of the surface, against discs of exact sizes"
+    )
+    for row in found["surface"]:
+        shares = "".join(f"{100 * row[k]:8.2f}%" for k in ("holes", "see_through", "before"))
+        print(f"{row['camera']:<12}{shares}{row['overdraw']:10.2f}")
+    print(f"{'view':<12}{'covered':>9}{'holes':>9}   of the picture; inside the outline, closed by 9x9 px")
+    for row in found["outline"]:
+        print(f"{row['camera']:<12}{100 * row['coverage']:8.2f}%{100 * row['holes']:8.2f}%")
+    return OK

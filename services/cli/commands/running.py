@@ -1,0 +1,64 @@
+"""What commands do before and while they run: where, with what progress, on which scan."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from pipeline.readers.attributes.options import ReadOptions
+from services.cli.arguments import WrongArgument
+from storage.errors import InvalidScan, ResourceExhausted
+
+
+def executor_for(options: argparse.Namespace):
+    from pipeline.execution.executors import DaskExecutor, SerialExecutor
+
+    if options.executor == "serial":
+        return SerialExecutor()
+    return DaskExecutor(options.workers, options.scheduler)
+
+
+def progress_bars():
+    from services.cli.progress import ProgressBars
+
+    return ProgressBars()
+
+
+def scan_path(text: str) -> Path:
+    path = Path(text)
+    if not path.exists():
+        raise FileNotFoundError(f"{text}: no such file or folder")
+    return path
+
+
+def look_first(scan: Path, draws: bool, reading: ReadOptions) -> None:
+    """What takes a second is looked at before workers start: the scan's header, and OpenGL where pictures are wanted."""
+    from renderer.splats.context import gl_context
+    from services.processes.inspect import inspect
+
+    inspect(scan, reading)
+    if draws:
+        try:
+            gl_context().release()
+        except ResourceExhausted as error:
+            raise ResourceExhausted(
+                error.where, error.found, error.allowed, f"{error.hint}; or go without pictures: --no-render"
+            ) from error
+
+
+def needs_photographs(scan: Path, reading: ReadOptions, why: str) -> None:
+    """Told by the header, before workers start."""
+    from services.processes.inspect import inspect
+
+    if not inspect(scan, reading).get("cameras", {}).get("count"):
+        raise InvalidScan(str(scan), "no photographs", f"a scan with photographs: {why}")
+
+
+def made_folder(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def refuse_to_overwrite(out: Path, overwrite: bool) -> None:
+    if out.exists() and not overwrite and (not out.is_dir() or any(out.iterdir())):
+        raise WrongArgument(f"--out {out} exists and is not empty; choose another, or say --overwrite")

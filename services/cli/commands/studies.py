@@ -1,0 +1,204 @@
+"""The commands that say what accuracy and size cost: `evaluate`, `tradeoff`, `estimate` and `plan`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from services.cli.arguments import WrongArgument, add_settings, settings_of
+from services.cli.commands.options import add_executor, add_measuring, add_output, count, large_count
+from services.cli.commands.running import executor_for, needs_photographs, progress_bars, refuse_to_overwrite, scan_path
+from services.cli.exit_codes import BY_KIND, OK
+
+
+def add_evaluate(commands) -> None:
+    """The verb `evaluate`."""
+    evaluate = commands.add_parser(
+        "evaluate", help="the tables and figures of the HPG 2021 paper, measured on a scan with photographs"
+    )
+    evaluate.add_argument("scan", metavar="SCAN")
+    add_output(evaluate)
+    add_settings(evaluate)
+    evaluate.add_argument("--rows", metavar="NAME,...", help="of Table 1; default: all")
+    evaluate.add_argument(
+        "--hold-out", type=count, metavar="N", help="keep every N-th photograph out of texturing and compare with it"
+    )
+    add_measuring(evaluate)
+    evaluate.set_defaults(command=_evaluate)
+
+
+def _evaluate(options: argparse.Namespace) -> int:
+    from services.processes.evaluate import ROWS, evaluate
+
+    settings, out = settings_of(options), Path(options.out)
+    rows = options.rows.split(",") if options.rows else ROWS
+    if unknown := [row for row in rows if row not in ROWS]:
+        raise WrongArgument(f"--rows has {', '.join(map(repr, unknown))}; allowed: {', '.join(ROWS)}")
+    scan = scan_path(options.scan)
+    refuse_to_overwrite(out, options.overwrite)
+    needs_photographs(scan, settings.reading, "there is no texture to evaluate")
+    with executor_for(options) as executor:
+        made = evaluate(
+            scan,
+            out,
+            settings,
+            executor,
+            progress_bars(),
+            rows=rows,
+            hold_out=options.hold_out,
+            render=not options.no_render,
+            work=Path(options.work) if options.work else None,
+        )
+    if options.json:
+        print(json.dumps({**made, "out": str(out)}))
+    else:
+        print(_table_1(made["rows"]))
+        print(f"page  {out / 'evaluate.html'}")
+    for failure in made["failed"]:
+        print(
+            f"splatpress: {failure['class']} error: {failure['name']}: {failure['error']}; all else is there",
+            file=sys.stderr,
+        )
+    return BY_KIND[made["failed"][0]["class"]] if made["failed"] else OK
+
+
+def _table_1(rows: list[dict]) -> str:
+    lines = [f"{'textures':<28}{'texture bytes':>15}{'B a splat':>11}{'PSNR dB':>9}{'visible':>9}{'seconds':>9}"]
+    for row in rows:
+        psnr = [
+            f"{row[k]:9.2f}" if row[k] is not None else f"{'exact':>9}" for k in ("texture_psnr_db", "visible_psnr_db")
+        ]
+        name = f"{row['name']}, {row['coder']}" if row["kind"] == "ours" else row["name"]
+        lines.append(
+            f"{name:<28}{row['texture_bytes']:>15,}{row['bytes_per_splat']:>11.2f}{psnr[0]}{psnr[1]}{row['seconds']:>9.1f}"
+        )
+    return "\n".join(lines)
+
+
+def add_tradeoff(commands) -> None:
+    """The verb `tradeoff`."""
+    tradeoff = commands.add_parser(
+        "tradeoff", help="what accuracy costs on this scan: presets, and each knob alone, measured"
+    )
+    tradeoff.add_argument("scan", metavar="SCAN")
+    add_output(tradeoff)
+    add_settings(tradeoff)
+    tradeoff.add_argument(
+        "--knob",
+        action="append",
+        default=[],
+        metavar="NAME=V1,V2,...",
+        help="vary these instead of the usual; may be repeated",
+    )
+    tradeoff.add_argument("--budget", default="10min", metavar="TIME", help="as 90s, 10min, 2h; default: 10min")
+    add_measuring(tradeoff)
+    tradeoff.set_defaults(command=_tradeoff)
+
+
+def _tradeoff(options: argparse.Namespace) -> int:
+    from services.processes.tradeoff import parsed_budget, parsed_knobs, tradeoff
+
+    settings, out = settings_of(options), Path(options.out)
+    try:
+        budget_s, knobs = parsed_budget(options.budget), parsed_knobs(options.knob) if options.knob else None
+    except ValueError as error:
+        raise WrongArgument(str(error)) from error
+    scan = scan_path(options.scan)
+    refuse_to_overwrite(out, options.overwrite)
+    needs_photographs(scan, settings.reading, "without, no knob trades accuracy")
+    with executor_for(options) as executor:
+        made = tradeoff(
+            scan,
+            out,
+            settings,
+            executor,
+            progress_bars(),
+            knobs=knobs,
+            budget_s=budget_s,
+            render=not options.no_render,
+            work=Path(options.work) if options.work else None,
+        )
+    if options.json:
+        print(json.dumps({**made, "out": str(out)}))
+    else:
+        print(
+            "\n".join(
+                f"{p['key']:<28}{p['texture_psnr_db']:8.2f} dB{p['bytes_per_splat']:9.2f} B a splat{p['seconds']:9.1f} s"
+                for p in made["points"]
+            )
+        )
+        print(f"page  {out / 'tradeoff.html'}")
+    return OK
+
+
+def add_estimate(commands) -> None:
+    """The verb `estimate`."""
+    estimate = commands.add_parser(
+        "estimate", help="what compress would take in seconds, memory and bytes, and give in PSNR"
+    )
+    estimate.add_argument("scan", metavar="SCAN")
+    add_settings(estimate)
+    estimate.add_argument(
+        "--work", metavar="DIR", help="keep what the job will use again there, and the estimate for its report"
+    )
+    estimate.add_argument("--json", action="store_true", help="the estimate as the last line of stdout")
+    add_executor(estimate)
+    estimate.set_defaults(command=_estimate)
+
+
+def _estimate(options: argparse.Namespace) -> int:
+    from services.processes.estimate import estimate
+
+    settings, scan = settings_of(options), scan_path(options.scan)
+    work = Path(options.work) if options.work else None
+    if work:
+        work.mkdir(parents=True, exist_ok=True)
+    with executor_for(options) as executor:
+        found = estimate(scan, settings, executor, progress_bars(), work)
+    print(json.dumps(found) if options.json else _estimate_lines(found))
+    return OK
+
+
+def _estimate_lines(found: dict) -> str:
+    from renderer.report.report_words import ESTIMATE
+
+    lines = [
+        f"{title:<24} {say(figure['value']):>14}   {say(figure['low'])} to {say(figure['high'])}"
+        for name, title, say in ESTIMATE
+        if (figure := found[name])
+    ]
+    lines.append(f"{'Bytes a splat':<24} {found['bytes_per_splat']:>14.2f}")
+    return "\n".join(
+        [
+            *lines,
+            f"from {found['sample']['n_splats']:,} of {found['splats']:,} splats; up to the packed file, with {found['n_workers']} workers",
+        ]
+    )
+
+
+def add_plan(commands) -> None:
+    """The verb `plan`."""
+    plan = commands.add_parser("plan", help="what a scan of any size would cost on any number of workers")
+    plan.add_argument("--splats", required=True, type=large_count, metavar="N", help="as 71e6")
+    plan.add_argument("--workers", type=count, default=24, metavar="N", help="default: 24")
+    plan.add_argument("--photographs", type=int, default=400, metavar="N", help="default: 400")
+    plan.add_argument("--megapixels", type=float, default=10.0, metavar="M", help="of a photograph; default: 10")
+    plan.add_argument(
+        "--as-measured",
+        action="store_true",
+        help="on the machine that the costs were measured on; default: on machines as fast as this one",
+    )
+    plan.add_argument("--json", action="store_true")
+    add_settings(plan, ("coder", "dictionary_bits", "training_splats", "iterations"))
+    plan.set_defaults(command=_plan)
+
+
+def _plan(options: argparse.Namespace) -> int:
+    from services.processes.plan import as_text, plan, speed_of_this_machine
+
+    speed = 1.0 if options.as_measured else speed_of_this_machine()
+    found = plan(options.splats, options.workers, settings_of(options), options.photographs, options.megapixels, speed)
+    print(json.dumps(found) if options.json else as_text(found))
+    return OK
