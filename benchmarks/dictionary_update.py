@@ -16,7 +16,7 @@ import threadpoolctl
 
 from benchmarks.patches import arguments, in_turns, learned_dictionary, textured_patches
 from pipeline.coding.ksvd import block_sums, updated_dictionary
-from pipeline.coding.omp import ready_for
+from pipeline.coding.search.choice import ready_for
 from pipeline.coding.subspace import project
 from pipeline.numerics.accuracy import squared_error_at
 from pipeline.stages.texture.atoms import Atoms

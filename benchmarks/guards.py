@@ -77,7 +77,7 @@ def pursuits(patches: np.ndarray, dictionary: np.ndarray) -> dict:
                 True,
                 energy,
                 gram,
-                omp_kernels.NO_TURNS,
+                omp_kernels.ONLY_IDENTITY,
                 np.full(n, TOLERANCE),
                 0.0,
                 np.empty((N_ATOMS, 0)),

@@ -18,8 +18,8 @@ import threadpoolctl
 
 from benchmarks.patches import arguments, learned_dictionary, textured_patches
 from pipeline.coding.ksvd import block_sums
-from pipeline.coding.omp import ready_for
 from pipeline.coding.omp_kernels import squared_norms
+from pipeline.coding.search.choice import ready_for
 from pipeline.coding.subspace import project
 from pipeline.stages.texture.atoms import Atoms
 from pipeline.texture.patches import centred

@@ -16,7 +16,8 @@ import json
 import numpy as np
 
 from benchmarks.patches import arguments, in_turns, learned_dictionary, textured_patches
-from pipeline.coding.omp import pursue_patches, ready_for
+from pipeline.coding.omp import pursue_patches
+from pipeline.coding.search.choice import ready_for
 from pipeline.execution.threads import available_cores
 
 N_ATOMS = 8

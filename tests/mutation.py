@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 PURSUIT = [
     "tests/pipeline/coding/test_omp.py",
-    "tests/pipeline/coding/test_certified.py",
+    "tests/pipeline/coding/search/test_certified.py",
     "tests/hard_cases/test_coding.py",
     "tests/pipeline/stages/texture/test_prices.py",
 ]

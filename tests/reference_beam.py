@@ -7,7 +7,7 @@ import numpy as np
 LEAST_OUTSIDE = 2e-3  # of an atom's squared norm that lies outside the span of the support, else it is passed over
 
 
-def beam(patch, dictionary, max_atoms, width, candidates, tolerance=0.0, price=0.0, levels=None):
+def beam(patch, dictionary, max_atoms, width, candidates, tolerance=0.0, multiplier=0.0, levels=None):
     """The best support of the last step, its weights, and what the best of 0, 1, ... atoms leaves."""
     patch, dictionary = patch.astype(np.float64), dictionary.astype(np.float64)
     path, nodes, best = [float(patch @ patch)], [()], ((), np.empty(0))
@@ -23,7 +23,7 @@ def beam(patch, dictionary, max_atoms, width, candidates, tolerance=0.0, price=0
                 children.append((left(patch, dictionary[list(child)], weight), child, weight))
         kept: dict[frozenset, tuple] = {}
         for child in sorted(children, key=lambda child: child[0]):
-            if child[0] < path[-1] - price and len(kept) < width:
+            if child[0] < path[-1] - multiplier and len(kept) < width:
                 kept.setdefault(frozenset(child[1]), child)
         if not kept:
             break

@@ -1,8 +1,8 @@
-"""Patches as coefficients of what atoms of s x s texels can show on them, and atoms turned and mirrored in eight ways.
+"""Patches as coefficients of what atoms of s x s texels can show on them, and atoms in the eight symmetries of the square (D4).
 
 An atom of fewer texels than a patch is shown by bilinear interpolation, as a GPU magnifies it. What s x s texels show
 along one axis is spanned by s orthonormal columns, here taken in the order of their frequency: the cosines of the DCT
-interpolated, then made orthonormal. They are even and odd by turns, so a mirrored atom has the signs of its odd
+interpolated, then made orthonormal. They are even and odd alternately, so a mirrored atom has the signs of its odd
 coefficients changed, and one mirrored at the diagonal its axes exchanged. Products, norms and least squares of
 coefficients are those of the shown texels; what a patch has beyond them, no atom of this size can show.
 
@@ -19,22 +19,22 @@ import numpy as np
 
 from storage.packed.schema import PATCH_SIZE
 
-TURNS = 8  # bit 2: mirrored at the diagonal, before that bit 0: left to right, bit 1: top to bottom
+SYMMETRIES = 8  # bit 2: mirrored at the diagonal, before that bit 0: left to right, bit 1: top to bottom
 
 
 @dataclass(frozen=True)
 class AtomForm:
-    """How many texels to a side atoms have, and in how many turns (1 or TURNS) a splat may take them."""
+    """How many texels to a side atoms have, and in how many symmetries (1 or SYMMETRIES) a splat may take them."""
 
     size: int = PATCH_SIZE
     n_turns: int = 1
 
     def in_turns(self, atoms: np.ndarray) -> np.ndarray:
         """What indices name, (n_turns k, d), of atoms (k, d) as coefficients."""
-        return in_all_turns(atoms, self.size) if self.n_turns > 1 else atoms
+        return in_all_symmetries(atoms, self.size) if self.n_turns > 1 else atoms
 
-    def turned_back(self, rows: np.ndarray) -> np.ndarray:
-        return turned_back(rows, self.size) if self.n_turns > 1 else rows
+    def summed_back(self, rows: np.ndarray) -> np.ndarray:
+        return summed_back(rows, self.size) if self.n_turns > 1 else rows
 
 
 def coefficients(patches: np.ndarray, size: int) -> np.ndarray:
@@ -70,21 +70,21 @@ def shown(texels: np.ndarray, size: int) -> np.ndarray:
     return np.array(texels, np.float32) if size == PATCH_SIZE else _along_both(texels, _interpolation(size))
 
 
-def in_all_turns(atoms: np.ndarray, size: int) -> np.ndarray:
-    """Atoms (k, 3 size^2), coefficients, in all turns: (8 k, 3 size^2), turn t of atom a in row 8 a + t."""
-    turned = np.stack([_turned(atoms.reshape(-1, size, size, 3), turn) for turn in range(TURNS)], axis=1)
-    return turned.reshape(TURNS * len(atoms), -1)
+def in_all_symmetries(atoms: np.ndarray, size: int) -> np.ndarray:
+    """Atoms (k, 3 size^2), coefficients, in all symmetries: (8 k, 3 size^2), symmetry t of atom a in row 8 a + t."""
+    turned = np.stack([_turned(atoms.reshape(-1, size, size, 3), turn) for turn in range(SYMMETRIES)], axis=1)
+    return turned.reshape(SYMMETRIES * len(atoms), -1)
 
 
-def turned_back(rows: np.ndarray, size: int) -> np.ndarray:
-    """The transpose of `in_all_turns`: rows (8 k, 3 size^2) turned back and added up, (k, 3 size^2)."""
-    by_turn = rows.reshape(-1, TURNS, size, size, 3)
-    total = sum(_turned_back(by_turn[:, turn], turn) for turn in range(TURNS))
+def summed_back(rows: np.ndarray, size: int) -> np.ndarray:
+    """The transpose of `in_all_symmetries`: rows (8 k, 3 size^2), each in the inverse of its symmetry and added up, (k, 3 size^2)."""
+    by_turn = rows.reshape(-1, SYMMETRIES, size, size, 3)
+    total = sum(_turned_back(by_turn[:, turn], turn) for turn in range(SYMMETRIES))
     return total.reshape(len(by_turn), -1)  # type: ignore[union-attr]
 
 
-def turned_texels(texels: np.ndarray, turn: int) -> np.ndarray:
-    """Texels (..., s, s, 3) of atoms in one turn."""
+def transformed_texels(texels: np.ndarray, turn: int) -> np.ndarray:
+    """Texels (..., s, s, 3) of atoms in one symmetry."""
     turned = texels[..., ::-1, :] if turn & 1 else texels
     turned = turned[..., ::-1, :, :] if turn & 2 else turned
     return np.swapaxes(turned, -3, -2) if turn & 4 else turned

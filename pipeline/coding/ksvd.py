@@ -26,9 +26,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.coding.coherence import coherent_with_earlier, distinct_directions
 from pipeline.coding.omp import Pursuit, pursue_patches
 from pipeline.coding.omp_kernels import squared_norms, subtract_rows
-from pipeline.coding.twins import distinct_directions, twins_of_earlier
 from pipeline.execution.compiled import FAST, kernel, part
 
 BLOCK = 2048  # patches whose sums are made in one go; part of the result, as float sums depend on their order
@@ -56,7 +56,7 @@ class Sums:
 
 
 def initial_dictionary(patches: np.ndarray, n_atoms: int, seed: int) -> np.ndarray:
-    """A random choice of the patches themselves, normalised, no twins; (m, d) float32 with m <= n_atoms unit rows.
+    """A random choice of the patches themselves, normalised, no two of them coherent (`coherence`); (m, d) float32 with m <= n_atoms unit rows.
 
     Fewer than `n_atoms` where there are fewer different patches.
     """
@@ -126,10 +126,10 @@ def updated_dictionary(
 ) -> tuple[np.ndarray, int]:
     """The dictionary after one update, and how many atoms were replaced. All atoms move from the same old ones.
 
-    With a `step` below 1 they go only that share of the way; without `replace_unused` only twins are replaced. `before`
+    With a `step` below 1 they go only that share of the way; without `replace_unused` only coherent atoms are replaced. `before`
     is the dictionary (k, d) that this one came from: atoms go on in the direction that they came.
 
-    Guarantees: unit rows, float32; an atom hardly used, or a twin of an earlier one, becomes one of the worst
+    Guarantees: unit rows, float32; an atom hardly used, or coherent with an earlier one, becomes one of the worst
     represented patches; no two become the same.
     """
     fewest = min(FEWEST_USERS, max(1, sums.n_patches // len(dictionary))) if replace_unused else 0
@@ -139,7 +139,7 @@ def updated_dictionary(
     alive = used & ((norms > 0) | (fewest == 0))
     if before is not None:
         updated = _carried_on(updated, dictionary, before)
-    alive &= ~twins_of_earlier(updated, alive)
+    alive &= ~coherent_with_earlier(updated, alive)
     vacant = np.flatnonzero(~alive)
     if not len(vacant):
         return updated, 0

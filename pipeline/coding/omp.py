@@ -6,52 +6,15 @@ and progressive Cholesky after Rubinstein et al. 2008.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.coding.beam import by_steps
-from pipeline.coding.beam.by_gram import pursue_beam
 from pipeline.coding.beam.form import beam_of
-from pipeline.coding.certified import (
-    MOST_WITH_GRAM,
-    ShortDictionary,
-    pursue_rows,
-    rows_at_a_time,
-    shorten,
-    unshortened,
-)
-from pipeline.coding.coarse import CoarseDictionary, coarsen
-from pipeline.coding.omp_kernels import NO_TURNS, add_atoms, pursue, squared_norms
-from pipeline.coding.turned import TurnedDictionary
+from pipeline.coding.omp_kernels import add_atoms, squared_norms
+from pipeline.coding.search.choice import SEARCHES, ready_for
+from pipeline.coding.search.protocol import NO_LEVELS, Found, Rules, SearchedDictionary
 from pipeline.execution.threads import available_cores, run_all
-
-ROWS = 512  # patches a GEMM: 512 x 4096 correlations are 8 MiB, near the second-level cache
-NO_LEVELS = np.empty((0, 0))
-SEARCHES = ("exact", "certified", "approximate")
-
-
-@dataclass(frozen=True)
-class WholeDictionary:
-    """A dictionary whose products with patches are one GEMM."""
-
-    dictionary: np.ndarray  # (k, d) float32, unit rows
-    gram: np.ndarray  # (k, k) float32
-    rows, turns = ROWS, NO_TURNS
-
-    @property
-    def rest(self) -> np.ndarray:
-        return np.zeros(len(self.dictionary), np.float32)
-
-    def products(self, patches: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Correlations (n, k) float32 of patches (n, d), and by how much they are off: not at all."""
-        return patches @ self.dictionary.T, np.zeros(len(patches), np.float32)
-
-
-Searched = (
-    WholeDictionary | TurnedDictionary | CoarseDictionary | ShortDictionary
-)  # a dictionary with what its search needs
 
 
 class Codes(NamedTuple):
@@ -80,9 +43,9 @@ class Pursuit(NamedTuple):
         """The same, of patches that have squared norms `rest` (n,) beside what was coded of them."""
         return self._replace(path=self.path + rest[:, None])
 
-    def atoms_at(self, price: float) -> np.ndarray:
-        """How many of its atoms (n,) each patch takes where they cost more than they did in this pursuit."""
-        worth = (self.path[:, :-1] - self.path[:, 1:] > price) & (
+    def atoms_at(self, multiplier: float) -> np.ndarray:
+        """How many of its atoms (n,) each patch takes at a Lagrange multiplier no lower than that of this pursuit."""
+        worth = (self.path[:, :-1] - self.path[:, 1:] > multiplier) & (
             np.arange(self.path.shape[1] - 1) < self.codes.n_atoms[:, None]
         )
         return np.logical_and.accumulate(worth, axis=1).sum(axis=1)
@@ -94,7 +57,7 @@ def sparse_encode(
     *,
     max_atoms: int,
     tolerance: float | np.ndarray = 0.0,
-    price: float = 0.0,
+    multiplier: float = 0.0,
     weight_levels: np.ndarray | None = None,  # (max_atoms or more, n_levels), ascending rows
     search: str = "exact",
     pursuit: str = "omp",
@@ -104,7 +67,7 @@ def sparse_encode(
 
     A patch is done when its squared residual norm is at most `tolerance` (one number, or one a patch; in the units of
     the patches squared, as scikit-learn's `tol` and SPAMS' `eps`), or when a further atom would lower it by no more than
-    `price`: one price for all patches spends atoms where they mend most. With `weight_levels` every weight of rank j is one
+    `multiplier`, the Lagrange multiplier of `error + multiplier * atoms`: one for all patches spends atoms where they mend most. With `weight_levels` every weight of rank j is one
     of row j, chosen inside the loop: the next atom sees what the rounding left.
 
     `search` is how the atom of largest correlation is found: "exact" by all products; "certified" by short products
@@ -136,7 +99,7 @@ def sparse_encode(
         dictionary,
         max_atoms=max_atoms,
         tolerance=tolerance,
-        price=price,
+        multiplier=multiplier,
         weight_levels=weight_levels,
         search=search,
         pursuit=pursuit,
@@ -146,11 +109,11 @@ def sparse_encode(
 
 def pursue_patches(
     patches: np.ndarray,
-    dictionary: np.ndarray | Searched,  # made ready already, where many calls share one
+    dictionary: np.ndarray | SearchedDictionary,  # made ready already, where many calls share one
     *,
     max_atoms: int,
     tolerance: float | np.ndarray = 0.0,
-    price: float = 0.0,
+    multiplier: float = 0.0,
     weight_levels: np.ndarray | None = None,
     search: str = "exact",
     pursuit: str = "omp",
@@ -159,62 +122,30 @@ def pursue_patches(
     """`sparse_encode`, with all that the pursuit found out."""
     if search not in SEARCHES:
         raise ValueError(f"search is {search!r}; allowed: {', '.join(SEARCHES)}")
-    if isinstance(dictionary, np.ndarray):
-        dictionary = ready_for(search, _checked(dictionary))
-    elif search == "exact":
-        dictionary = by_whole_products(dictionary)
-    patches, beam = _fitting(patches, dictionary.dictionary, max_atoms), beam_of(pursuit)
+    searched = ready_for(search, _checked(dictionary)) if isinstance(dictionary, np.ndarray) else dictionary
+    if search == "exact":
+        searched = searched.exact()
+    patches, beam = _fitting(patches, searched.dictionary, max_atoms), beam_of(pursuit)
     levels = NO_LEVELS if weight_levels is None else np.ascontiguousarray(weight_levels, np.float64)
-    n = len(patches)
+    n, step = len(patches), searched.rows_at_a_time(beam)
     codes = Codes(np.zeros((n, max_atoms), np.int32), np.zeros((n, max_atoms), np.float32), np.zeros(n, np.int32))
     weight_code, path = np.zeros((n, max_atoms), np.int32), np.zeros((n, max_atoms + 1))
     tolerance = np.broadcast_to(np.asarray(tolerance, np.float64), (n,))
-    in_components = isinstance(dictionary, ShortDictionary)
-    certify = search == "certified"
-    if beam and in_components:
-        step = by_steps.rows_at_a_time(len(dictionary.dictionary), beam.width)
-    else:
-        step = rows_at_a_time(dictionary) if in_components else dictionary.rows  # type: ignore[arg-type, union-attr]
 
     def pursue_block(start: int) -> None:
-        part = slice(start, start + step)
-        rows = patches[part]
+        block = slice(start, start + step)
+        rows = patches[block]
         energy = squared_norms(rows)
         if not np.isfinite(energy).all():
             raise ValueError(f"patch {start + int(np.argmin(np.isfinite(energy)))} is not finite")
-        path[part, 0] = energy
-        todo = start + np.flatnonzero(energy > np.maximum(tolerance[part], price))
+        path[block, 0] = energy
+        todo = start + np.flatnonzero(energy > np.maximum(tolerance[block], multiplier))
         if not len(todo):
             return
         if len(todo) < len(rows):  # of fountain_p11 at 40 dB, a third: they need no products
             rows, energy = rows[todo - start], energy[todo - start]
-        found = (
-            np.zeros((len(todo), max_atoms), np.int32),
-            np.zeros((len(todo), max_atoms)),
-            np.zeros((len(todo), max_atoms), np.int32),
-            np.zeros(len(todo), np.int32),
-            np.zeros((len(todo), max_atoms + 1)),
-        )
-        stop = (tolerance[todo], price, levels)
-        if beam and in_components:
-            by_steps.pursue_beam_rows(rows, energy, dictionary, *stop, beam.width, beam.candidates, *found)  # type: ignore[arg-type]
-        elif in_components:
-            pursue_rows(rows, energy, dictionary, certify and len(dictionary.basis) > 0, *stop, *found)  # type: ignore[arg-type, union-attr]
-        else:
-            products = (
-                *dictionary.products(rows, energy),  # type: ignore[union-attr]
-                dictionary.rest,
-                certify,
-                energy,
-                dictionary.gram,  # type: ignore[union-attr]
-                dictionary.turns,  # type: ignore[union-attr]
-            )
-            if beam:
-                pursue_beam(rows, dictionary.dictionary, *products, *stop, beam.width, beam.candidates, *found)
-            else:
-                pursue(rows, dictionary.dictionary, *products, *stop, *found)
-            if isinstance(dictionary, TurnedDictionary):
-                found[0][:] = dictionary.numbers(found[0])
+        found = Found.nothing(len(todo), max_atoms)
+        searched.pursue(rows, energy, Rules(tolerance[todo], multiplier, levels, search == "certified", beam), found)
         kept: tuple[np.ndarray, ...] = (codes.atom_index, codes.weight, weight_code, codes.n_atoms, path)
         for whole, rows_found in zip(kept, found):
             whole[todo] = rows_found
@@ -228,23 +159,6 @@ def reconstruct(codes: Codes, dictionary: np.ndarray) -> np.ndarray:
     result = np.zeros((len(codes.n_atoms), dictionary.shape[1]), np.float32)
     add_atoms(result, dictionary, codes.atom_index, codes.weight, codes.n_atoms)
     return result
-
-
-def ready_for(search: str, dictionary: np.ndarray) -> Searched:
-    """A dictionary (k, d) float32 of unit rows, with what its `search` needs."""
-    if len(dictionary) > MOST_WITH_GRAM:
-        return (None if search == "exact" else shorten(dictionary)) or unshortened(dictionary)
-    found = None if search == "exact" else coarsen(dictionary)
-    return found or WholeDictionary(dictionary, dictionary @ dictionary.T)
-
-
-def by_whole_products(dictionary: Searched) -> Searched:
-    """The same dictionary for exact search."""
-    if isinstance(dictionary, CoarseDictionary):
-        return WholeDictionary(dictionary.dictionary, dictionary.gram)
-    if isinstance(dictionary, ShortDictionary) and len(dictionary.basis):
-        return ready_for("exact", dictionary.dictionary)
-    return dictionary
 
 
 def _fitting(patches: np.ndarray, dictionary: np.ndarray, max_atoms: int) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.execution.compiled import FAST, kernel, part
 
 # A squared pivot below this says that the atom lies in the span of the support, as far as float32 can tell. The Gram
-# matrix is exact to 1e-7, so weights to 1e-7 / pivot: on differences of near-twins the residual norm was 5e-4 above the
+# matrix is exact to 1e-7, so weights to 1e-7 / pivot: on differences of coherent atoms the residual norm was 5e-4 above the
 # least squares with pivots of 2e-4, and 2.4e-5 with 2e-3. On 4,000 patches of fountain_p11 with 8 of 256 atoms pivots
 # stay above 0.16.
 SMALLEST_PIVOT = 2e-3
@@ -23,7 +23,7 @@ SMALLEST_CORRELATION = 1e-6
 TRUSTED = np.float32(
     1e-6
 )  # share of its slack that a product keeps which is not to be certified: it decides nothing, but is no zero
-NO_TURNS = np.zeros((1, 1), np.int64)  # of a dictionary whose atoms are each their own
+ONLY_IDENTITY = np.zeros((1, 1), np.int64)  # the quotients of a dictionary of one symmetry
 
 
 @part(fastmath=FAST)
@@ -53,10 +53,10 @@ def subtract_rows(row, table, support, weight, t):
 
 
 @part(fastmath=FAST)
-def _subtract_gram_rows(row, gram, turns, straight, turn, weight, t):
-    """As `subtract_rows`, with rows of the Gram matrix of atoms in turns, of which `gram` has those of the straight
-    ones."""
-    k, n_turns, j = np.uintp(gram.shape[0]), turns.shape[0], 0
+def _subtract_gram_rows(row, gram, quotients, straight, turn, weight, t):
+    """As `subtract_rows`, with rows of the Gram matrix of atoms in all symmetries, of which `gram` has those in
+    symmetry 0 (`pursue`)."""
+    k, n_turns, j = np.uintp(gram.shape[0]), quotients.shape[0], 0
     while j + 4 <= t:
         a, b, c, d = (
             np.uintp(straight[j]),
@@ -68,8 +68,8 @@ def _subtract_gram_rows(row, gram, turns, straight, turn, weight, t):
         wc, wd = np.float32(weight[j + 2]), np.float32(weight[j + 3])
         for s in range(n_turns):
             at = np.uintp(s) * k
-            at_a, at_b = np.uintp(turns[turn[j], s]) * k, np.uintp(turns[turn[j + 1], s]) * k
-            at_c, at_d = np.uintp(turns[turn[j + 2], s]) * k, np.uintp(turns[turn[j + 3], s]) * k
+            at_a, at_b = np.uintp(quotients[turn[j], s]) * k, np.uintp(quotients[turn[j + 1], s]) * k
+            at_c, at_d = np.uintp(quotients[turn[j + 2], s]) * k, np.uintp(quotients[turn[j + 3], s]) * k
             for i in range(k):
                 row[at + i] -= (wa * gram[a, at_a + i] + wb * gram[b, at_b + i]) + (
                     wc * gram[c, at_c + i] + wd * gram[d, at_d + i]
@@ -78,7 +78,7 @@ def _subtract_gram_rows(row, gram, turns, straight, turn, weight, t):
     while j < t:
         a, wa = np.uintp(straight[j]), np.float32(weight[j])
         for s in range(n_turns):
-            at, at_a = np.uintp(s) * k, np.uintp(turns[turn[j], s]) * k
+            at, at_a = np.uintp(s) * k, np.uintp(quotients[turn[j], s]) * k
             for i in range(k):
                 row[at + i] -= wa * gram[a, at_a + i]
         j += 1
@@ -254,9 +254,9 @@ def pursue(
     certify,
     energy,
     gram,
-    turns,
+    quotients,
     tolerance,
-    price,
+    multiplier,
     levels,
     atom,
     weight,
@@ -268,9 +268,9 @@ def pursue(
 
     dictionary (k, d); initial (n, k): correlations of patches and atoms, no further off than spread (n,) times rest
     (k,), and made exact where that may decide, in place (not to `certify`, of atoms that are taken alone); gram (k / m,
-    k) of the first k / m atoms, all float32; turns (m, m) int64: the k / m atoms of turn t and of turn s have the
-    products that those of turn 0 and of turn turns[t, s] have, so turns is ((0,),) where each atom is its own. energy
-    (n,) float64: squared norms; tolerance (n,) float64: squared residual at which a patch is done; price: by how much
+    k) of the first k / m atoms, all float32; quotients (m, m) int64, atom i being atom i mod (k / m) in symmetry i // (k / m):
+    <turn(a, t), turn(b, s)> = <a, turn(b, quotients[t, s])>, so ((0,),) where there is one symmetry. energy
+    (n,) float64: squared norms; tolerance (n,) float64: squared residual at which a patch is done; multiplier (Lagrange): by how much
     more than that an atom must lower it; levels (r, w) float64, w = 0 for exact weights. Filled: atom (n, r) int32,
     weight (n, r) float64, code (n, r) int32, n_atoms (n,) int32, path (n, r + 1) float64: the squared residual with no
     atom, one, and so on. It never rises with an atom: one that would not lower it ends the pursuit.
@@ -308,7 +308,7 @@ def pursue(
                     )
                     felt[j] = weight[i, j]
                     n_moved += 1
-            _subtract_gram_rows(correlation, gram, turns, moved_straight, moved_turn, moved, n_moved)
+            _subtract_gram_rows(correlation, gram, quotients, moved_straight, moved_turn, moved, n_moved)
             for j in range(t):
                 correlation[atom[i, j]] = 0
             pivot, anew = 0.0, False
@@ -318,7 +318,7 @@ def pursue(
                     break
                 straight[t], turn[t] = best % n_straight, best // n_straight
                 for j in range(t + 1):
-                    gram_support[t, j] = gram[straight[t], turns[turn[t], turn[j]] * n_straight + straight[j]]
+                    gram_support[t, j] = gram[straight[t], quotients[turn[t], turn[j]] * n_straight + straight[j]]
                     gram_support[j, t] = gram_support[t, j]
                 target[t] = initial[i, best]
                 pivot = append_to_cholesky(chol, gram_support, t)
@@ -332,7 +332,7 @@ def pursue(
                 lowered = residual_energy(energy[i], target, gram_support, trial, t + 1)
             else:
                 lowered = max(error - forward[t] ** 2, 0.0)
-            if lowered >= error - price:
+            if lowered >= error - multiplier:
                 break
             atom[i, t] = best
             t += 1

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.coding.certified import principal_components
 from pipeline.coding.omp_kernels import squared_norms
+from pipeline.coding.search.stepwise import principal_components
 
 LADDER = (64, 256, 1024)  # how many are looked for; the first that reach the floor are then cut to what it takes
 STEP = 32  # components come in whole vector registers

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pipeline.coding.grid import TURNS, coefficients
+from pipeline.coding.grid import SYMMETRIES, coefficients
 from pipeline.coding.omp import pursue_patches
-from pipeline.coding.turned import turn_all
+from pipeline.coding.search.symmetric import with_symmetries
 from pipeline.execution.threads import one_blas_thread
 from pipeline.geometry.chunks import median_split
 from pipeline.texture.patches import centred
@@ -26,8 +26,8 @@ def probe_seconds() -> float:
     rng = np.random.default_rng(0)
     texel = rng.integers(0, 256, (N_PATCHES, PATCH_DIM), np.uint8)
     average = rng.integers(0, 256, (N_PATCHES, 3), np.uint8)
-    atoms = rng.standard_normal((N_ATOMS // TURNS, 3 * 64)).astype(np.float32)
-    turned = turn_all(atoms / np.linalg.norm(atoms, axis=1, keepdims=True), 8)
+    atoms = rng.standard_normal((N_ATOMS // SYMMETRIES, 3 * 64)).astype(np.float32)
+    turned = with_symmetries(atoms / np.linalg.norm(atoms, axis=1, keepdims=True), 8)
     points = rng.standard_normal((N_POINTS, 3))
 
     def work() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coding.grid import TURNS, AtomForm
+from pipeline.coding.grid import SYMMETRIES, AtomForm
 from pipeline.execution.stage import StageRecord
 from pipeline.numerics.accuracy import psnr_db, squared_error_at
 from pipeline.planning.settings import Settings
@@ -120,7 +120,7 @@ def _form(training: dict, settings: Settings, tolerance: float, most_texels: int
     share = training["n_active"] / training["n_splats"]
     fine = [s for s in ATOM_SIZES if training["beyond"][str(s)] * share <= BEYOND_ATOMS * tolerance]
     return AtomForm(
-        min(*fine, most_texels, ATOM_SIZES[0]) if settings.atom_size == "auto" else int(settings.atom_size), TURNS
+        min(*fine, most_texels, ATOM_SIZES[0]) if settings.atom_size == "auto" else int(settings.atom_size), SYMMETRIES
     )
 
 

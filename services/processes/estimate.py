@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coding.grid import TURNS, AtomForm
+from pipeline.coding.grid import SYMMETRIES, AtomForm
 from pipeline.execution.stage import Executor, Progress, Stage, StageRecord
 from pipeline.planning.settings import Settings
 from pipeline.stages.points.sampled import Sampled
@@ -164,7 +164,9 @@ def _sampled(pilot: Run, prepared: Prepared) -> Prepared:
 def _affordable(settings: Settings, patches: StageRecord, prepared: Prepared) -> Settings:
     """The settings, with as little learning as seconds allow: patches for the atoms that the job will have, and
     passes."""
-    form = None if settings.coder == "paper" else AtomForm(ATOM_SIZES[-1], TURNS)  # the smallest atoms are the most
+    form = (
+        None if settings.coder == "paper" else AtomForm(ATOM_SIZES[-1], SYMMETRIES)
+    )  # the smallest atoms are the most
     n_turns = (form or AtomForm()).n_turns
     n_indices = 2 ** index_bits(settings, form, prepared.splats.summary["n_splats"])
     n_atoms = min(n_indices // n_turns, settings.training_splats // PATCHES_AN_ATOM, MOST_ATOMS)

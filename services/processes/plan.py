@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 
 from pipeline.catalogue import Task
-from pipeline.coding.grid import TURNS, AtomForm
+from pipeline.coding.grid import SYMMETRIES, AtomForm
 from pipeline.planning.costs import (
     TASKS,
     Job,
@@ -67,7 +67,7 @@ def _likely_form(settings: Settings) -> AtomForm | None:
     """The atoms of a scan that is like those the costs were measured on."""
     if settings.coder == "paper":
         return None
-    return AtomForm(min(ATOM_SIZES) if settings.atom_size == "auto" else int(settings.atom_size), TURNS)
+    return AtomForm(min(ATOM_SIZES) if settings.atom_size == "auto" else int(settings.atom_size), SYMMETRIES)
 
 
 def _rung(job: Job, costs: dict[str, StageCost]) -> dict:

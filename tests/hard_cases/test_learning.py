@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.coding import ksvd
+from pipeline.coding.coherence import MOST_COHERENCE
 from pipeline.coding.ksvd import (
     MOMENTUM,
     Best,
@@ -21,7 +22,6 @@ from pipeline.coding.ksvd import (
     updated_dictionary,
 )
 from pipeline.coding.omp import pursue_patches
-from pipeline.coding.twins import TWIN_COHERENCE
 from pipeline.execution.executors import SerialExecutor
 from pipeline.execution.stage import run_stage
 from pipeline.stages.texture import dictionary as stages
@@ -29,7 +29,7 @@ from pipeline.stages.texture.dictionary import DictionarySeed, KsvdUpdate
 from pipeline.stages.texture.training import TrainingPart
 from storage.work import arrays
 from tests import reference
-from tests.pipeline.coding.test_certified import normalised
+from tests.pipeline.coding.search.test_certified import normalised
 from tests.pipeline.coding.test_ksvd import assert_sound, dense, planted
 from tests.pipeline.coding.test_omp import unit_rows
 from tests.pipeline.execution.test_stage import Heard
@@ -251,7 +251,7 @@ def test_learning__without_replacement_a_dead_atom_stays_dead():
     dictionary = np.concatenate([atoms, atoms[:3]]).astype(np.float32)
     weights = dense(pursue_patches(patches, dictionary, max_atoms=3).codes, 13)
     naive = reference.ksvd_power_iteration(patches, dictionary, weights)
-    assert (np.abs(naive @ naive.T)[~np.eye(13, dtype=bool)] > TWIN_COHERENCE).any()
+    assert (np.abs(naive @ naive.T)[~np.eye(13, dtype=bool)] > MOST_COHERENCE).any()
     updated, _ = updated_dictionary(dictionary, measured(patches, dictionary, 3))
     assert_sound(updated)
 

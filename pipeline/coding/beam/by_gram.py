@@ -20,12 +20,12 @@ def _new_nodes(width, most):
 
 
 @part(fastmath=FAST)
-def _gram_row(row, gram, turns, atom, scale):
+def _gram_row(row, gram, quotients, atom, scale):
     """row = scale <a, b> of all atoms b, of which `gram` has those of the straight ones."""
-    k, n_turns, x = np.uintp(gram.shape[0]), turns.shape[0], np.float32(scale)
+    k, n_turns, x = np.uintp(gram.shape[0]), quotients.shape[0], np.float32(scale)
     a, turn = np.uintp(atom % gram.shape[0]), atom // gram.shape[0]
     for s in range(n_turns):
-        at, at_a = np.uintp(s) * k, np.uintp(turns[turn, s]) * k
+        at, at_a = np.uintp(s) * k, np.uintp(quotients[turn, s]) * k
         for i in range(k):
             row[at + i] = x * gram[a, at_a + i]
 
@@ -48,20 +48,20 @@ def _subtract_earlier(row, chol, rows, slot, t):
 
 @kernel()
 def pursue_beam(
-    patches, dictionary, initial, spread, rest, certify, energy, gram, turns, tolerance, price, levels, width, candidates,
+    patches, dictionary, initial, spread, rest, certify, energy, gram, quotients, tolerance, multiplier, levels, width, candidates,
     atom, weight, code, n_atoms, path,
 ):  # fmt: skip
     """As `omp_kernels.pursue`, by order-recursive selection with a beam; `initial` is overwritten.
 
     Of each of up to `width` supports the `candidates` atoms of highest score (of the empty one `width`, if those are more) are
-    tried. Of all supports so made that lower the residual by more than `price`, the `width` that leave least are kept. path
+    tried. Of all supports so made that lower the residual by more than `multiplier`, the `width` that leave least are kept. path
     (n, r + 1): what the best of t atoms leaves, t = 0, 1, and so on; the codes are the best of the last step.
     """
     n, k = initial.shape
     most = atom.shape[1]
     slack, score, upper = np.zeros(k, np.float32), np.empty(k, np.float32), np.empty(n_groups(k), np.float32)
     nodes, children, pool = _new_nodes(width, most), _new_nodes(width, most), new_pool(width, candidates, most)
-    products = Products(dictionary, gram, turns)
+    products = Products(dictionary, gram, quotients)
     rows = np.empty((most - 1, width, k), np.float32)
     explained, norm = np.empty((2, width, k), np.float32), np.empty((2, width, k), np.float32)
     for i in range(n):
@@ -75,7 +75,7 @@ def pursue_beam(
         s = Scores(initial[i], slack, score, upper)
         t, n_nodes = 0, 1
         path[i, 0] = nodes.exact[0] = energy[i]
-        while t < most and path[i, t] > max(tolerance[i], price):
+        while t < most and path[i, t] > max(tolerance[i], multiplier):
             now, n_found = t % 2, 0
             for b in range(n_nodes):
                 if t == 0:
@@ -83,7 +83,7 @@ def pursue_beam(
                 else:
                     last, parent, chol = t - 1, nodes.slot[b, t - 1], nodes.chol[b]
                     row, along = rows[last, b], unit * nodes.along[b, last]
-                    _gram_row(row, gram, turns, nodes.support[b, last], chol[last, last])
+                    _gram_row(row, gram, quotients, nodes.support[b, last], chol[last, last])
                     if t > 1:
                         _subtract_earlier(row, chol, rows, nodes.slot[b], last)
                     parents = (explained[1 - now, parent], norm[1 - now, parent])
@@ -91,7 +91,7 @@ def pursue_beam(
                     nodes.slot[b, last] = b
                 n_found = try_children(
                     nodes, b, t, s, explained[now, b], norm[now, b], candidates if t else max(candidates, width),
-                    path[i, t] - price, patches[i], energy[i], unit, products, levels, pool, n_found,
+                    path[i, t] - multiplier, patches[i], energy[i], unit, products, levels, pool, n_found,
                 )  # fmt: skip
             n_wanted = width if t + 1 < most else 1
             n_nodes, error = keep_best(

@@ -10,8 +10,7 @@ import numpy as np
 
 from pipeline.coding.beam.nodes import TIE, Nodes, Products, keep_best, new_pool, try_children
 from pipeline.coding.beam.scores import Scores, score_beside, score_first
-from pipeline.coding.certified import ShortDictionary
-from pipeline.coding.omp_kernels import NO_TURNS, n_groups
+from pipeline.coding.omp_kernels import ONLY_IDENTITY, n_groups
 from pipeline.execution.compiled import FAST, kernel, part
 
 NO_GRAM = np.empty((0, 0), np.float32)
@@ -24,13 +23,27 @@ def rows_at_a_time(n_dictionary: int, width: int) -> int:
 
 
 def pursue_beam_rows(
-    rows, energy, split: ShortDictionary, tolerance, price, levels, width, candidates, atom, weight, code, n_atoms, path
+    rows,
+    energy,
+    dictionary,
+    products,
+    tolerance,
+    multiplier,
+    levels,
+    width,
+    candidates,
+    atom,
+    weight,
+    code,
+    n_atoms,
+    path,
 ):
-    """`by_gram.pursue_beam` for a block of patches (n, d), in place, by products with all atoms."""
+    """`by_gram.pursue_beam` for a block of patches (n, d), in place, by `products(rows)`: (m, k) float32 of rows (m, d) with all
+    atoms of `dictionary`."""
     n, most = atom.shape
-    k, d = split.dictionary.shape
+    k, d = dictionary.shape
     n_atoms[:], path[:, 0] = 0, energy
-    initial = _products(split, rows)
+    initial = products(rows)
     explained, norm = np.empty((2, n, width, k), np.float32), np.empty((2, n, width, k), np.float32)
     basis, row = np.zeros((max(1, most - 1), n, width, d), np.float32), initial
     nodes = _nodes_of_two_steps(n, width, most)
@@ -38,19 +51,14 @@ def pursue_beam_rows(
     n_nodes = (energy > tolerance).astype(np.int64)
     for t in range(most):
         if t > 0:
-            _next_of_basis(split.dictionary, nodes, t - 1, n_nodes, basis)
-            row = _products(split, basis[t - 1][np.arange(width) < n_nodes[:, None]])
+            _next_of_basis(dictionary, nodes, t - 1, n_nodes, basis)
+            row = products(basis[t - 1][np.arange(width) < n_nodes[:, None]])
         _advance(
-            rows, energy, Products(split.dictionary, NO_GRAM, NO_TURNS), initial, row, tolerance, price, levels, t,
+            rows, energy, Products(dictionary, NO_GRAM, ONLY_IDENTITY), initial, row, tolerance, multiplier, levels, t,
             candidates, nodes, n_nodes, explained, norm, atom, weight, code, n_atoms, path,
         )  # fmt: skip
         if not n_nodes.any():
             break
-
-
-def _products(split: ShortDictionary, rows: np.ndarray) -> np.ndarray:
-    """(n, k) float32 of rows (n, d) with all atoms."""
-    return rows @ split.dictionary.T if split.turned is None else split.turned.products_in_order(rows)
 
 
 def _nodes_of_two_steps(n: int, width: int, most: int) -> Nodes:
@@ -92,7 +100,7 @@ def _next_of_basis(dictionary, all_nodes, t, n_nodes, basis):
 
 @kernel()
 def _advance(
-    patches, energy, products, initial, row, tolerance, price, levels, t, candidates, all_nodes, n_nodes, explained, norm,
+    patches, energy, products, initial, row, tolerance, multiplier, levels, t, candidates, all_nodes, n_nodes, explained, norm,
     atom, weight, code, n_atoms, path,
 ):  # fmt: skip
     """One step of every patch that has nodes; those that are done have none after it. row (m, k): products of the last vector
@@ -121,7 +129,7 @@ def _advance(
                 nodes.slot[b, t - 1] = b
             n_found = try_children(
                 nodes, b, t, s, explained[now, i, b], norm[now, i, b], candidates if t else max(candidates, width),
-                path[i, t] - price, patches[i], energy[i], unit, products, levels, pool, n_found,
+                path[i, t] - multiplier, patches[i], energy[i], unit, products, levels, pool, n_found,
             )  # fmt: skip
         n_wanted = width if t + 1 < most else 1
         n_nodes[i], error = keep_best(
@@ -130,5 +138,5 @@ def _advance(
         if n_nodes[i] > 0:
             n_atoms[i] = t + 1
             path[i, t + 1] = error
-            if t + 1 == most or error <= max(tolerance[i], price):
+            if t + 1 == most or error <= max(tolerance[i], multiplier):
                 n_nodes[i] = 0

@@ -57,7 +57,7 @@ class Products(NamedTuple):
 
     dictionary: np.ndarray  # (k, d) float32
     gram: np.ndarray  # (k / m, k) float32
-    turns: np.ndarray  # (m, m) int64, see `omp_kernels.pursue`
+    quotients: np.ndarray  # (m, m) int64, see `omp_kernels.pursue`
 
 
 @part()
@@ -76,11 +76,11 @@ def _product(products, a, b):
     if gram.shape[0] == 0:
         return dot(products.dictionary[a], products.dictionary[b])
     n = gram.shape[0]
-    return np.float64(gram[a % n, products.turns[a // n, b // n] * n + b % n])
+    return np.float64(gram[a % n, products.quotients[a // n, b // n] * n + b % n])
 
 
 @part()
-def _is_twin(products, atom, others, n):
+def _is_coherent(products, atom, others, n):
     """Whether an atom is, but for its sign and as far as pivots tell, one of n others."""
     for j in range(n):
         if 1 - _product(products, atom, others[j]) ** 2 <= SMALLEST_PIVOT:
@@ -110,9 +110,9 @@ def try_children(
         best, gain = take_best(s, patch, products.dictionary, unit, explained, norm, t)
         if best < 0 or nodes.exact[b] - energy * gain >= enough:  # no weights leave less than exact ones
             break
-        if _is_twin(
+        if _is_coherent(
             products, best, pool.tried, n_tried
-        ):  # its child would be the twin's; symmetric atoms have such turns
+        ):  # its child would be the coherent atom's; symmetric atoms have such quotients
             continue
         target = np.float64(s.initial[best]) / unit
         if _append(nodes, b, t, best, target, products) <= SMALLEST_PIVOT:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coding.grid import shown, turned_texels
+from pipeline.coding.grid import shown, transformed_texels
 from pipeline.coding.omp_kernels import add_atoms
 from pipeline.coding.quantize import dequantize_atoms
 from pipeline.effects.plan.request import OFF, asked_by
@@ -154,7 +154,7 @@ def decoded_atoms(packed: PackedFile) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros((1, PATCH_DIM), np.float32), np.zeros((header.n_ranks, 1), np.float32)
     size = header.atom_size
     texels = packed.read(f"atoms_{size}").reshape(-1, size, size, 3)
-    turned = np.stack([turned_texels(texels, turn) for turn in range(header.n_turns)], axis=1)
+    turned = np.stack([transformed_texels(texels, turn) for turn in range(header.n_turns)], axis=1)
     scale = np.repeat(packed.read("atom_scale"), header.n_turns)
     return dequantize_atoms(turned.reshape(header.n_indices, -1), scale), packed.read("weight_levels")
 

@@ -8,15 +8,16 @@ all float32. Gram matrices are made where they are needed, which takes no longer
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.coding.certified import MOST_WITH_GRAM, ShortDictionary, shorten, unshortened
 from pipeline.coding.grid import AtomForm
-from pipeline.coding.omp import Pursuit, Searched, by_whole_products, pursue_patches, ready_for
-from pipeline.coding.turned import turn_all
+from pipeline.coding.omp import Pursuit, pursue_patches
+from pipeline.coding.search.choice import MOST_WITH_GRAM, ready_for
+from pipeline.coding.search.protocol import SearchedDictionary
+from pipeline.coding.search.stepwise import StepwiseDictionary, shorten, unshortened
+from pipeline.coding.search.symmetric import with_symmetries
 from storage.work import arrays
 
 KEPT_BYTES = (
@@ -30,17 +31,16 @@ _kept: dict[Path, Atoms] = {}  # the dictionary that this process read last; a c
 class Atoms:
     """A dictionary as its stage left it."""
 
-    searched: Searched
+    searched: SearchedDictionary
 
     @property
     def dictionary(self) -> np.ndarray:
-        """(k, d) float32, in all the turns there are."""
+        """(k, d) float32, in all the symmetries there are."""
         return self.searched.dictionary
 
     @property
     def n_bytes(self) -> int:
-        gram_bytes = 0 if isinstance(self.searched, ShortDictionary) else self.searched.gram.nbytes
-        return self.dictionary.nbytes + gram_bytes
+        return self.searched.n_bytes
 
     def pursue(
         self,
@@ -57,18 +57,14 @@ class Atoms:
         exact."""
         return pursue_patches(
             patches,
-            self._by_whole_products if search == "exact" else self.searched,
+            self.searched,
             max_atoms=min(max_atoms, len(self.dictionary)),
             tolerance=tolerance,
-            price=price,
+            multiplier=price,
             weight_levels=levels,
             search=search,
             pursuit=pursuit,
         )
-
-    @cached_property
-    def _by_whole_products(self) -> Searched:
-        return by_whole_products(self.searched)
 
 
 def store_atoms(folder: Path, dictionary: np.ndarray, form: AtomForm = AtomForm()) -> None:
@@ -99,9 +95,9 @@ def _read_atoms(folder: Path) -> Atoms:
     if arrays.exists(folder, "turned"):
         turned, size = arrays.read(folder, "turned"), round((dictionary.shape[1] / 3) ** 0.5)
         with_gram = len(turned) <= MOST_WITH_GRAM
-        found = turn_all(dictionary, size, turned, with_gram)
+        found = with_symmetries(dictionary, size, turned, with_gram)
         return Atoms(found if with_gram else unshortened(turned, found))
     if arrays.exists(folder, "basis"):
         basis, short, rest = (arrays.read(folder, name) for name in ("basis", "short", "rest"))
-        return Atoms(ShortDictionary(dictionary, basis, short, rest))
+        return Atoms(StepwiseDictionary(dictionary, basis, short, rest))
     return Atoms(unshortened(dictionary) if len(dictionary) > MOST_WITH_GRAM else ready_for("certified", dictionary))

@@ -106,7 +106,7 @@ def _of_atoms(sums: Sums, form: AtomForm) -> Sums:
     if form.n_turns == 1:
         return sums
     gain, n_users = (values.reshape(-1, form.n_turns).sum(axis=1) for values in (sums.gain, sums.n_users))
-    return replace(sums, moment=form.turned_back(sums.moment), gain=gain, n_users=n_users)
+    return replace(sums, moment=form.summed_back(sums.moment), gain=gain, n_users=n_users)
 
 
 def _best_of(previous: Path) -> Best | None:

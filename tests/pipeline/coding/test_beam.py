@@ -7,11 +7,12 @@ import pytest
 
 from pipeline.coding.beam import by_steps
 from pipeline.coding.beam.form import Beam, beam_of, canonical_pursuit
-from pipeline.coding.certified import unshortened
-from pipeline.coding.coarse import coarsen
-from pipeline.coding.grid import in_all_turns
-from pipeline.coding.omp import WholeDictionary, pursue_patches, reconstruct, sparse_encode
-from pipeline.coding.turned import turn_all
+from pipeline.coding.grid import in_all_symmetries
+from pipeline.coding.omp import pursue_patches, reconstruct, sparse_encode
+from pipeline.coding.search.coarse import coarsen
+from pipeline.coding.search.stepwise import unshortened
+from pipeline.coding.search.symmetric import with_symmetries
+from pipeline.coding.search.whole import WholeDictionary
 from tests import reference_beam
 from tests.pipeline.coding.test_omp import smooth_patches, unit_rows
 
@@ -36,7 +37,7 @@ def test_beam__agrees_with_the_twin_that_tries_every_atom(pursuit, quantised):
     atoms, patches = alike_atoms(rng, 32), smooth_patches(rng, 25, 48) * rng.uniform(0.2, 3, (25, 1))
     levels = levels_of_ranks(rng) if quantised else None
     found = pursue_patches(
-        patches, atoms, max_atoms=5, tolerance=0.02, price=0.004, weight_levels=levels, pursuit=pursuit
+        patches, atoms, max_atoms=5, tolerance=0.02, multiplier=0.004, weight_levels=levels, pursuit=pursuit
     )
     beam, differ = beam_of(pursuit), 0
     for i, patch in enumerate(patches):
@@ -56,7 +57,7 @@ def test_beam__agrees_with_the_twin_that_tries_every_atom(pursuit, quantised):
 def test_beam__takes_the_same_atoms_whatever_the_way_to_the_products(pursuit, levels):
     rng = np.random.default_rng(2)
     atoms, patches = alike_atoms(rng, 256, 192), smooth_patches(rng, 300)
-    options = {"max_atoms": 8, "weight_levels": levels, "pursuit": pursuit, "price": 1e-4}
+    options = {"max_atoms": 8, "weight_levels": levels, "pursuit": pursuit, "multiplier": 1e-4}
     whole = pursue_patches(patches, WholeDictionary(atoms, atoms @ atoms.T), **options)
     split = coarsen(atoms, 48)
     for other in (
@@ -75,8 +76,8 @@ def test_beam__takes_the_same_atoms_whatever_the_way_to_the_products(pursuit, le
 def test_beam__takes_atoms_in_turns_as_the_dictionary_written_out(pursuit, with_gram):
     rng = np.random.default_rng(3)
     straight, patches = unit_rows(rng, 20, 192), smooth_patches(rng, 150) * 4
-    turned = in_all_turns(straight, 8)
-    made = turn_all(straight, 8, turned, with_gram)
+    turned = in_all_symmetries(straight, 8)
+    made = with_symmetries(straight, 8, turned, with_gram)
     options = {"max_atoms": 6, "weight_levels": levels_of_ranks(rng), "pursuit": pursuit}
     found = pursue_patches(patches, made if with_gram else unshortened(turned, made), **options)
     plain = pursue_patches(patches, turned, **options)
@@ -129,15 +130,15 @@ def test_beam__a_pursuit_of_fewer_atoms_is_the_beginning_of_one_of_more(pursuit)
     rng = np.random.default_rng(6)
     atoms, patches = alike_atoms(rng, 64, 192), smooth_patches(rng, 100)
     options = {"weight_levels": levels_of_ranks(rng), "pursuit": pursuit}
-    whole = pursue_patches(patches, atoms, max_atoms=8, price=1e-3, **options)
+    whole = pursue_patches(patches, atoms, max_atoms=8, multiplier=1e-3, **options)
     for n in (1, 3, 6):
-        part = pursue_patches(patches, atoms, max_atoms=n, price=1e-3, **options)
+        part = pursue_patches(patches, atoms, max_atoms=n, multiplier=1e-3, **options)
         taken = np.minimum(whole.codes.n_atoms, n)
         assert (part.codes.n_atoms == taken).all()
         np.testing.assert_allclose(part.residual, whole.path[np.arange(100), taken], rtol=1e-6)
-    for price in (2e-3, 1e-2):
-        dearer = pursue_patches(patches, atoms, max_atoms=8, price=price, **options)
-        agreed = dearer.codes.n_atoms == whole.atoms_at(price)
+    for multiplier in (2e-3, 1e-2):
+        dearer = pursue_patches(patches, atoms, max_atoms=8, multiplier=multiplier, **options)
+        agreed = dearer.codes.n_atoms == whole.atoms_at(multiplier)
         assert agreed.mean() > (0.999 if pursuit == "ormp" else 0.9)  # where a beam then has other nodes, it may go on
 
 
@@ -168,7 +169,7 @@ def test_beam__stops_at_the_tolerance_and_where_an_atom_is_not_worth_its_price()
     rows = np.arange(200)
     assert (path[rows, codes.n_atoms][codes.n_atoms < 8] <= 0.1).all()
     assert (path[rows, np.maximum(codes.n_atoms - 1, 0)][codes.n_atoms > 0] > 0.1).all()
-    found = pursue_patches(patches, atoms, max_atoms=8, price=0.02, pursuit="2x2")
+    found = pursue_patches(patches, atoms, max_atoms=8, multiplier=0.02, pursuit="2x2")
     falls = -np.diff(found.path, axis=1)[np.arange(8) < found.codes.n_atoms[:, None]]
     assert falls.min() > 0.02 and 0 < found.codes.n_atoms.mean() < 8
 

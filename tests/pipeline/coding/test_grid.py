@@ -61,16 +61,16 @@ def test_grid__what_no_atom_shows_is_orthogonal_to_the_coefficients(size):
 
 
 @SIZES
-@pytest.mark.parametrize("turn", range(grid.TURNS))
+@pytest.mark.parametrize("turn", range(grid.SYMMETRIES))
 def test_grid__turned_coefficients_are_those_of_turned_texels(size, turn):
     texels = some_texels(size)
-    turned = grid.turned_texels(texels.reshape(-1, size, size, 3), turn).reshape(len(texels), -1)
-    rows = grid.in_all_turns(grid.coefficients_of_texels(texels, size), size)[turn :: grid.TURNS]
+    turned = grid.transformed_texels(texels.reshape(-1, size, size, 3), turn).reshape(len(texels), -1)
+    rows = grid.in_all_symmetries(grid.coefficients_of_texels(texels, size), size)[turn :: grid.SYMMETRIES]
     np.testing.assert_allclose(rows, grid.coefficients_of_texels(turned, size), atol=1e-4)
 
 
 def test_grid__turns_are_all_different_and_none_changes_a_norm():
-    rows = grid.in_all_turns(some_texels(8, 1), 8)
+    rows = grid.in_all_symmetries(some_texels(8, 1), 8)
     np.testing.assert_allclose((rows**2).sum(axis=1), (rows[0] ** 2).sum(), rtol=1e-6)
     products = rows @ rows.T - np.diag((rows**2).sum(axis=1))
     assert np.abs(products).max() < 0.5 * (rows[0] ** 2).sum()
@@ -78,6 +78,6 @@ def test_grid__turns_are_all_different_and_none_changes_a_norm():
 
 def test_grid__turned_back_is_the_transpose_of_all_turns():
     atoms, rows = some_texels(8, 3), some_texels(8, 24)
-    forward = (grid.in_all_turns(atoms, 8) * rows).sum()
-    back = (atoms * grid.turned_back(rows, 8)).sum()
+    forward = (grid.in_all_symmetries(atoms, 8) * rows).sum()
+    back = (atoms * grid.summed_back(rows, 8)).sum()
     assert forward == pytest.approx(back, rel=1e-4)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.coding import ksvd
+from pipeline.coding.coherence import MOST_COHERENCE
 from pipeline.coding.ksvd import (
     block_sums,
     initial_dictionary,
@@ -15,7 +16,6 @@ from pipeline.coding.ksvd import (
     updated_dictionary,
 )
 from pipeline.coding.omp import pursue_patches
-from pipeline.coding.twins import TWIN_COHERENCE
 from tests import reference
 from tests.pipeline.coding.test_omp import unit_rows
 
@@ -100,7 +100,7 @@ def test_ksvd__same_seed_same_dictionary_other_seed_another():
 
 def assert_sound(dictionary: np.ndarray) -> None:
     np.testing.assert_allclose(np.linalg.norm(dictionary, axis=1), 1, atol=1e-5)
-    assert (np.abs(dictionary @ dictionary.T)[~np.eye(len(dictionary), dtype=bool)] <= TWIN_COHERENCE + 1e-5).all()
+    assert (np.abs(dictionary @ dictionary.T)[~np.eye(len(dictionary), dtype=bool)] <= MOST_COHERENCE + 1e-5).all()
 
 
 def test_ksvd__replaces_an_unused_atom_and_a_twin_by_different_inputs():

@@ -13,11 +13,11 @@ WORK = """
 import hashlib, sys
 import numpy as np
 from pipeline.coding import omp_kernels
-from pipeline.coding.certified import shorten
-from pipeline.coding.coarse import coarsen
+from pipeline.coding.search.stepwise import shorten
+from pipeline.coding.search.coarse import coarsen
 from pipeline.coding.ksvd import learn_dictionary
 from pipeline.coding.omp import pursue_patches
-from pipeline.coding.turned import turn_all
+from pipeline.coding.search.symmetric import with_symmetries
 from pipeline.texture.resample import Window, resample_patches, resampling_error
 
 rng = np.random.default_rng(0)
@@ -29,7 +29,7 @@ patches = np.cumsum(rng.standard_normal((1200, 192)), axis=1).astype(np.float32)
 atoms = learn_dictionary(patches, 150, max_atoms=5, tolerance=1.0, iterations=3)
 found = [atoms]
 levels = np.tile(np.linspace(-40, 40, 16), (5, 1))
-for searched in (coarsen(atoms, components=24), shorten(atoms, components=24), turn_all(atoms, 8)):
+for searched in (coarsen(atoms, components=24), shorten(atoms, components=24), with_symmetries(atoms, 8)):
     for weight_levels in (None, levels):
         pursuit = pursue_patches(patches, searched, max_atoms=5, weight_levels=weight_levels, search="certified")
         found += [*pursuit.codes, pursuit.path]

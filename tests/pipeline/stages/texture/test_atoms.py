@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.coding import omp
-from pipeline.coding.certified import ShortDictionary
-from pipeline.coding.coarse import CoarseDictionary
-from pipeline.coding.omp import SEARCHES, by_whole_products
+from pipeline.coding.search import choice
+from pipeline.coding.search.choice import SEARCHES
+from pipeline.coding.search.coarse import CoarseDictionary
+from pipeline.coding.search.stepwise import StepwiseDictionary
 from pipeline.stages.texture import atoms as module
 from pipeline.stages.texture.atoms import load_atoms, store_atoms
 
@@ -21,11 +21,11 @@ def few_components(n: int, rank: int = 40) -> np.ndarray:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-@pytest.fixture(params=[CoarseDictionary, ShortDictionary], ids=["gram", "in step"])
+@pytest.fixture(params=[CoarseDictionary, StepwiseDictionary], ids=["gram", "in step"])
 def split(request, tmp_path, monkeypatch):
     """As a dictionary with a Gram matrix is searched, and as one too large for it."""
-    if request.param is ShortDictionary:
-        for owner in (module, omp):
+    if request.param is StepwiseDictionary:
+        for owner in (module, choice):
             monkeypatch.setattr(owner, "MOST_WITH_GRAM", N_ATOMS - 1)
     store_atoms(tmp_path, few_components(N_ATOMS).astype(np.float32))
     atoms = load_atoms(tmp_path)
@@ -47,13 +47,9 @@ def test_atoms__certified_search_takes_the_atoms_of_exact_search(split):
 @pytest.mark.parametrize("search", SEARCHES)
 def test_atoms__each_search_is_the_one_that_is_asked_for(split, search, monkeypatch):
     asked, pursue = [], module.pursue_patches
-    monkeypatch.setattr(
-        module, "pursue_patches", lambda *a, **k: asked.append((k["search"], type(a[1]).__name__)) or pursue(*a, **k)
-    )
+    monkeypatch.setattr(module, "pursue_patches", lambda *a, **k: asked.append((k["search"], a[1])) or pursue(*a, **k))
     found = pursued(split, search)
-    assert asked == [
-        (search, type(split.searched if search != "exact" else by_whole_products(split.searched)).__name__)
-    ]
+    assert asked == [(search, split.searched)]
     assert found.residual.mean() < 0.5
 
 

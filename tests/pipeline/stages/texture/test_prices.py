@@ -30,7 +30,7 @@ def test_price__every_atom_taken_is_worth_it_and_the_next_is_not(search, n_atoms
     )
     worth = -np.diff(steps, axis=1) > price
     expected = np.where(worth.all(axis=1), 6, worth.argmin(axis=1))
-    found = pursue_patches(patches, atoms, max_atoms=6, price=price, search=search)
+    found = pursue_patches(patches, atoms, max_atoms=6, multiplier=price, search=search)
     assert 0 < expected.mean() < 6
     assert (found.codes.n_atoms == expected).all()
     np.testing.assert_allclose(found.residual, steps[np.arange(60), expected], rtol=1e-5)
@@ -40,10 +40,10 @@ def test_price__every_atom_taken_is_worth_it_and_the_next_is_not(search, n_atoms
 def test_price__a_pursuit_at_the_lowest_tells_what_others_take(n_atoms):
     patches, atoms = patches_and_atoms(n_atoms)
     levels = np.tile(np.linspace(-2, 2, 16), (6, 1))
-    lowest = pursue_patches(patches, atoms, max_atoms=6, price=0.1, weight_levels=levels)
+    lowest = pursue_patches(patches, atoms, max_atoms=6, multiplier=0.1, weight_levels=levels)
     for price in (0.1, 0.3, 2.0, 1e9):
         found, taken = (
-            pursue_patches(patches, atoms, max_atoms=6, price=price, weight_levels=levels),
+            pursue_patches(patches, atoms, max_atoms=6, multiplier=price, weight_levels=levels),
             lowest.atoms_at(price),
         )
         assert (taken == found.codes.n_atoms).all()
@@ -52,7 +52,7 @@ def test_price__a_pursuit_at_the_lowest_tells_what_others_take(n_atoms):
 
 def test_price__spends_the_same_atoms_better_than_a_cut_off():
     patches, atoms = patches_and_atoms(200)
-    priced = pursue_patches(patches, atoms, max_atoms=8, price=0.5)
+    priced = pursue_patches(patches, atoms, max_atoms=8, multiplier=0.5)
     cut = min(
         (pursue_patches(patches, atoms, max_atoms=8, tolerance=t) for t in np.geomspace(0.01, 300, 80)),
         key=lambda found: (found.codes.n_atoms.sum() > priced.codes.n_atoms.sum(), found.residual.sum()),

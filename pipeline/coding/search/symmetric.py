@@ -1,11 +1,11 @@
-"""Products of patches with atoms in all eight turns, for a quarter of the multiplications.
+"""Atoms in the eight symmetries of the square (the group D4): products with patches for a quarter of the multiplications.
 
 In coefficients (`grid`) a mirrored atom has the signs of its odd ones changed. So the products with an atom in its four
-mirrored turns are sums and differences of four partial products, of the coefficients that are even or odd along either
-axis; those with the four turns that exchange its axes are the same of the patch with its axes exchanged.
+mirrors are sums and differences of four partial products, of the coefficients that are even or odd along either
+axis; those with the four symmetries that exchange its axes are the same of the patch with its axes exchanged.
 
-Products of two turned atoms are those of a straight one and a turned one: of the Gram matrix an eighth is enough, and
-the rest of it need not come out of memory.
+Symmetries are orthogonal: <turn(a, t), turn(b, s)> = <a, turn(b, s after the inverse of t)>. So an eighth of the Gram matrix is
+enough, and the rest of it need not come out of memory.
 """
 
 from __future__ import annotations
@@ -15,38 +15,48 @@ from functools import cache
 
 import numpy as np
 
-from pipeline.coding.grid import TURNS, in_all_turns, turned_texels
+from pipeline.coding.beam.form import Beam
+from pipeline.coding.grid import SYMMETRIES, in_all_symmetries, transformed_texels
+from pipeline.coding.search.by_gram import pursue_by_gram
+from pipeline.coding.search.protocol import Found, Rules
 from pipeline.execution.compiled import kernel
 
 ROWS = 128  # patches at a time: their partial products and products stay in the second-level cache
 
 
 @dataclass(frozen=True)
-class TurnedDictionary:
-    """A dictionary in all turns, with what its products need."""
+class SymmetricDictionary:
+    """A dictionary in all symmetries, with what its products need."""
 
-    dictionary: (
-        np.ndarray
-    )  # (8 k, 3 size^2) float32, unit rows, turn t of atom a in row 8 a + t; all below has it in t k + a
+    # (8 k, 3 size^2) float32, unit rows, symmetry t of atom a in row 8 a + t; all below has it in t k + a
+    dictionary: np.ndarray
     parts: tuple[np.ndarray, ...]  # of the straight atoms, by `_parities`: four of (k, 3 size^2 / 4) float32
     size: int
     gram: np.ndarray  # (k, 8 k) float32: straight atoms with all; (0, 0) where none is wanted
-    rest: np.ndarray  # (8 k,) float32: zeros, products are whole
-    rows = ROWS
 
     @property
-    def turns(self) -> np.ndarray:
-        """(8, 8) int64: which turn of an atom has with a straight one the product that its turn s has with one in turn
-        t."""
-        return _differences()
+    def n_bytes(self) -> int:
+        return self.dictionary.nbytes + self.gram.nbytes
+
+    def exact(self) -> SymmetricDictionary:
+        return self
+
+    def rows_at_a_time(self, beam: Beam | None) -> int:
+        return ROWS
+
+    def pursue(self, patches: np.ndarray, energy: np.ndarray, rules: Rules, found: Found) -> None:
+        product, spread = self.products(patches), np.zeros(len(patches), np.float32)
+        rest = np.zeros(len(self.dictionary), np.float32)
+        pursue_by_gram(patches, energy, self.dictionary, product, spread, rest, self.gram, quotients(), rules, found)
+        found.atom[:] = self.numbers(found.atom)
 
     def numbers(self, found: np.ndarray) -> np.ndarray:
-        """What a search found, as rows of `dictionary`."""
+        """Columns of `products` as rows of `dictionary`."""
         k = len(self.parts[0])
-        return found % k * TURNS + found // k
+        return found % k * SYMMETRIES + found // k
 
-    def products(self, patches: np.ndarray, energy: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Correlations (n, 8 k) float32 of patches (n, 3 size^2), and by how much they are off: not at all."""
+    def products(self, patches: np.ndarray) -> np.ndarray:
+        """Correlations (n, 8 k) float32 of patches (n, 3 size^2)."""
         n = len(patches)
         both = np.empty((4, 2 * n, patches.shape[1] // 4), np.float32)
         _by_parity(patches, self.size, both)
@@ -55,30 +65,28 @@ class TurnedDictionary:
             np.matmul(rows, part.T, out=into)
         product = np.empty((n, len(self.dictionary)), np.float32)
         _sums_and_differences(partial, product)
-        return product, np.zeros(n, np.float32)
+        return product
 
     def products_in_order(self, patches: np.ndarray) -> np.ndarray:
         """The correlations, in the order of `dictionary`."""
-        product, _ = self.products(patches)
-        return np.ascontiguousarray(product.reshape(len(patches), TURNS, -1).swapaxes(1, 2)).reshape(product.shape)
+        product = self.products(patches)
+        return np.ascontiguousarray(product.reshape(len(patches), SYMMETRIES, -1).swapaxes(1, 2)).reshape(product.shape)
 
 
-def turn_all(
+def with_symmetries(
     straight: np.ndarray, size: int, dictionary: np.ndarray | None = None, with_gram: bool = True
-) -> TurnedDictionary:
-    """Atoms (k, 3 size^2), coefficients, in all turns; `dictionary` is what `in_all_turns` makes of them, where it is
+) -> SymmetricDictionary:
+    """Atoms (k, 3 size^2), coefficients, in all symmetries; `dictionary` is what `in_all_symmetries` makes of them, where it is
     at hand."""
-    dictionary = in_all_turns(straight, size) if dictionary is None else dictionary
+    dictionary = in_all_symmetries(straight, size) if dictionary is None else dictionary
     parts = tuple(np.ascontiguousarray(straight[:, columns]) for columns in _parities(size))
-    made = TurnedDictionary(
-        dictionary, parts, size, np.empty((0, 0), np.float32), np.zeros(len(dictionary), np.float32)
-    )
+    made = SymmetricDictionary(dictionary, parts, size, np.empty((0, 0), np.float32))
     if not with_gram:
         return made
     gram = np.empty((len(straight), len(dictionary)), np.float32)
     for start in range(0, len(straight), ROWS):
-        gram[start : start + ROWS] = made.products(straight[start : start + ROWS])[0]
-    return TurnedDictionary(dictionary, parts, size, gram, made.rest)
+        gram[start : start + ROWS] = made.products(straight[start : start + ROWS])
+    return SymmetricDictionary(dictionary, parts, size, gram)
 
 
 @cache
@@ -91,11 +99,13 @@ def _parities(size: int) -> tuple[np.ndarray, ...]:
 
 
 @cache
-def _differences() -> np.ndarray:
+def quotients() -> np.ndarray:
+    """(8, 8) int64, q[t, s] with <turn(a, t), turn(b, s)> = <a, turn(b, q[t, s])>: s after the inverse of t."""
     marked = np.arange(9.0).reshape(3, 3, 1)
-    seen = {turned_texels(marked, turn).tobytes(): turn for turn in range(TURNS)}
+    seen = {transformed_texels(marked, turn).tobytes(): turn for turn in range(SYMMETRIES)}
     of = [
-        [seen[turned_texels(turned_texels(marked, u), t).tobytes()] for u in range(TURNS)] for t in range(TURNS)
+        [seen[transformed_texels(transformed_texels(marked, u), t).tobytes()] for u in range(SYMMETRIES)]
+        for t in range(SYMMETRIES)
     ]  # first u, then t
     return np.argsort(of, axis=1)
 

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.coding.certified_kernels import advance
+from pipeline.coding.beam import by_steps
+from pipeline.coding.beam.form import Beam
 from pipeline.coding.omp_kernels import squared_norms
-from pipeline.coding.turned import TurnedDictionary
+from pipeline.coding.search.protocol import Found, Rules
+from pipeline.coding.search.stepwise_kernels import advance
+from pipeline.coding.search.symmetric import SymmetricDictionary
 from pipeline.execution.threads import one_blas_thread
 
-# Up to here the rows of a k x k Gram matrix follow the residual: 1 GiB. Beyond, every step takes a GEMM of its own, and
-# memory grows with k alone.
-MOST_WITH_GRAM = 16384
 COMPONENTS = 128  # of 64, 128, 192 and 256 the fastest for 4,096 atoms of 3,072 texels
 LEAST_WIDTH = 4 * COMPONENTS  # of rows that components are shorter than
 SAMPLE = 2048  # atoms that the components are found from
@@ -32,17 +32,49 @@ PRODUCT_BYTES = 4 << 20  # of short products at a time, near the second-level ca
 
 
 @dataclass(frozen=True)
-class ShortDictionary:
+class StepwiseDictionary:
     """A dictionary with what short products need; as good for any number of patches."""
 
     dictionary: np.ndarray  # (k, d) float32, unit rows
     basis: np.ndarray  # (d, p) float32, orthonormal columns
     short: np.ndarray  # (k, p) float32: dictionary @ basis
     rest: np.ndarray  # (k,) float32: norm of what the components leave of each atom, rounded up
-    turned: TurnedDictionary | None = None  # the same atoms, where they are those of fewer in all turns
+    symmetric: SymmetricDictionary | None = None  # the same atoms, where they are fewer in all symmetries
+
+    @property
+    def n_bytes(self) -> int:
+        return self.dictionary.nbytes
+
+    def exact(self) -> StepwiseDictionary:
+        return unshortened(self.dictionary, self.symmetric)
+
+    def rows_at_a_time(self, beam: Beam | None) -> int:
+        if beam:
+            return by_steps.rows_at_a_time(len(self.dictionary), beam.width)
+        return max(32, min(512, PRODUCT_BYTES // (4 * len(self.dictionary))))
+
+    def pursue(self, patches: np.ndarray, energy: np.ndarray, rules: Rules, found: Found) -> None:
+        stop = (rules.tolerance, rules.multiplier, rules.levels)
+        if rules.beam:
+            by_steps.pursue_beam_rows(
+                patches,
+                energy,
+                self.dictionary,
+                self._all_products,
+                *stop,
+                rules.beam.width,
+                rules.beam.candidates,
+                *found,
+            )
+        else:
+            pursue_rows(patches, energy, self, rules.certify and len(self.basis) > 0, *stop, *found)
+
+    def _all_products(self, rows: np.ndarray) -> np.ndarray:
+        """(n, k) float32 of rows (n, d)."""
+        return rows @ self.dictionary.T if self.symmetric is None else self.symmetric.products_in_order(rows)
 
 
-def shorten(dictionary: np.ndarray, components: int | None = None) -> ShortDictionary | None:
+def shorten(dictionary: np.ndarray, components: int | None = None) -> StepwiseDictionary | None:
     """Split a dictionary (k, d) float32 with unit rows; None where that does not pay: its rows are short, or its atoms
     do not lie in few components. A number of `components` says to split it all the same.
     """
@@ -57,13 +89,13 @@ def shorten(dictionary: np.ndarray, components: int | None = None) -> ShortDicti
         rest[rows] = np.sqrt(squared_norms(dictionary[rows] - short[rows] @ basis.T)) + 1e-5
     if components is None and np.median(rest) > MOST_REST:
         return None
-    return ShortDictionary(dictionary, basis, short, rest)
+    return StepwiseDictionary(dictionary, basis, short, rest)
 
 
-def unshortened(dictionary: np.ndarray, turned: TurnedDictionary | None = None) -> ShortDictionary:
+def unshortened(dictionary: np.ndarray, symmetric: SymmetricDictionary | None = None) -> StepwiseDictionary:
     """The dictionary in its own components, which leave no rest: for exact search beyond MOST_WITH_GRAM atoms."""
-    return ShortDictionary(
-        dictionary, np.empty((0, 0), np.float32), dictionary, np.zeros(len(dictionary), np.float32), turned
+    return StepwiseDictionary(
+        dictionary, np.empty((0, 0), np.float32), dictionary, np.zeros(len(dictionary), np.float32), symmetric
     )
 
 
@@ -87,12 +119,8 @@ def principal_components(rows: np.ndarray, n: int) -> np.ndarray:
     return np.ascontiguousarray(np.linalg.qr(span.astype(np.float64) @ order[:, ::-1][:, :n])[0], np.float32)
 
 
-def rows_at_a_time(split: ShortDictionary) -> int:
-    return max(32, min(512, PRODUCT_BYTES // (4 * len(split.dictionary))))
-
-
 def pursue_rows(
-    rows, energy, split: ShortDictionary, certify, tolerance, price, levels, atom, weight, code, n_atoms, path
+    rows, energy, split: StepwiseDictionary, certify, tolerance, multiplier, levels, atom, weight, code, n_atoms, path
 ):
     """`pursue` for a block of patches (n, d), in place. Returns how many products of full width with patches it took.
 
@@ -109,7 +137,7 @@ def pursue_rows(
     gram_support, chol = np.empty((n, most, most)), np.empty((n, most, most))
     while n_active:
         current = components[:n_active]
-        product = current @ split.short.T if split.turned is None else split.turned.products_in_order(current)
+        product = current @ split.short.T if split.symmetric is None else split.symmetric.products_in_order(current)
         n_active, n_settled = advance(
             rows,
             energy,
@@ -121,7 +149,7 @@ def pursue_rows(
             rounding,
             certify,
             tolerance,
-            price,
+            multiplier,
             levels,
             atom,
             weight,

@@ -6,12 +6,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.coding import coarse
-from pipeline.coding.coarse import FEWEST_ATOMS, PATCH_DIM, CoarseDictionary, coarsen
 from pipeline.coding.grid import axis_columns
 from pipeline.coding.omp import pursue_patches, reconstruct, sparse_encode
 from pipeline.coding.omp_kernels import squared_norms
-from tests.pipeline.coding.test_certified import assert_greedy, normalised
+from pipeline.coding.search import coarse
+from pipeline.coding.search.coarse import FEWEST_ATOMS, PATCH_DIM, CoarseDictionary, coarsen
+from tests.pipeline.coding.search.test_certified import assert_greedy, normalised
 
 N_ATOMS, N_PATCHES, MOST = 150, 40, 8
 
@@ -85,7 +85,7 @@ def test_coarse__products_are_no_further_off_than_they_say(monkeypatch):
 def test_coarse__cuts_off_prices_and_quantises_as_exact_search_does(monkeypatch):
     patches, atoms = learned(np.random.default_rng(2))
     levels = np.tile(np.linspace(-30, 30, 256), (MOST, 1))
-    options = {"max_atoms": MOST, "tolerance": 1100.0, "price": 30.0, "weight_levels": levels}
+    options = {"max_atoms": MOST, "tolerance": 1100.0, "multiplier": 30.0, "weight_levels": levels}
     found = pursue_patches(patches, split_of(atoms, monkeypatch), search="certified", **options)
     exact = pursue_patches(patches, atoms, search="exact", **options)
     assert len(set(exact.codes.n_atoms.tolist())) > 2

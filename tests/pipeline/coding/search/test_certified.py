@@ -7,10 +7,10 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from pipeline.coding import certified, omp
-from pipeline.coding.certified import principal_components, shorten
-from pipeline.coding.coarse import coarsen
 from pipeline.coding.omp import pursue_patches, reconstruct, sparse_encode
+from pipeline.coding.search import choice, stepwise
+from pipeline.coding.search.coarse import coarsen
+from pipeline.coding.search.stepwise import principal_components, shorten
 from pipeline.texture.patches import centred
 from pipeline.texture.resample import PATCH_DIM
 from tests.pipeline.coding.test_omp import smooth_patches, unit_rows
@@ -119,7 +119,7 @@ def test_certified__settles_few_atoms_of_smooth_patches():
     n, most = len(patches), 4
     weight, path = np.zeros((n, most)), np.zeros((n, most + 1))
     energy = (patches.astype(np.float64) ** 2).sum(axis=1)
-    n_settled = certified.pursue_rows(
+    n_settled = stepwise.pursue_rows(
         patches,
         energy,
         split,
@@ -185,8 +185,8 @@ def test_certified__of_real_patches_is_exact():
     patches = patches[(patches**2).sum(axis=1) > 1e-3]
     atoms = normalised(patches[20:])
     assert shorten(atoms) is None  # patches themselves lie in no few components: it is exact, but does not pay
-    split = shorten(atoms, certified.COMPONENTS)
-    assert split.short.shape == (len(atoms), certified.COMPONENTS) and patches.shape[1] == PATCH_DIM
+    split = shorten(atoms, stepwise.COMPONENTS)
+    assert split.short.shape == (len(atoms), stepwise.COMPONENTS) and patches.shape[1] == PATCH_DIM
     codes = pursue_patches(patches[:20], split, max_atoms=8, search="certified").codes
     assert_greedy(patches[:20], atoms, codes)
 
@@ -208,8 +208,7 @@ def test_certified__a_dictionary_without_few_components_is_searched_exactly():
 
 @pytest.mark.parametrize("search", ["exact", "certified", "approximate"])
 def test_certified__large_dictionaries_are_coded_without_a_gram_matrix(search, monkeypatch):
-    for module in (certified, omp):
-        monkeypatch.setattr(module, "MOST_WITH_GRAM", 4096)
+    monkeypatch.setattr(choice, "MOST_WITH_GRAM", 4096)
     rng = np.random.default_rng(10)
     atoms = normalised(smooth_patches(rng, 4100, 768))
     patches = smooth_patches(rng, 8, 768)

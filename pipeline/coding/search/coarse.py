@@ -4,8 +4,8 @@ The norms of what the coefficients leave of a patch and of an atom bound how far
 few atoms that may be the best are settled at full width, once a patch: the Gram matrix, which is exact, takes a settled
 product from step to step.
 
-Of whole patches the coefficients are those of 12 x 12 texels (`grid`), the colours turned into one of light and two of
-difference: found in an eighth of the time of products with as many principal components, and the KEPT in which the
+Of whole patches the coefficients are those of 12 x 12 texels (`grid`), the colours as one of luma and two of
+chroma: found in an eighth of the time of products with as many principal components, and the KEPT in which the
 dictionary has most are little more than a shorter product would be wide. With 8 atoms a patch, 10 of 256 are settled on
 `fountain_p11` and 12 on `monstree`. Of other rows, and where the grid leaves too much, they are principal components.
 """
@@ -17,10 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.coding.certified import COMPONENTS, LEAST_WIDTH, principal_components, sampled
-from pipeline.coding.certified_kernels import ENERGY_ROUNDING
+from pipeline.coding.beam.form import Beam
 from pipeline.coding.grid import axis_columns
-from pipeline.coding.omp_kernels import NO_TURNS, squared_norms
+from pipeline.coding.omp_kernels import ONLY_IDENTITY, squared_norms
+from pipeline.coding.search.by_gram import pursue_by_gram
+from pipeline.coding.search.protocol import Found, Rules
+from pipeline.coding.search.stepwise import COMPONENTS, LEAST_WIDTH, principal_components, sampled
+from pipeline.coding.search.stepwise_kernels import ENERGY_ROUNDING
+from pipeline.coding.search.whole import WholeDictionary
 from pipeline.execution.threads import one_blas_thread
 from pipeline.texture.resample import PATCH_DIM
 from storage.packed.schema import PATCH_SIZE
@@ -36,7 +40,7 @@ REST_ROUNDING = 1e-3  # of a unit atom's rest; with ENERGY_ROUNDING of a patch's
 ROWS = 128  # patches at a time: 64 cost a tenth more for calls, 512 as much for memory
 COLOURS = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt(
     [[3], [2], [6]]
-)  # orthonormal: light and two differences
+)  # orthonormal: luma and two axes of chroma
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,16 @@ class CoarseDictionary:
     short: np.ndarray  # (k, p) float32: those of the atoms
     rest: np.ndarray  # (k,) float32: norm of what they leave of each atom, rounded up
     gram: np.ndarray  # (k, k) float32
-    rows, turns = ROWS, NO_TURNS
+
+    @property
+    def n_bytes(self) -> int:
+        return self.dictionary.nbytes + self.gram.nbytes
+
+    def exact(self) -> WholeDictionary:
+        return WholeDictionary(self.dictionary, self.gram)
+
+    def rows_at_a_time(self, beam: Beam | None) -> int:
+        return ROWS
 
     def products(self, patches: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Correlations (n, k) float32 of patches (n, d), `energy` their squared norms, and a spread (n,) float32 for
@@ -83,6 +96,12 @@ class CoarseDictionary:
         kept = self.coefficients.of(patches)
         left = np.maximum(energy - squared_norms(kept), 0) + ENERGY_ROUNDING * energy
         return kept @ self.short.T, np.sqrt(left).astype(np.float32)
+
+    def pursue(self, patches: np.ndarray, energy: np.ndarray, rules: Rules, found: Found) -> None:
+        product, spread = self.products(patches, energy)
+        pursue_by_gram(
+            patches, energy, self.dictionary, product, spread, self.rest, self.gram, ONLY_IDENTITY, rules, found
+        )
 
 
 def coarsen(dictionary: np.ndarray, components: int | None = None) -> CoarseDictionary | None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.coding.coherence import MOST_COHERENCE, coherent_with_earlier, distinct_directions
 from pipeline.coding.grid import patches_of
-from pipeline.coding.twins import TWIN_COHERENCE, distinct_directions, twins_of_earlier
 from pipeline.texture.resample import PATCH_DIM
 
 
@@ -35,22 +35,22 @@ def products(atoms: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["short", "smooth", "rough"])
-def test_twins__of_living_earlier_ones_are_those_of_all_products(kind):
+def test_coherence__of_living_earlier_ones_are_those_of_all_products(kind):
     atoms = atoms_with_twins(kind)
     alive = np.random.default_rng(4).random(len(atoms)) < 0.9
-    expected = alive & (np.tril(products(atoms, atoms), -1)[:, alive] >= TWIN_COHERENCE).any(axis=1)
-    found = twins_of_earlier(atoms, alive)
+    expected = alive & (np.tril(products(atoms, atoms), -1)[:, alive] >= MOST_COHERENCE).any(axis=1)
+    found = coherent_with_earlier(atoms, alive)
     assert 50 < expected.sum() < 500 and (found == expected).all()
 
 
 @pytest.mark.parametrize("kind", ["short", "smooth", "rough"])
-def test_twins__distinct_directions_are_the_first_that_are_no_twin(kind):
+def test_coherence__distinct_directions_are_the_first_that_are_no_twin(kind):
     atoms = atoms_with_twins(kind)
     taken, candidates = atoms[:300], 3 * atoms[300:]
     candidates[7] = 0
     expected = []
     for i, row in enumerate(atoms[300:]):
-        if i != 7 and not (products(row[None], np.concatenate([taken, *expected])) >= TWIN_COHERENCE).any():
+        if i != 7 and not (products(row[None], np.concatenate([taken, *expected])) >= MOST_COHERENCE).any():
             expected.append(row[None])
     found = distinct_directions(candidates, taken, len(candidates))
     assert len(found) == len(expected) < len(candidates) - 50
