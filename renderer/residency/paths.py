@@ -1,0 +1,105 @@
+"""Recorded paths: poses at 90 frames a second, and the four of the paper for any scan (2020, section 5.2.1).
+
+A path file is JSON: {"frames_per_second", "poses": [{"rotation": [[...]], "centre": [...]}]}, rotations from the world
+to the viewer (x right, y down, z ahead), centres in the scan's own unit.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from renderer.residency.places import Pose
+from storage.errors import InvalidScan
+from storage.packed.schema import Camera
+
+FRAMES_PER_SECOND = 90
+NAMES = ("look_around", "forward", "backward", "sideways")
+SECONDS = 4.0
+NEAR_SHARE, FAR_SHARE = 0.35, 0.8  # of the photograph's distance to what it shows: where a viewer walks
+TURN_DEGREES, NOD_DEGREES = 30.0, 8.0  # a head's, to each side
+SIDE_SHARE = 0.5  # of that distance: how far a sideways path goes, in all
+MOST_POSES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Path90:
+    """A path by its name."""
+
+    name: str
+    poses: tuple[Pose, ...]
+
+
+def made_paths(camera: Camera, distance: float) -> dict[str, Path90]:
+    """The four paths, from a photograph's pose and its distance to what it shows.
+
+    `look_around` turns the head in place, `forward` and `backward` walk at constant speed along the view, `sideways`
+    slides across it with the head straight: at the near distance new parts come into view fast.
+    """
+    rotation, centre = np.array(camera.rotation), np.array(camera.centre)
+    ahead, right = rotation[2], rotation[0]
+    t = np.linspace(0.0, 1.0, round(SECONDS * FRAMES_PER_SECOND))
+    near = centre + (1 - NEAR_SHARE) * distance * ahead
+
+    def turned(s: float) -> np.ndarray:
+        yaw = np.radians(TURN_DEGREES) * np.sin(2 * np.pi * s)
+        nod = np.radians(NOD_DEGREES) * np.sin(4 * np.pi * s)
+        return _turn(nod, 0) @ _turn(yaw, 1) @ rotation
+
+    look = tuple(Pose(turned(s), centre + (1 - 1.5 * NEAR_SHARE) * distance * ahead) for s in t)
+    walk = tuple(
+        Pose(rotation, centre + (1 - (FAR_SHARE + (NEAR_SHARE - FAR_SHARE) * s)) * distance * ahead) for s in t
+    )
+    side = tuple(Pose(rotation, near + SIDE_SHARE * (s - 0.5) * distance * right) for s in t)
+    return {
+        "look_around": Path90("look_around", look),
+        "forward": Path90("forward", walk),
+        "backward": Path90("backward", walk[::-1]),
+        "sideways": Path90("sideways", side),
+    }
+
+
+def read_path(path: Path) -> Path90:
+    """Raises: InvalidScan for a file that is no path."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        rows = data["poses"]
+        if not 2 <= len(rows) <= MOST_POSES:
+            raise ValueError(f"{len(rows)} poses")
+        poses = tuple(_pose(row) for row in rows)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InvalidScan(
+            str(path),
+            f"no path ({type(error).__name__}: {error})",
+            '{"poses": [{"rotation", "centre"}, ...]}, 2 or more',
+        ) from error
+    return Path90(path.stem, poses)
+
+
+def path_json(path: Path90) -> dict:
+    poses = [{"rotation": pose.rotation.tolist(), "centre": pose.centre.tolist()} for pose in path.poses]
+    return {"frames_per_second": FRAMES_PER_SECOND, "poses": poses}
+
+
+def _pose(row: dict) -> Pose:
+    rotation, centre = np.array(row["rotation"], np.float64), np.array(row["centre"], np.float64)
+    if (
+        rotation.shape != (3, 3)
+        or centre.shape != (3,)
+        or not (np.isfinite(rotation).all() and np.isfinite(centre).all())
+    ):
+        raise ValueError("a pose is a 3x3 rotation and 3 coordinates, all finite")
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
+        raise ValueError("a rotation that is none")
+    return Pose(rotation, centre)
+
+
+def _turn(angle: float, axis: int) -> np.ndarray:
+    """About x (0) or y (1) of the viewer."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    if axis == 0:
+        return np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]])
+    return np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
