@@ -2,7 +2,8 @@
 
     8 bytes       magic
     4 bytes       length of the header, little-endian
-    header        JSON: version, page_px, border_px, codec, photographs [{name, width_px, height_px}], n_pages, bytes
+    header        JSON: version, scan, page_px, border_px, codec, photographs [{name, width_px, height_px}], n_pages,
+                  bytes
     table         a row a page: offset uint64, length uint32, check 8 bytes (BLAKE2b of the page)
     32 bytes      SHA-256 of all before it
     pages         in the order of their numbers (storage/pages/layout.py)
@@ -16,19 +17,20 @@ import hashlib
 import json
 import os
 import struct
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from storage.errors import InvalidPackedFile
+from storage.packed.schema import Camera
 from storage.pages.layout import PageLayout
 from storage.whole import whole
 
 MAGIC, VERSION = b"SPLPAGES", 1
 SUFFIX = ".pages"
-CODECS = ("jpeg", "webp", "png")
+CODECS = ("jpeg", "webp", "png", "bc7")
 CHECK_BYTES = 8
 ROW = np.dtype([("offset", "<u8"), ("length", "<u4"), ("check", "V8")])
 MOST_HEADER = 64 << 20
@@ -43,6 +45,12 @@ class PageHeader:
     layout: PageLayout
     border_px: int  # on each side of a page, of the texels of its neighbours
     codec: str
+    scan: str  # `scan_digest` of the scan's cameras
+
+    @property
+    def side_px(self) -> int:
+        """Of a stored page."""
+        return self.layout.page_px + 2 * self.border_px
 
     def to_json(self, n_bytes: int) -> bytes:
         photographs = [
@@ -52,6 +60,7 @@ class PageHeader:
         return json.dumps(
             {
                 "version": VERSION,
+                "scan": self.scan,
                 "page_px": self.layout.page_px,
                 "border_px": self.border_px,
                 "codec": self.codec,
@@ -60,6 +69,13 @@ class PageHeader:
                 "bytes": n_bytes,
             }
         ).encode()
+
+
+def scan_digest(cameras: Sequence[Camera]) -> str:
+    """What a page file and a packed file of one scan share: names, sizes and poses of its photographs, as 16 hexadecimal
+    digits."""
+    text = json.dumps([asdict(camera) for camera in cameras], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def page_check(page: bytes) -> bytes:
@@ -150,7 +166,8 @@ class PageFile:
             raise self._wrong(f"{size} bytes where its header says {n_bytes}")
         rows = np.frombuffer(table, ROW)
         ends = rows["offset"].astype(np.int64) + rows["length"]
-        if len(rows) and (int(ends.max()) > size or not np.array_equal(ends[:-1], rows["offset"][1:].astype(np.int64))):
+        begins = np.append(rows["offset"].astype(np.int64), size)
+        if begins[0] != len(start) + length + n_table + 32 or not np.array_equal(ends, begins[1:]):
             raise self._wrong("a table whose pages do not follow each other")
         return header, rows
 
@@ -170,7 +187,7 @@ class PageFile:
             if layout.n_pages != data["n_pages"]:
                 raise ValueError(f"{data['n_pages']} pages where the photographs have {layout.n_pages}")
             names = tuple(str(p["name"]) for p in photos)
-            return PageHeader(names, layout, border_px, data["codec"]), int(data["bytes"])
+            return PageHeader(names, layout, border_px, data["codec"], str(data["scan"])), int(data["bytes"])
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise self._wrong(f"a header that is none ({type(error).__name__}: {error})") from error
 

@@ -1,8 +1,8 @@
 """Which page is where: photographs, their mip levels, and the grid of pages of each.
 
 Pages are numbered photograph by photograph, level by level from the finest, row by row. Level l of a photograph is
-ceil(size / 2^l); the last level is the first that one page holds: it and no other is that photograph's mip tail, which
-is always resident (2020, section 4.1).
+floor(size / 2^l), as OpenGL has it; the last level is the first that one page holds: it and no other is that
+photograph's mip tail, which is always resident (2020, section 4.1).
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ def level_size(width_px: int, height_px: int, level: int) -> tuple[int, int]:
     """Width and height of a mip level.
 
     >>> level_size(1536, 1024, 2), level_size(5, 3, 1)
-    ((384, 256), (3, 2))
+    ((384, 256), (2, 1))
     """
-    return -(-width_px // 2**level), -(-height_px // 2**level)
+    return max(1, width_px >> level), max(1, height_px >> level)
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,13 @@ class PageLayout:
             level += 1
         return level + 1
 
+    @cached_property
+    def texels_a_page(self) -> np.ndarray:
+        """(n_grids, 2) float64: how many pixels of the finest level a page of each grid is wide and high."""
+        sizes = np.array(self.sizes_px, np.float64).reshape(-1, 2)[self.grids[:, 0]]
+        own = np.maximum(1, np.floor(sizes / np.exp2(self.grids[:, 1:2])))
+        return self.page_px * sizes / own
+
     @property
     def n_pages(self) -> int:
         if not len(self.grids):
@@ -69,10 +76,10 @@ class PageLayout:
 
         Guarantees: levels and places outside a photograph are taken to its nearest."""
         level = np.clip(level, 0, self.levels[photo] - 1)
-        grid = self.grids[self.first_grid[photo] + level]
-        scale = self.page_px * np.exp2(level)
-        column = np.clip(np.floor(x / scale), 0, grid[:, 3] - 1).astype(np.int64)
-        row = np.clip(np.floor(y / scale), 0, grid[:, 4] - 1).astype(np.int64)
+        at = self.first_grid[photo] + level
+        grid, scale = self.grids[at], self.texels_a_page[at]
+        column = np.clip(np.floor(x / scale[:, 0]), 0, grid[:, 3] - 1).astype(np.int64)
+        row = np.clip(np.floor(y / scale[:, 1]), 0, grid[:, 4] - 1).astype(np.int64)
         return grid[:, 2] + row * grid[:, 3] + column
 
     def places_of(self, pages: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -86,8 +93,8 @@ class PageLayout:
         """(n_pages,) the page of the next coarser level that shows the same; -1 of tails."""
         pages = np.arange(self.n_pages)
         photo, level, column, row = self.places_of(pages)
-        middle = self.page_px * np.exp2(level)
-        parent = self.pages_at(photo, level + 1, (column + 0.5) * middle, (row + 0.5) * middle)
+        width, height = self.texels_a_page[self.first_grid[photo] + level].T
+        parent = self.pages_at(photo, level + 1, (column + 0.5) * width, (row + 0.5) * height)
         return np.where(level + 1 < self.levels[photo], parent, -1)
 
     @cached_property

@@ -56,15 +56,34 @@ def _raw(rgb: np.ndarray, _) -> tuple[np.ndarray, int]:
 def _blocks(encode: Callable[[bytes, int, int], bytes], decode: Callable[[bytes, int, int], bytes], block_bytes: int):
     def coded(rgb: np.ndarray, _) -> tuple[np.ndarray, int]:
         height, width = rgb.shape[:2]
-        # Whole blocks, edges repeated: one of the encoders takes nothing else.
-        whole = np.pad(rgb, ((0, -height % 4), (0, -width % 4), (0, 0)), mode="edge")
-        rgba = np.dstack([whole, np.full(whole.shape[:2], 255, np.uint8)])
-        size = whole.shape[1], whole.shape[0]
-        bgra = np.frombuffer(decode(encode(rgba.tobytes(), *size), *size), np.uint8).reshape(rgba.shape)
         n_bytes = texture_bytes(width, height, lambda w, h: block_bytes * -(-w // 4) * -(-h // 4))
-        return bgra[:height, :width, 2::-1].copy(), n_bytes
+        return _texels(_block_bytes(rgb, encode), height, width, decode), n_bytes
 
     return coded
+
+
+def _block_bytes(rgb: np.ndarray, encode: Callable[[bytes, int, int], bytes]) -> bytes:
+    height, width = rgb.shape[:2]
+    # Whole blocks, edges repeated: one of the encoders takes nothing else.
+    whole = np.pad(rgb, ((0, -height % 4), (0, -width % 4), (0, 0)), mode="edge")
+    rgba = np.dstack([whole, np.full(whole.shape[:2], 255, np.uint8)])
+    return encode(rgba.tobytes(), whole.shape[1], whole.shape[0])
+
+
+def _texels(blocks: bytes, height: int, width: int, decode: Callable[[bytes, int, int], bytes]) -> np.ndarray:
+    rows, columns = height + -height % 4, width + -width % 4
+    bgra = np.frombuffer(decode(blocks, columns, rows), np.uint8).reshape(rows, columns, 4)
+    return bgra[:height, :width, 2::-1].copy()
+
+
+def bc7_blocks(rgb: np.ndarray) -> bytes:
+    """A picture (h, w, 3) uint8 as BC7, 16 bytes for each 4x4 texels."""
+    return _block_bytes(rgb, _bc7)
+
+
+def texels_of_bc7(blocks: bytes, height: int, width: int) -> np.ndarray:
+    """The picture (h, w, 3) uint8 of BC7 blocks."""
+    return _texels(blocks, height, width, _decode_bc7)
 
 
 # Decoded by texture2ddecoder: etcpak's own decoder crashed (0.9.15), bc7enc's is a loop in Python.

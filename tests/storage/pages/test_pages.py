@@ -14,7 +14,7 @@ SIZES = st.lists(st.tuples(st.integers(1, 900), st.integers(1, 900)), min_size=1
 
 def header_of(sizes=((300, 200), (90, 40)), page_px=64) -> PageHeader:
     layout = PageLayout(tuple(sizes), page_px)
-    return PageHeader(tuple(f"ü {i}.jpg" for i in range(len(sizes))), layout, 4, "jpeg")
+    return PageHeader(tuple(f"ü {i}.jpg" for i in range(len(sizes))), layout, 4, "jpeg", "0123456789abcdef")
 
 
 def contents(header: PageHeader) -> list[bytes]:
@@ -30,7 +30,8 @@ def test_layout__numbers_every_page_of_every_level_once(sizes):
             w, h = level_size(width, height, level)
             for y in range(0, h, 64):
                 for x in range(0, w, 64):
-                    place = [np.array([v]) for v in (photo, level, x * 2**level, y * 2**level)]
+                    middle = ((x + 0.5) * width / w, (y + 0.5) * height / h)  # of a texel, in px of the finest level
+                    place = [np.array([v]) for v in (photo, level, *middle)]
                     assert layout.pages_at(*place)[0] == counted
                     assert [int(v[0]) for v in layout.places_of(np.array([counted]))] == [
                         photo,
@@ -49,7 +50,9 @@ def test_layout__a_parent_shows_what_its_children_do_and_tails_have_none(sizes):
     photo, level, column, row = layout.places_of(pages)
     up = layout.places_of(layout.parents[pages])
     assert np.array_equal(up[0], photo) and np.array_equal(up[1], level + 1)
-    assert np.array_equal(up[2], column // 2) and np.array_equal(up[3], row // 2)
+    grids = layout.grids[np.searchsorted(layout.grids[:, 2], layout.parents[pages], side="right") - 1]
+    assert np.array_equal(up[2], np.minimum(column // 2, grids[:, 3] - 1))
+    assert np.array_equal(up[3], np.minimum(row // 2, grids[:, 4] - 1))
 
 
 @settings(max_examples=20)

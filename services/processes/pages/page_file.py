@@ -1,0 +1,96 @@
+"""`pages`: the photographs of a scan, or those of a work folder, as one page file (docs/PAGES.md)."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.execution.stage import Executor, Progress
+from pipeline.readers.attributes.options import ReadOptions
+from pipeline.stages.texture.photo_pages import FILE, PhotoPages
+from services.flow.prepare import ingest_of
+from services.flow.run import Run
+from storage.errors import InvalidScan
+from storage.whole import whole
+from storage.work import work as work_folder
+
+STAGE_FOLDER = re.compile(r"(ingest|exposure)-[0-9a-f]{16}")
+
+
+@dataclass(frozen=True)
+class PageForm:
+    """How pages are cut and coded."""
+
+    codec: str
+    page_px: int
+    border_px: int
+    quality: int
+
+
+def make_pages(
+    source: Path,
+    out: Path,
+    form: PageForm,
+    executor: Executor,
+    progress: Progress,
+    *,
+    reading: ReadOptions = ReadOptions(),
+    work: Path | None = None,
+) -> dict:
+    """Write the page file `out` of a scan's photographs as they were taken, or of a work folder's as its textures were
+    sampled from them (in one light, where the plan has exposure on). Returns what it holds, and its `psnr_db`.
+
+    `out` is there whole or not at all. Raises: InvalidScan for a scan without photographs, and for a work folder of none or
+    of several.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    try:
+        of_work = _is_work_folder(source)
+        run = Run(source if of_work else work or aside, executor, progress)
+        photos = _photos_of(source) if of_work else ingest_of(run, source, reading).folder
+        if not work_folder.summary(photos)["cameras"]:
+            raise InvalidScan(str(source), "no photograph", "a scan with photographs: pages are pieces of them")
+        made = run.do(PhotoPages(photos, form.codec, form.page_px, form.border_px, form.quality))
+        place_pages(made.folder, out)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+    return made.summary | {"path": str(out), "seconds": made.made_seconds}
+
+
+def place_pages(made: Path, out: Path) -> None:
+    """The page file of a stage's folder under another name: a link where the disk allows it, else a copy."""
+    with whole(out) as partial:
+        try:
+            os.link(made / FILE, partial)
+        except OSError:
+            shutil.copyfile(made / FILE, partial)
+
+
+def _stage_folders(source: Path) -> list[Path]:
+    if not source.is_dir():
+        return []
+    return sorted(f for f in source.iterdir() if STAGE_FOLDER.fullmatch(f.name) and work_folder.is_complete(f))
+
+
+def _is_work_folder(source: Path) -> bool:
+    return bool(_stage_folders(source))
+
+
+def _photos_of(source: Path) -> Path:
+    found = _stage_folders(source)
+    for name in ("exposure", "ingest"):
+        of_name = [folder for folder in found if folder.name.startswith(name)]
+        if len(of_name) > 1:
+            raise InvalidScan(
+                str(source),
+                f"photographs of {len(of_name)} scans ({', '.join(f.name for f in of_name)})",
+                "a work folder of one scan",
+            )
+        if of_name:
+            return of_name[0]
+    raise AssertionError(source)
