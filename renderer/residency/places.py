@@ -79,8 +79,8 @@ class Seen:
     def inner(self, margin_px: tuple[int, int, int, int]) -> np.ndarray:
         """(height, width) bool: within left, top, right, bottom margins."""
         left, top, right, bottom = (side // self.halving for side in margin_px)
-        inside = np.zeros(self.splat.shape, bool)
-        height, width = inside.shape
+        height, width = self.splat.shape[0], self.splat.shape[1]
+        inside = np.zeros((height, width), bool)
         inside[top : height - bottom, left : width - right] = True
         return inside
 
