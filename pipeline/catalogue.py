@@ -204,7 +204,7 @@ CATALOGUE = (
         "codes, and what they lose", ("resample",), share=14, when="photographs", by_atoms=True,
     ),
     StageEntry(
-        "photo-pages", "stages/texture/photo_pages.py", Phase.FILE, Task.PHOTO,
+        "photo-pages", "stages/pages/photo_pages.py", Phase.FILE, Task.PHOTO,
         "photographs as a page file: all mip levels, cut into pages", ("ingest",), when="`pages`",
     ),
     StageEntry(

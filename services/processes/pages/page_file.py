@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pipeline.execution.stage import Executor, Progress
 from pipeline.readers.attributes.options import ReadOptions
-from pipeline.stages.texture.photo_pages import FILE, PhotoPages
+from pipeline.stages.pages.photo_pages import FILE, PhotoPages
 from services.flow.prepare import ingest_of
 from services.flow.run import Run
 from storage.errors import InvalidScan

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.numerics.accuracy import psnr_db
-from pipeline.pages.codecs import CODECS, DEFAULT_QUALITY
-from pipeline.pages.cut import inner_size, pages_of
+from pipeline.stages.pages.codecs import CODECS, DEFAULT_QUALITY
+from pipeline.stages.pages.cut import inner_size, pages_of
 from storage.packed.schema import Camera
 from storage.pages.file import PageHeader, scan_digest, write_pages
 from storage.pages.layout import PageLayout

@@ -5,10 +5,10 @@ import pytest
 
 from pipeline.execution.executors import SerialExecutor
 from pipeline.execution.stage import run_stage
-from pipeline.pages.codecs import CODECS, decoded
-from pipeline.pages.cut import inner_size, pages_of
+from pipeline.stages.pages.codecs import CODECS, decoded
+from pipeline.stages.pages.cut import inner_size, pages_of
+from pipeline.stages.pages.photo_pages import FILE, PhotoPages
 from pipeline.stages.texture.photo_codecs import halved
-from pipeline.stages.texture.photo_pages import FILE, PhotoPages
 from storage.errors import InvalidPackedFile
 from storage.packed.schema import Camera
 from storage.pages.file import PageFile, scan_digest
