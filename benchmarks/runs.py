@@ -127,8 +127,9 @@ def culled(codes: RunCodes) -> float:
 
 
 def gpu_ms(codes: RunCodes) -> float:
-    from renderer.splats.context import gl_context
     from renderer.splats.runs import upload_runs
+
+    from renderer.splats.context import gl_context
 
     with gl_context() as context:
         gpu = upload_runs(context, codes, 1.0)

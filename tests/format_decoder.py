@@ -81,7 +81,37 @@ class Packed:
         two = self.arrays[stream][bit // 32 : bit // 32 + 2].astype("<u4").tobytes()
         return int.from_bytes(two, "little") >> bit % 32 & (1 << width) - 1
 
+    def run_cell(self, i: int) -> tuple[np.ndarray, tuple[int, int]]:
+        """Position against the origin and octahedral normal of a splat of runs."""
+        a, first = self.arrays, i // 128 * 128
+        cell = i
+        if "run_batch" in a:
+            cell = first + int(np.argsort(a["run_batch"][first : first + 128], kind="stable")[i - first])
+        length = (a["run_start"] >> 27).astype(int) + 1
+        end = np.cumsum(length)
+        run = int(np.searchsorted(end, cell, side="right"))
+        steps = a["run_step"][end[run] - length[run] - run :][: cell - (end[run] - length[run])].astype(int)
+        section = int(np.searchsorted(a["run_first"], run, side="right")) - 1
+        start = int(a["run_start"][run])
+        c, r, s = (a["run_base"][section] + [start & 2047, start >> 11 & 2047, start >> 22 & 31]).tolist()
+        (x, y), k = a["run_normal"][run].tolist(), 0
+        for step in steps.tolist():
+            k, q = (k + (step & 7)) % 6, (r + s) % 2
+            c += (1, q, q - 1, -1, q - 1, q)[k]
+            r += (0, 1, 1, 0, -1, -1)[k]
+            x, y = (p + d for p, d in zip((x, y), a["run_codebook"][step >> 3].tolist()))
+            if abs(x) > 127:
+                x, y = int(np.sign(x)) * 254 - x, -y
+            if abs(y) > 127:
+                x, y = -x, int(np.sign(y)) * 254 - y
+        cell_size, axis = self.header["runs"]["cell"], self.header["runs"]["axis"]
+        pitch = np.array([cell_size / 2, cell_size * (np.sqrt(3) / 2) / 3, cell_size * np.sqrt(2 / 3)], np.float32)
+        p = (np.array([2 * c + (r + s) % 2, 3 * r + s % 2, s], np.float32) * pitch).astype(float)
+        return p[[(2 - axis + j) % 3 for j in range(3)]], (x, y)
+
     def position(self, i: int) -> np.ndarray:
+        if self.header.get("geometry") == "runs":
+            return np.array(self.header["origin"]) + self.run_cell(i)[0]
         number = int.from_bytes(self.arrays["position"][i].tobytes(), "little")
         bits = self.arrays["box_bits"][i // 128].astype(int)
         cell = np.array(
@@ -91,7 +121,8 @@ class Packed:
         return np.array(self.header["origin"]) + (low + (cell + 0.5) * size / 2.0**bits)
 
     def frame(self, i: int) -> np.ndarray:
-        a, b = self.arrays["normal"][i].tolist()
+        runs = self.header.get("geometry") == "runs"
+        a, b = self.run_cell(i)[1] if runs else self.arrays["normal"][i].tolist()
         c = 127 - abs(a) - abs(b)
         sign = (1 if a >= 0 else -1), (1 if b >= 0 else -1)
         p = np.array([a, b, c] if c >= 0 else [sign[0] * (127 - abs(b)), sign[1] * (127 - abs(a)), c])

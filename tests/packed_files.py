@@ -14,7 +14,7 @@ import numpy as np
 from storage.packed.batches import group_batch_counts
 from storage.packed.packed import begin_packed, create_array, seal_packed
 from storage.packed.scene import streams_of
-from storage.packed.schema import BY_NAME, CHUNK, NO_CAMERA, Batch, Camera, Header
+from storage.packed.schema import BOXES, BY_NAME, CHUNK, FORMS, GROUP, NO_CAMERA, RUNS, Batch, Camera, Header, RunGrid
 
 LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 
@@ -40,6 +40,7 @@ class Case:
     n_ranks: int = 8
     color_step: int = 0
     size_bits: int = 0
+    runs: bool = False
 
 
 def noise(n: int, seed: int, below: int, period: int = 1 << 40) -> np.ndarray:
@@ -77,6 +78,8 @@ def header_of(case: Case) -> Header:
         coarsest_size=case.coarsest_size,
         n_ranks=case.n_ranks,
         color_step=case.color_step,
+        geometry=RUNS if case.runs else BOXES,
+        runs=RunGrid(0.7, 1, len(_sections(case)), len(_run_lengths(case))) if case.runs else None,
     )
 
 
@@ -91,6 +94,8 @@ def arrays_for(case: Case, header: Header) -> dict[str, np.ndarray]:
         "normal": (_bytes(case, 5, 255)[:, :2].astype(np.int64) - 127).astype(np.int8),
         "batch_count": _batch_count(case, header),
     }
+    if case.runs:
+        arrays = {name: values for name, values in arrays.items() if name not in FORMS} | _runs(case, header)
     if header.size_bits:
         low = noise(c, 14, 100) + 60
         arrays["size_scale"] = np.stack([low, low + noise(c, 15, 90)], axis=1).astype(np.uint8)
@@ -149,6 +154,47 @@ def color_stream(size: np.ndarray, header: Header, period: int = 1 << 40) -> dic
         "color_word": (np.cumsum(lengths) - lengths).astype(np.uint32),
         "colors": np.concatenate([*words, np.zeros(1, np.uint32)]),
     }
+
+
+def _run_lengths(case: Case) -> np.ndarray:
+    """Cells of each run: 1 to 25, none over the end of a group."""
+    lengths: list[int] = []
+    for n in [min(GROUP, case.n_splats - at) for at in range(0, case.n_splats, GROUP)]:
+        some = np.cumsum(noise(n, 20, 25) + 1)
+        lengths += np.diff([0, *some[some < n], n]).tolist()
+    return np.array(lengths)
+
+
+def _sections(case: Case) -> np.ndarray:
+    """The first run of each section: every 40th, and that of every group."""
+    ends = np.cumsum(_run_lengths(case))
+    return np.union1d(np.arange(0, len(ends), 40), _first_of_groups(ends))
+
+
+def _first_of_groups(ends: np.ndarray) -> np.ndarray:
+    begins = np.concatenate([[0], ends[:-1]])
+    return np.flatnonzero(begins % GROUP == 0)
+
+
+def _runs(case: Case, header: Header) -> dict[str, np.ndarray]:
+    """Any starts, turns and steps of normals; cells of a chunk whose batches are shuffled."""
+    length, sections = _run_lengths(case), _sections(case)
+    m, q = len(length), len(sections)
+    ends = np.cumsum(length)
+    turn, step = noise(case.n_splats - m, 21, 6), noise(case.n_splats - m, 22, 32)
+    arrays = {
+        "run_base": (noise(3 * q, 23, 4096).reshape(q, 3) - 2048).astype(np.int32),
+        "run_first": sections.astype(np.uint32),
+        "run_section": np.searchsorted(sections, _first_of_groups(ends)).astype(np.uint32),
+        "run_start": (noise(m, 24, 1 << 27) | length - 1 << 27).astype(np.uint32),
+        "run_normal": (noise(2 * m, 25, 255).reshape(m, 2) - 127).astype(np.int8),
+        "run_step": (turn | step << 3).astype(np.uint8),
+        "run_codebook": (noise(64, 26, 255).reshape(32, 2) - 127).astype(np.int8),
+    }
+    if len(header.batches) > 1:
+        batch = noise(case.n_splats, 8, len(header.batches), case.period)
+        arrays["run_batch"] = batch.astype(np.uint8)  # those that _batch_count counts
+    return arrays
 
 
 def _bytes(case: Case, seed: int, below: int) -> np.ndarray:

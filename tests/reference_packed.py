@@ -61,9 +61,7 @@ def decode_ellipsoid(scene: PackedScene, splat: int) -> list[list[float]] | None
     row = sum(batches[batch_of(scene, i)].ellipsoid for i in splats_before(scene, splat))
     word = int(scene.arrays["ellipsoids"][int(scene.arrays["ellipsoid_word"][splat // GROUP]) + row])
     turn, *steps = word.to_bytes(4, "little")
-    u, v, normal = (
-        rows[0] for rows in tangent_frames(scene.arrays["normal"][splat : splat + 1], header.up, header.ahead)
-    )
+    u, v, normal = (rows[0] for rows in tangent_frames(normal_code(scene, splat), header.up, header.ahead))
     rotation = Rotation.from_rotvec(np.radians(180 * turn / 256) * normal)
     radius = decode_radius(scene, splat)
     lengths = [radius * 2 ** (step / 32) / 2 ** (191 / 32) for step in steps]
@@ -80,8 +78,49 @@ def decode_radius(scene: PackedScene, splat: int) -> float:
     return header.radius * 2.0 ** (step / 16) / 2**8
 
 
+def decode_run_cell(scene: PackedScene, splat: int) -> tuple[list[float], list[int]]:
+    """Position against the origin and normal code of a splat of runs, by walking its run from the start."""
+    arrays, grid, chunk = scene.arrays, scene.header.runs, splat // CHUNK
+    cell = splat
+    if "run_batch" in arrays:
+        batch = arrays["run_batch"][CHUNK * chunk : CHUNK * (chunk + 1)].tolist()
+        cell = CHUNK * chunk + sorted(range(len(batch)), key=lambda i: (batch[i], i))[splat % CHUNK]
+    lengths = [(int(word) >> 27) + 1 for word in arrays["run_start"]]
+    run, before = 0, 0
+    while before + lengths[run] <= cell:
+        before, run = before + lengths[run], run + 1
+    word, section = int(arrays["run_start"][run]), sum(int(first) <= run for first in arrays["run_first"]) - 1
+    base = arrays["run_base"][section].tolist()
+    column, row, slice_ = base[0] + word % 2048, base[1] + (word >> 11) % 2048, base[2] + (word >> 22) % 32
+    a, b = arrays["run_normal"][run].tolist()
+    k = 0
+    for at in range(before - run, before - run + cell - before):
+        code = int(arrays["run_step"][at])
+        k, odd = (k + code % 8) % 6, (row + slice_) % 2
+        column += {0: 1, 1: odd, 2: odd - 1, 3: -1, 4: odd - 1, 5: odd}[k]
+        row += {0: 0, 1: 1, 2: 1, 3: 0, 4: -1, 5: -1}[k]
+        da, db = arrays["run_codebook"][code >> 3].tolist()
+        a, b = a + da, b + db
+        if abs(a) > 127:
+            a, b = (254 if a > 0 else -254) - a, -b
+        if abs(b) > 127:
+            a, b = -a, (254 if b > 0 else -254) - b
+    pitch = [grid.cell / 2, grid.cell * (math.sqrt(3) / 2) / 3, grid.cell * math.sqrt(2 / 3)]
+    units = [2 * column + (row + slice_) % 2, 3 * row + slice_ % 2, slice_]
+    place = [float(np.float32(u) * np.float32(p)) for u, p in zip(units, pitch)]
+    return [place[(axis + 2 - grid.axis) % 3] for axis in range(3)], [a, b]
+
+
+def normal_code(scene: PackedScene, splat: int) -> np.ndarray:
+    """(1, 2) int8"""
+    code = decode_run_cell(scene, splat)[1] if scene.header.runs else scene.arrays["normal"][splat].tolist()
+    return np.array([code], np.int8)
+
+
 def decode_position(scene: PackedScene, splat: int) -> list[float]:
     """Against the origin."""
+    if scene.header.runs:
+        return decode_run_cell(scene, splat)[0]
     chunk = splat // CHUNK
     code = int.from_bytes(scene.arrays["position"][splat].tobytes(), "little")
     position = []

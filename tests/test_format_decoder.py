@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.geometry.ellipsoids import decode_ellipsoids
-from pipeline.splats.decoded import scene_radii
+from pipeline.splats.decoded import scene_normal_codes, scene_radii
 from renderer.splats.scene import GpuScene
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Camera
@@ -22,6 +22,7 @@ from tests.scenes import Dictionary, Settings, build_scene, camera_looking, code
 CASES = [
     Case(n_splats=300),
     Case(size_bits=3, ellipsoids=True),
+    Case(size_bits=3, ellipsoids=True, runs=True),
     Case(dictionary_bits=12, n_dictionary=300, atom_size=8, n_turns=8, cliplines=True),
     Case(n_dictionary=0, atom_counts=(0,), color_step=112, cliplines=True, ellipsoids=True),
     Case(
@@ -51,7 +52,7 @@ def test_format_decoder__decodes_what_the_product_does(case, tmp_path):
         scene = opened.load()
     some, fields = scene.ellipsoids
     axes = (
-        decode_ellipsoids(fields, scene.arrays["normal"][some], case.up, case.ahead, scene_radii(scene)[some])
+        decode_ellipsoids(fields, scene_normal_codes(scene)[some], case.up, case.ahead, scene_radii(scene)[some])
         if len(some)
         else []
     )

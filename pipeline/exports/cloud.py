@@ -8,8 +8,7 @@ import numpy as np
 
 from pipeline.geometry.ellipsoids import decode_ellipsoids
 from pipeline.geometry.frame import tangent_frames
-from pipeline.geometry.positions import Boxes, decode_positions
-from pipeline.splats.decoded import scene_radii
+from pipeline.splats.decoded import scene_normal_codes, scene_positions, scene_radii
 from pipeline.texture.colors import ColorBoxes, decode_colors
 from storage.packed.packed import PackedScene
 from storage.packed.schema import GROUP, MIP_SIZES
@@ -50,15 +49,16 @@ def cloud_of(scene: PackedScene) -> Cloud:
     The middle is the patch seen through a Gaussian window of WINDOW_IN_RADII, so atoms count in any turn alike.
     """
     header = scene.header
-    u, v, normal = tangent_frames(scene.arrays["normal"], header.up, header.ahead)
+    normal_code = scene_normal_codes(scene)
+    u, v, normal = tangent_frames(normal_code, header.up, header.ahead)
     radius = scene_radii(scene)
     axes = np.stack([u * radius[:, None], v * radius[:, None], normal], axis=1)
     splat, fields = scene.ellipsoids
     solid = np.zeros(header.n_splats, bool)
     if len(splat):
         solid[splat] = True
-        axes[splat] = decode_ellipsoids(fields, scene.arrays["normal"][splat], header.up, header.ahead, radius[splat])
-    columns = (positions_of(scene), axes, solid, _middle_colors(scene))
+        axes[splat] = decode_ellipsoids(fields, normal_code[splat], header.up, header.ahead, radius[splat])
+    columns = (scene_positions(scene), axes, solid, _middle_colors(scene))
     return Cloud(*(column[header.first_finest :] for column in columns), header.origin)  # type: ignore[arg-type, call-arg]
 
 
@@ -74,13 +74,6 @@ def samples_of(scene: PackedScene, cloud: Cloud) -> Cloud:
     axes = np.repeat(cloud.axes * np.array([GRID_RADIUS, GRID_RADIUS, 1.0])[:, None], m, axis=0)
     position = (cloud.position[:, None] + offset).reshape(n * m, 3)
     return Cloud(position, axes, np.repeat(cloud.solid, m), color.reshape(n * m, 3), cloud.origin)
-
-
-def positions_of(scene: PackedScene) -> np.ndarray:
-    """(n, 3) float64 against the origin."""
-    arrays = scene.arrays
-    code = arrays["position"].astype(np.int64) @ [1, 1 << 8, 1 << 16]
-    return decode_positions(code, Boxes(arrays["box_low"], arrays["box_size"], arrays["box_bits"]))
 
 
 def averages_of(scene: PackedScene) -> np.ndarray:

@@ -10,6 +10,7 @@ from pipeline.geometry.ellipsoids import decode_ellipsoids, squares_of
 from pipeline.geometry.frame import Direction, tangent_frames
 from pipeline.geometry.positions import Boxes, decode_positions
 from pipeline.geometry.sizes import Scales, decode_sizes
+from pipeline.splats.runs import bounds_of, decoded_splats
 from pipeline.splats.visibility import seen_points
 from storage.packed.scene import PackedScene
 from storage.packed.schema import CHUNK, Camera
@@ -72,8 +73,41 @@ def scene_radii(scene: PackedScene) -> np.ndarray:
     return decode_sizes(scene.size_codes, Scales(scene.arrays["size_scale"], header.radius, header.size_bits))
 
 
+def scene_positions(scene: PackedScene) -> np.ndarray:
+    """Where the splats of a packed file lie, (n, 3) float64 against the origin."""
+    if scene.header.runs:
+        return _splats_of_runs(scene)[0].astype(np.float64)
+    arrays = scene.arrays
+    position = arrays["position"].astype(np.uint32)
+    code = position[:, 0] | position[:, 1] << 8 | position[:, 2] << 16
+    return decode_positions(code, Boxes(arrays["box_low"], arrays["box_size"], arrays["box_bits"]))
+
+
+def scene_normal_codes(scene: PackedScene) -> np.ndarray:
+    """The octahedral normals (n, 2) int8 of the splats of a packed file."""
+    return _splats_of_runs(scene)[1] if scene.header.runs else scene.arrays["normal"]
+
+
+def scene_bounds(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
+    """Low and high corner (c, 3) float64 against the origin of a box that holds the centres of each chunk."""
+    if scene.header.runs:
+        low, high = bounds_of(_splats_of_runs(scene)[0])
+        return low.astype(np.float64), high.astype(np.float64)
+    low = scene.arrays["box_low"].astype(np.float64)
+    return low, low + scene.arrays["box_size"]
+
+
+def _splats_of_runs(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
+    """Decoded once a scene: every reader of a file asks for them."""
+    if "runs" not in scene.decoded:
+        scene.decoded["runs"] = decoded_splats(scene)
+    return scene.decoded["runs"]
+
+
 def decoded_centres(splats: Path, start: int, stop: int) -> np.ndarray:
     """What the renderer will make of the positions of a block of whole chunks, (n, 3) float64 against the origin."""
+    if arrays.exists(splats, "centre"):
+        return arrays.read(splats, "centre", start, stop).astype(np.float64)
     chunks = slice(start // CHUNK, -(-stop // CHUNK))
     boxes = Boxes(
         *(arrays.read(splats, name, chunks.start, chunks.stop) for name in ("box_low", "box_size", "box_bits"))

@@ -13,9 +13,8 @@ from scipy.spatial import cKDTree
 
 from pipeline.execution.compiled import kernel
 from pipeline.geometry.frame import tangent_frames
-from pipeline.splats.decoded import scene_radii
+from pipeline.splats.decoded import scene_normal_codes, scene_positions, scene_radii
 from pipeline.splats.sizes import needed_sizes
-from pipeline.stages.packed.measure import decoded_positions
 from renderer.splats.views import orbit_views
 from storage.packed.packed import PackedScene
 from storage.packed.schema import Camera
@@ -38,11 +37,11 @@ class ViewCoverage:
 
 def surface_coverage(scene: PackedScene, n_views: int = 3, size: tuple[int, int] = SIZE_PX) -> list[ViewCoverage]:
     """The measure in `n_views` orbit views of a packed scene."""
-    header, position = scene.header, decoded_positions(scene)
+    header, position = scene.header, scene_positions(scene)
     spacing = cKDTree(np.unique(position, axis=0)).query(position, k=5)[0][:, 4]
     exact, radius = needed_sizes(position, spacing, header.radius), scene_radii(scene)
     exact[scene.ellipsoids[0]] = 0.0
-    u, v, _ = tangent_frames(scene.arrays["normal"], header.up, header.ahead)
+    u, v, _ = tangent_frames(scene_normal_codes(scene), header.up, header.ahead)
     return [
         _of_view(view, position + np.array(header.origin), u, v, exact, radius)
         for view in orbit_views(scene, n_views, size)

@@ -1,19 +1,25 @@
-// Runs of cells into positions and normals: a group of runs a workgroup, a run an invocation. All in whole numbers, but one product a
+// Runs of cells into positions and normals: a section of runs a workgroup, a run an invocation. All in whole numbers, but one product a
 // coordinate at the end, so that the bits are those of pipeline/geometry/runs/codes.py.
 
 layout(local_size_x = 256) in;
 
-struct Group { int column, row, slice; uint first_run, first_step; };
-layout(std430, binding = 0) readonly buffer Groups { Group groups[]; };  // one more at the end, of the ends
+struct Section { int column, row, slice; uint first_run, first_step; };
+layout(std430, binding = 0) readonly buffer Sections { Section sections[]; };  // one more at the end, of the ends
 layout(std430, binding = 1) readonly buffer Starts { uint starts[]; };
 layout(std430, binding = 2) readonly buffer StartNormals { uint start_normals[]; };  // two of 2 bytes a word
 layout(std430, binding = 3) readonly buffer Steps { uint steps[]; };                 // four a word
 layout(std430, binding = 4) readonly buffer Codebook { ivec2 codebook[32]; };
-layout(std430, binding = 5) writeonly buffer Positions { float positions[]; };  // against the grid's cell (0, 0, 0)
-layout(std430, binding = 6) writeonly buffer Normals { int normals[]; };        // octahedral, a in the lowest byte, then b
+layout(std430, binding = 5) writeonly buffer Splats { uint splats[]; };  // x, y, z as floats; octahedral a in the lowest byte, then b
+#ifdef BY_PLACE
+layout(std430, binding = 6) readonly buffer Places { uint places[]; };  // the splat that each cell is, of its chunk, four a word
+uint place_of(uint cell) { return (cell & ~127u) + ((places[cell >> 2] >> (8u * (cell & 3u))) & 127u); }
+#else
+uint place_of(uint cell) { return cell; }
+#endif
 uniform vec3 pitch;  // half a column, a third of a row, a slice
+uniform uint axis;   // that slices lie across
 
-shared uint ends[256];  // running sums of the lengths of the group's runs
+shared uint ends[256];  // running sums of the lengths of the section's runs
 
 ivec2 octahedral(uint run) {
     uint word = start_normals[run >> 1] >> (16u * (run & 1u));
@@ -29,14 +35,15 @@ ivec2 wrapped(ivec2 p) {
 void write_cell(uint cell, ivec3 at, ivec2 normal) {
     ivec3 units = ivec3(2 * at.x + ((at.y ^ at.z) & 1), 3 * at.y + (at.z & 1), at.z);
     precise vec3 position = vec3(units) * pitch;
-    positions[3u * cell] = position.x;
-    positions[3u * cell + 1u] = position.y;
-    positions[3u * cell + 2u] = position.z;
-    normals[cell] = (normal.x & 255) | ((normal.y & 255) << 8);
+    uint first = 4u * place_of(cell);
+    splats[first] = floatBitsToUint(axis == 2u ? position.x : axis == 1u ? position.y : position.z);
+    splats[first + 1u] = floatBitsToUint(axis == 2u ? position.y : axis == 1u ? position.z : position.x);
+    splats[first + 2u] = floatBitsToUint(axis == 2u ? position.z : axis == 1u ? position.x : position.y);
+    splats[first + 3u] = uint(normal.x & 255) | uint(normal.y & 255) << 8;
 }
 
 void main() {
-    Group own = groups[gl_WorkGroupID.x], next = groups[gl_WorkGroupID.x + 1u];
+    Section own = sections[gl_WorkGroupID.x], next = sections[gl_WorkGroupID.x + 1u];
     uint lane = gl_LocalInvocationID.x, run = own.first_run + lane;
     bool active_lane = run < next.first_run;
     uint word = active_lane ? starts[run] : 0u;
@@ -49,7 +56,7 @@ void main() {
         ends[lane] += below;
     }
     if (!active_lane) return;
-    uint before = ends[lane] - n_cells;                 // cells of the group's earlier runs
+    uint before = ends[lane] - n_cells;                 // cells of the section's earlier runs
     uint cell = own.first_run + own.first_step + before;  // a cell for each run and each step
     uint byte_ = own.first_step + before - lane;
     ivec3 at = ivec3(own.column, own.row, own.slice) + ivec3(word & 2047u, (word >> 11) & 2047u, (word >> 22) & 31u);

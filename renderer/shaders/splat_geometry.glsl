@@ -2,7 +2,26 @@
 // pipeline/texture/colors.py do. Needs view.glsl.
 
 layout(std430, binding = 1) readonly buffer Boxes { uint boxes[]; };  // BOX_WORDS a chunk: low, size, bits and sizes, those of its colours, then the sizes of its splats
+#ifdef RUNS
+layout(std430, binding = 0) readonly buffer Splats { uint splats[]; };  // decoded: x, y, z as floats, a word of normal
+layout(std430, binding = 10) readonly buffer Colors { uint colors[]; };  // in boxes, or 3 B a splat
 #ifdef COLOR_BOXES
+#include "bits.glsl"
+const uint SIZE_WORD = 11u;
+#else
+const uint SIZE_WORD = 7u;
+#endif
+
+uvec2 splat_words(uint splat) {
+    uint word = splats[4u * splat + 3u];
+    return uvec2(word << 24, word >> 8);
+}
+
+vec3 decode_position(uint splat, uint code) {
+    uint first = 4u * splat;
+    return against_eye(uintBitsToFloat(uvec3(splats[first], splats[first + 1u], splats[first + 2u])));
+}
+#elif defined(COLOR_BOXES)
 #include "bits.glsl"
 layout(std430, binding = 0) readonly buffer Splats { uint splats[]; };  // 3 B position, 2 B normal
 layout(std430, binding = 10) readonly buffer Colors { uint colors[]; };
@@ -44,6 +63,7 @@ struct Disc {
     float radius;
 };
 
+#ifndef RUNS
 vec3 decode_position(uint splat, uint code) {
     uint box = splat / CHUNK * BOX_WORDS;
     vec3 low = uintBitsToFloat(uvec3(boxes[box], boxes[box + 1u], boxes[box + 2u]));
@@ -54,6 +74,7 @@ vec3 decode_position(uint splat, uint code) {
     uvec3 cell = (uvec3(code) >> uvec3(0u, bits.x, bits.x + bits.y)) & (cells - 1u);
     return against_eye(low) + (vec3(cell) + 0.5) * (size / vec3(cells));
 }
+#endif
 
 ivec3 octahedron_of(ivec2 code) {
     int c = 127 - abs(code.x) - abs(code.y);
@@ -104,6 +125,12 @@ vec3 decode_color(uint splat) {
     vec3 color = on_axes.x * inversesqrt(3.0) * vec3(1.0, 1.0, 1.0) + on_axes.y * inversesqrt(2.0) * vec3(1.0, 0.0, -1.0)
                + on_axes.z * inversesqrt(6.0) * vec3(1.0, -2.0, 1.0);
     return clamp(color / 255.0, 0.0, 1.0);
+}
+#elif defined(RUNS)
+vec3 decode_color(uint splat) {
+    uint at = 3u * splat, shift = 8u * (at & 3u);
+    uint word = colors[at >> 2] >> shift | colors[(at >> 2) + 1u] << (31u - shift) << 1;
+    return vec3((uvec3(word) >> uvec3(0u, 8u, 16u)) & 0xFFu) / 255.0;
 }
 #else
 vec3 decode_color(uint splat) {

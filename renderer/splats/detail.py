@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.splats.decoded import scene_radii
+from pipeline.splats.decoded import scene_bounds, scene_radii
 from renderer.splats.projection import eye_against_origin
 from storage.packed.batches import CHUNKS_PER_GROUP
 from storage.packed.levels import FEWER
@@ -69,12 +69,12 @@ def parents_of(levels: tuple[int, ...]) -> np.ndarray:
 
 def group_tree(scene: PackedScene) -> GroupTree:
     """The tree of a scene with levels."""
-    header, arrays = scene.header, scene.arrays
+    header, (chunk_low, chunk_high) = scene.header, scene_bounds(scene)
     chunks, splats = (
         np.arange(0, n, step) for n, step in ((header.n_chunks, CHUNKS_PER_GROUP), (header.n_splats, GROUP))
     )
-    low = np.minimum.reduceat(arrays["box_low"].astype(np.float64), chunks, axis=0)
-    high = np.maximum.reduceat(arrays["box_low"].astype(np.float64) + arrays["box_size"], chunks, axis=0)
+    low = np.minimum.reduceat(chunk_low, chunks, axis=0)
+    high = np.maximum.reduceat(chunk_high, chunks, axis=0)
     n_splats = np.minimum(GROUP, header.n_splats - splats)
     size = np.add.reduceat(scene_radii(scene), splats) / n_splats
     parent = parents_of(header.levels)

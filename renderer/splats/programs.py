@@ -6,7 +6,7 @@ import moderngl
 import numpy as np
 
 from renderer.splats.glsl import shader_source
-from renderer.splats.scene import indices_of_triangles
+from renderer.splats.upload.tables import indices_of_triangles
 from storage.packed.schema import GROUP
 
 

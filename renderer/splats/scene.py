@@ -1,8 +1,4 @@
-"""A packed scene in GPU memory: the arrays of the packed file, byte for byte, and three small tables derived from them.
-
-Derived at load: running counts of batches (what batch_count says, summed, so that a shader can search them), where
-the streams of each group and batch begin, and the box of each group.
-"""
+"""A packed scene in GPU memory: the arrays of the packed file, byte for byte, and small tables derived from them (upload/tables.py)."""
 
 from __future__ import annotations
 
@@ -13,125 +9,30 @@ import moderngl
 import numpy as np
 
 from pipeline.effects.plan.request import OFF, asked_by
-from pipeline.geometry.ellipsoids import lengths_of
-from pipeline.splats.decoded import scene_radii
 from renderer.splats.atlas import atlas_layout, upload_atlas
 from renderer.splats.detail import Detail, GroupTree, group_tree, shares_of
 from renderer.splats.stacks import has_stacks
 from renderer.splats.targets import NARROW, WIDE
+from renderer.splats.upload.runs import GpuRuns, upload_runs
+from renderer.splats.upload.tables import (
+    box_words,
+    color_box_words,
+    group_boxes,
+    group_table,
+    running_counts,
+    splat_words,
+    weight_table,
+    with_spare,
+)
 from storage.errors import ResourceExhausted
-from storage.packed.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.packed.packed import PackedScene
-from storage.packed.schema import GROUP, MIP_SIZES, Camera, Header, color_bits
+from storage.packed.schema import MIP_SIZES, Camera, Header
 
 # Bindings of the shader storage blocks; the shaders say the same numbers.
 SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS, ELLIPSOIDS, COLORS, SHARES = (
     range(12)
 )
 DRAW_BYTES = 20
-
-
-# --- what is uploaded, as numpy arrays -----------------------------------------------------------------------------
-
-
-def splat_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """Position, normal and, where it is in whole bytes, colour of each splat side by side, (n, 8) or (n, 5) uint8: one
-    load instead of five."""
-    color = [arrays["color"]] if "color" in arrays else []
-    return np.concatenate([arrays["position"], arrays["normal"].view(np.uint8), *color], axis=1)
-
-
-def box_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """Low corner, size, bits along x and y, and the scale of its splats' sizes, of each chunk's box, (n_chunks, 7) uint32."""
-    words = np.zeros((len(arrays["box_low"]), 7), np.uint32)
-    words[:, :3] = arrays["box_low"].view(np.uint32)
-    words[:, 3:6] = arrays["box_size"].view(np.uint32)
-    words[:, 6] = arrays["box_bits"].astype(np.uint32) @ np.array([1, 1 << 8, 0], np.uint32)
-    if "size_scale" in arrays:
-        words[:, 6] |= arrays["size_scale"].astype(np.uint32) @ np.array([1 << 16, 1 << 24], np.uint32)
-    return words
-
-
-def color_box_words(arrays: dict[str, np.ndarray], step: int) -> np.ndarray:
-    """First word, low corner, size and bits of each chunk's box of colours, (n_chunks, 4) uint32."""
-    low, size = arrays["color_low"].view(np.uint16).astype(np.uint32), arrays["color_size"].astype(np.uint32)
-    bits = color_bits(arrays["color_size"], step).astype(np.uint32)
-    return np.stack(
-        [
-            arrays["color_word"],
-            low[:, 0] | low[:, 1] << 16,
-            low[:, 2] | size[:, 0] << 16 | size[:, 1] << 24,
-            size[:, 2] | bits[:, 0] << 8 | bits[:, 1] << 16 | bits[:, 2] << 24,
-        ],
-        axis=1,
-    )
-
-
-def running_counts(batch_count: np.ndarray) -> np.ndarray:
-    """(n_chunks, n_batches - 1) uint16: splats of the group, through this chunk, of the batches up to this one."""
-    n_chunks, n_batches = batch_count.shape
-    n_groups = -(-n_chunks // CHUNKS_PER_GROUP)
-    padded = np.zeros((n_groups * CHUNKS_PER_GROUP, n_batches), np.int64)
-    padded[:n_chunks] = batch_count
-    through = padded.reshape(n_groups, CHUNKS_PER_GROUP, n_batches).cumsum(axis=1).cumsum(axis=2)
-    return through.reshape(-1, n_batches)[:n_chunks, :-1].astype(np.uint16)
-
-
-def group_table(scene: PackedScene) -> np.ndarray:
-    """(n_groups, 2 + 2 n_batches) uint32: first words of both streams, then each batch's first entry and clipline; of a
-    batch of ellipsoids, which has no clipline, its first word in their stream."""
-    header, arrays = scene.header, scene.arrays
-    counts = group_batch_counts(arrays["batch_count"])
-    entries = counts * [batch.n_atoms for batch in header.batches]
-    lines = counts * [batch.clipline for batch in header.batches]
-    table = np.zeros((header.n_groups, 2 + 2 * len(header.batches)), np.uint32)
-    table[:, 0] = arrays.get("group_word", 0)
-    table[:, 1] = arrays.get("clipline_word", 0)
-    table[:, 2::2] = entries.cumsum(axis=1) - entries
-    table[:, 3::2] = lines.cumsum(axis=1) - lines
-    if "ellipsoids" in arrays:
-        some = np.array([batch.ellipsoid for batch in header.batches])
-        place = (counts * some).cumsum(axis=1) - counts * some + arrays["ellipsoid_word"][:, None]
-        table[:, 3::2] = np.where(some, place, table[:, 3::2])
-    return table
-
-
-def group_boxes(scene: PackedScene) -> np.ndarray:
-    """(n_groups, 6) float32: low and high corner of each group, grown by its largest radius or longest ellipsoid's half
-    axis."""
-    arrays = scene.arrays
-    starts = np.arange(0, len(arrays["box_low"]), CHUNKS_PER_GROUP)
-    reach = longest_in_groups(scene)[:, None]
-    low = np.minimum.reduceat(arrays["box_low"].astype(np.float64), starts, axis=0) - reach
-    high = arrays["box_low"] + arrays["box_size"].astype(np.float64)
-    high = np.maximum.reduceat(high, starts, axis=0) + reach
-    return np.concatenate(
-        [
-            np.nextafter(low.astype(np.float32), np.float32(-np.inf)),
-            np.nextafter(high.astype(np.float32), np.float32(np.inf)),
-        ],
-        axis=1,
-    )
-
-
-def longest_in_groups(scene: PackedScene) -> np.ndarray:
-    """How far a splat of each group reaches from its centre, (n_groups,) float64."""
-    radius = scene_radii(scene)
-    reach = np.maximum.reduceat(radius, np.arange(0, scene.header.n_splats, GROUP))
-    if "ellipsoids" in scene.arrays:
-        splat, fields = scene.ellipsoids
-        np.maximum.at(reach, splat // GROUP, lengths_of(fields, radius[splat]).max(axis=1))
-    return reach
-
-
-def weight_table(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """Weight levels, rank by rank, then the scale of each atom, float32."""
-    return np.concatenate([arrays["weight_levels"].ravel(), arrays["atom_scale"]])
-
-
-def indices_of_triangles(n_splats: int) -> np.ndarray:
-    """One triangle a splat; four numbers each, so that a shader has the splat and its corner by a shift and a mask."""
-    return (4 * np.arange(n_splats, dtype=np.uint16)[:, None] + np.arange(3, dtype=np.uint16)).ravel()
 
 
 # --- upload ----------------------------------------------------------------------------------------------------------
@@ -150,6 +51,7 @@ class GpuScene:
     buffers: dict[int, moderngl.Buffer] = field(default_factory=dict)
     uniforms: moderngl.Buffer | None = None
     atlas: moderngl.Texture | None = None
+    runs: GpuRuns | None = None  # of a scene whose geometry is runs
     bytes_by_part: dict[str, int] = field(default_factory=dict)
     accumulation: str = NARROW  # of its colours: wide where splats are copies, and once the renderer finds overdraw
     watched: bool = True  # whether the renderer looks for overdraw, and may widen: not where the job asked for 16 bits
@@ -190,7 +92,7 @@ class GpuScene:
                 self.buffers[SHARES] = self.context.buffer(reserve=4 * header.n_groups)
             self.buffers[DRAWS] = self.context.buffer(reserve=header.n_groups * (len(header.batches) + 1) * DRAW_BYTES)
             self.uniforms = self.context.buffer(self._uniform_block())
-        with_geometry = 16 * header.n_chunks if header.color_step else 3 * header.n_splats
+        with_geometry = 16 * header.n_chunks if header.color_step else 0 if header.runs else 3 * header.n_splats
         self.bytes_by_part["geometry"] -= with_geometry
         self.bytes_by_part["colors"] += with_geometry
 
@@ -209,8 +111,9 @@ class GpuScene:
     @property
     def defines(self) -> dict[str, int]:
         """What the programs that decode its splats are compiled with."""
-        with_boxes, with_levels = int(COLORS in self.buffers), int(self.tree is not None)
-        return {"COLOR_BOXES": with_boxes, "SIZE_BITS": self.scene.header.size_bits, "DETAIL": with_levels}
+        with_boxes, with_levels = int(bool(self.scene.header.color_step)), int(self.tree is not None)
+        header, of_boxes = self.scene.header, {"COLOR_BOXES": with_boxes, "DETAIL": with_levels}
+        return {**of_boxes, "SIZE_BITS": header.size_bits, "RUNS": int(header.runs is not None)}
 
     def show(self, view: Camera, detail: Detail) -> None:
         """Choose the groups that the next passes draw of it."""
@@ -236,23 +139,35 @@ class GpuScene:
 
     def release(self) -> None:
         """Free the GPU memory now; the scene cannot be drawn any more."""
-        for resource in (*self.buffers.values(), self.uniforms, self.atlas):
+        for resource in (*self.buffers.values(), self.uniforms, self.atlas, self.runs):
             if resource is not None:
                 resource.release()
-        self.buffers, self.uniforms, self.atlas = {}, None, None
+        self.buffers, self.uniforms, self.atlas, self.runs = {}, None, None, None
 
     def _upload_splats(self, header: Header, arrays: dict[str, np.ndarray]) -> None:
         boxes, spare = box_words(arrays), np.zeros(1, np.uint32)
-        splats = splat_words(arrays)
         if header.color_step:
             boxes = np.concatenate([boxes, color_box_words(arrays, header.color_step)], axis=1)
-            splats = np.concatenate([splats.ravel(), np.zeros(-splats.size % 4, np.uint8), spare.view(np.uint8)])
             self._upload(COLORS, "colors", arrays["colors"], "colours")
+        elif header.runs:
+            self._upload(COLORS, "colors", with_spare(arrays["color"]), "colours")
         if header.size_bits:
             boxes = np.concatenate([boxes, arrays["sizes"]], axis=1)
             boxes = np.concatenate([boxes.ravel(), spare])
-        self._upload(SPLATS, "geometry", splats, "position, normal and color")
+        if header.runs:
+            self._decode_runs()
+        else:
+            splats = splat_words(arrays)
+            self._upload(SPLATS, "geometry", with_spare(splats) if header.color_step else splats, "geometry")
         self._upload(BOXES, "geometry", boxes, "chunk boxes")
+
+    def _decode_runs(self) -> None:
+        """Positions and normals for the passes; what they take decoded is not counted, for the card can decode them again."""
+        self.runs = upload_runs(self.context, self.scene)
+        self.runs.decode()
+        self.context.memory_barrier(moderngl.Context.SHADER_STORAGE_BARRIER_BIT)
+        self.buffers[SPLATS] = self.runs.splats
+        self.bytes_by_part["geometry"] += self.runs.coded_bytes
 
     def _upload(self, binding: int, part: str, array: np.ndarray, what: str) -> None:
         self.buffers[binding] = storage_buffer(self.context, array, what)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.splats.decoded import scene_bounds
 from renderer.effects.relighting import has_own_lamp
 from storage.packed.packed import PackedScene
 from storage.packed.schema import Camera, Header
@@ -60,7 +61,8 @@ def trimmed_box(scene: PackedScene, share: float = TRIMMED_SHARE) -> tuple[np.nd
 
     The middle 1 - 2 `share` of the chunk centres, stretched to what that would be the middle of were they even.
     """
-    centre = scene.arrays["box_low"] + scene.arrays["box_size"].astype(np.float64) / 2
+    low, high = scene_bounds(scene)
+    centre = (low + high) / 2
     low, high = np.quantile(centre, [share, 1 - share], axis=0)
     half = (high - low) / 2 / (1 - 2 * share)
     return (low + high) / 2 - half, (low + high) / 2 + half

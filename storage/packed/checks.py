@@ -19,10 +19,12 @@ from storage.packed.schema import (
     FINEST_COLOR_STEP,
     FORMAT_NAME,
     FORMAT_VERSION,
+    GEOMETRIES,
     LONGEST_DIRECTION,
     MAX_ATOMS,
     MIP_SIZES,
     NO_CAMERA,
+    RUNS,
     SIZE_BITS,
     TURN_COUNTS,
     Array,
@@ -86,6 +88,14 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
             not h.levels or (sum(h.levels) == h.n_splats and are_levels(h.levels)),
             f"2 to {MOST_LEVELS + 1} that add up to all splats, each a quarter of the next in whole groups",
         ),
+        ("geometry", h.geometry, h.geometry in GEOMETRIES, f"one of {GEOMETRIES}"),
+        (
+            "runs",
+            h.runs,
+            h.geometry != RUNS or _grid_is_sound(h),
+            "a cell above 0, axis 0..2, no more runs than splats",
+        ),
+        ("levels", h.levels, not (h.levels and h.runs), "none, with runs"),
         ("size_bits", h.size_bits, h.size_bits in SIZE_BITS, f"one of {SIZE_BITS}"),
         ("dictionary_bits", h.dictionary_bits, 0 <= h.dictionary_bits <= 16, "0..16"),
         ("weight_bits", h.weight_bits, 1 <= h.weight_bits <= 8, "1..8"),
@@ -135,6 +145,13 @@ def _are_apart(a: tuple[int, ...], b: tuple[int, ...]) -> bool:
 def _camera_is_sound(camera) -> bool:
     numbers = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.centre, *sum(camera.rotation, ()))
     return camera.width_px >= 1 and camera.height_px >= 1 and all(map(isfinite, numbers))
+
+
+def _grid_is_sound(header: Header) -> bool:
+    grid = header.runs
+    assert grid is not None
+    counts = header.n_groups <= grid.n_sections <= grid.n_runs <= header.n_splats
+    return counts and 0 < grid.cell < float("inf") and grid.axis in (0, 1, 2)
 
 
 def check_layout(archive: ZipFile, header: Header) -> dict[str, tuple[int, ...]]:

@@ -14,6 +14,8 @@ from storage.packed.schema import GROUP, Array, Header, dimensions_of
 
 GROUPS_PER_ZARR_CHUNK = 8  # 65,536 splats: the pack tasks own whole zarr chunks
 WORDS_PER_ZARR_CHUNK = 1 << 16
+RUNS_PER_ZARR_CHUNK = 1 << 16
+STEPS_PER_ZARR_CHUNK = 1 << 19
 ATOMS_PER_ZARR_CHUNK = 256
 ZSTD_LEVEL = 9
 ROOT_MEMBER = "zarr.json"
@@ -31,6 +33,8 @@ def chunk_shape(array: Array, shape: tuple[int, ...]) -> tuple[int, ...]:
         "n": GROUP * GROUPS_PER_ZARR_CHUNK,
         "c": CHUNKS_PER_GROUP * GROUPS_PER_ZARR_CHUNK,
         "e": WORDS_PER_ZARR_CHUNK,
+        **dict.fromkeys("qm", RUNS_PER_ZARR_CHUNK),
+        "t": STEPS_PER_ZARR_CHUNK,
         "k": ATOMS_PER_ZARR_CHUNK,
     }.get(array.dims[0], shape[0])
     return tuple(max(1, c) for c in (min(rows, shape[0]), *shape[1:]))

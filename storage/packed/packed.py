@@ -37,6 +37,7 @@ from storage.packed.layout import (
     metadata_member,
     shape_of,
 )
+from storage.packed.runs import read_group
 from storage.packed.scene import PackedScene, check_tables, streams_of
 from storage.packed.schema import BY_NAME, GROUP, Array, Header, arrays_of, color_bits
 from storage.packed.seal import UNSEALED, check_seal, is_packed_file, write_seal
@@ -204,6 +205,10 @@ class PackedFile:
             if span:
                 arrays[array.name] = self.read(array.name, index * span, (index + 1) * span)
         with _damage_is_an_error(self.path):
+            header = replace(self.header, levels=(), n_splats=min(GROUP, self.header.n_splats - index * GROUP))
+            if self.header.runs:
+                runs, header = read_group(self.read, self.header, index)
+                arrays |= runs
             counts = group_batch_counts(arrays["batch_count"])
             for stream in streams_of(self.header):
                 bounds = [*self.read(stream.table, index, index + 2), self._shapes[stream.name][0] - 1]
@@ -214,7 +219,7 @@ class PackedFile:
                 arrays[stream.table] = np.zeros(1, np.uint32)
             if self.header.color_step:
                 self._read_colors(arrays, index)
-            part = PackedScene(replace(self.header, n_splats=len(arrays["position"]), levels=()), arrays)
+            part = PackedScene(header, arrays)
             check_tables(part)
         return part
 
@@ -222,7 +227,7 @@ class PackedFile:
         """Bring the colours of one group into its arrays."""
         bits = color_bits(group["color_size"], self.header.color_step).sum(axis=1)
         first = int(group["color_word"][0])
-        stop = first + int(color_words(len(group["position"]), bits).sum())
+        stop = first + int(color_words(min(GROUP, self.header.n_splats - index * GROUP), bits).sum())
         spare = self._shapes["colors"][0] - 1
         if stop > spare or (stop < spare and index + 1 == self.header.n_groups):
             raise ValueError(f"color_word and colors do not fit color_size in group {index}")

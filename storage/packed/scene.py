@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from storage.packed.batches import Rows, group_batch_counts, rows_of
 from storage.packed.bits import words_for
 from storage.packed.codes import unpack_codes
 from storage.packed.colors import color_words, unpack_colors
+from storage.packed.runs import check_runs
 from storage.packed.schema import (
     BY_NAME,
     CHUNK,
@@ -29,10 +31,13 @@ POSITION_BITS = 24
 
 @dataclass(frozen=True)
 class PackedScene:
-    """A packed file in memory: its header and, by the names of the schema, its arrays."""
+    """A packed file in memory: its header and, by the names of the schema, its arrays.
+
+    `decoded` keeps what readers worked out from them, so that it is worked out once (pipeline/splats/decoded.py)."""
 
     header: Header
     arrays: dict[str, np.ndarray]
+    decoded: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @cached_property
     def rows(self) -> Rows:
@@ -108,7 +113,9 @@ def check_tables(scene: PackedScene) -> None:
     sizes = np.minimum(CHUNK, header.n_splats - CHUNK * np.arange(header.n_chunks))
     if not (arrays["batch_count"].sum(axis=1, dtype=np.int64) == sizes).all():
         raise ValueError("batch_count does not add up to the size of every chunk")
-    if not (arrays["box_bits"].sum(axis=1, dtype=np.int64) == POSITION_BITS).all():
+    if header.runs:
+        check_runs(header, arrays)
+    elif not (arrays["box_bits"].sum(axis=1, dtype=np.int64) == POSITION_BITS).all():
         raise ValueError(f"box_bits does not add up to {POSITION_BITS} in every chunk")
     _check_numbers(arrays)
     if header.size_bits and (arrays["size_scale"][:, 0] > arrays["size_scale"][:, 1]).any():
@@ -146,5 +153,5 @@ def _check_numbers(arrays: dict[str, np.ndarray]) -> None:
             raise ValueError(f"{name} is not finite")
         if kind == "int8" and values.min() < -127:
             raise ValueError(f"{name} has -128, which GPUs read as -127")
-    if arrays["box_size"].min() < 0:
+    if "box_size" in arrays and arrays["box_size"].min() < 0:
         raise ValueError(f"box_size has {arrays['box_size'].min()}, less than 0")

@@ -1,12 +1,14 @@
 """The packed file: every array, its dimensions, dtype, unit and meaning. docs/FORMAT.md says the same in prose.
 
 Dimensions: n splats; c chunks of CHUNK splats; g groups of GROUP splats; b batches; k atoms; r ranks (atoms a splat,
-at most); w weight levels; s words of a chunk's sizes; e 32-bit words of a stream.
+at most); w weight levels; s words of a chunk's sizes; e 32-bit words of a stream; q sections of m runs, with t steps.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
+
+from storage.json_fields import listed, numbers, plain, typed, whole_numbers
 
 FORMAT_NAME = "splatpress"
 FORMAT_VERSION = 1
@@ -27,47 +29,12 @@ FINEST_COLOR_STEP, COARSEST_COLOR_STEP = (
 )  # codes: half a 255th, and more than there are; 0 stands for whole bytes
 MOST_COLOR_BITS = 30  # of a splat: what the finest step takes for a box of all colours
 DEFAULT_UP, DEFAULT_AHEAD = (0, 0, 1), (1, 0, 0)
+BOXES, RUNS = GEOMETRIES = ("boxes", "runs")  # how positions and normals are coded
+COLUMN_BITS, ROW_BITS, SLICE_BITS, LENGTH_BITS = 11, 11, 5, 5  # of the start of a run, the lowest first
+MOST_RUNS = 256  # of a section
 SIZE_BITS = (0, 2, 3, 4)  # that a splat's radius may take; without any all have the header's
 SIZE_STEPS_AN_OCTAVE, ONE_SIZE = 16, 128  # of radii: step s is 2^((s - 128) / 16) of the header's
 LONGEST_DIRECTION = 36  # so that 100 (up . normal)^2 of whole numbers stays within 32 bits
-
-
-_JSON_TYPES: dict[str, tuple[type, ...]] = {
-    "int": (int,),
-    "float": (int, float),
-    "str": (str,),
-    "bool": (bool,),
-    "dict": (dict,),
-}
-
-
-def _typed(cls: type, data: dict, **parsed):
-    """A dataclass of the `parsed` fields and, for the others, the plain values of `data`."""
-    for wanted in fields(cls):
-        if wanted.name not in parsed:
-            parsed[wanted.name] = _plain(data[wanted.name], str(wanted.type), wanted.name)
-    return cls(**parsed)
-
-
-def _plain(value, kind: str, name: str):
-    """A value of one of the _JSON_TYPES; `kind` is the field's annotation."""
-    if not isinstance(value, _JSON_TYPES[kind]) or isinstance(value, bool) != (kind == "bool"):
-        raise TypeError(f"{name} is {value!r}, not of type {kind}")
-    return float(value) if kind == "float" else value  # type: ignore[arg-type]
-
-
-def _list(value, n: int | None = None) -> list | tuple:
-    if not isinstance(value, (list, tuple)) or n not in (None, len(value)):
-        raise TypeError(f"{value!r} is no list of {'any number of' if n is None else n} values")
-    return value
-
-
-def _numbers(value, n: int) -> tuple[float, ...]:
-    return tuple(_plain(x, "float", "a coordinate") for x in _list(value, n))
-
-
-def _whole_numbers(value, n: int) -> tuple[int, ...]:
-    return tuple(_plain(x, "int", "a component") for x in _list(value, n))
 
 
 @dataclass(frozen=True)
@@ -90,8 +57,8 @@ class Camera:
     @staticmethod
     def from_json(data: dict) -> Camera:
         """The camera of what `dataclasses.asdict` makes; KeyError or TypeError where it differs."""
-        rotation = tuple(_numbers(row, 3) for row in _list(data["rotation"], 3))
-        return _typed(Camera, data, rotation=rotation, centre=_numbers(data["centre"], 3))
+        rotation = tuple(numbers(row, 3) for row in listed(data["rotation"], 3))
+        return typed(Camera, data, rotation=rotation, centre=numbers(data["centre"], 3))
 
 
 @dataclass(frozen=True)
@@ -126,6 +93,16 @@ EXTRAS = (
 
 
 @dataclass(frozen=True)
+class RunGrid:
+    """The hexagonal close packed grid of a file whose geometry is runs (pipeline/geometry/hcp.py), and how many runs there are."""
+
+    cell: float  # distance of neighbouring centres, in `unit`
+    axis: int  # 0, 1 or 2: slices lie across it
+    n_sections: int
+    n_runs: int
+
+
+@dataclass(frozen=True)
 class Header:
     """What holds for the whole packed file; stored as attributes of its root group."""
 
@@ -151,6 +128,8 @@ class Header:
     size_bits: int = 0  # of a splat's radius, one of SIZE_BITS
     levels: tuple[int, ...] = ()  # splats of each level, the coarsest first, which stand so; none: all are of one
     color_step: int = 0  # what cells of colours are no larger than, as a code; 0 where `color` has whole bytes
+    geometry: str = BOXES  # one of GEOMETRIES
+    runs: RunGrid | None = None  # of the geometry runs
 
     @property
     def mip_sizes(self) -> tuple[int, ...]:
@@ -190,21 +169,27 @@ class Header:
             batch if batch["ellipsoid"] else {k: v for k, v in batch.items() if k != "ellipsoid"}
             for batch in header["batches"]
         )
-        called_for = {"effects": self.effects, "levels": self.levels}
+        called_for = {
+            "effects": self.effects,
+            "levels": self.levels,
+            "runs": self.runs,
+            "geometry": self.geometry != BOXES,
+        }
         return {name: value for name, value in header.items() if called_for.get(name, True)}
 
     @staticmethod
     def from_json(data: dict) -> Header:
         """The header of attributes as `to_json` makes them; KeyError or TypeError where they differ."""
-        return _typed(
+        return typed(
             Header,
-            {"effects": {}} | data,
-            levels=tuple(_plain(n, "int", "a level") for n in _list(data.get("levels", ()))),
-            origin=_numbers(data["origin"], 3),
-            up=_whole_numbers(data["up"], 3),
-            ahead=_whole_numbers(data["ahead"], 3),
-            batches=tuple(_typed(Batch, {"ellipsoid": False} | batch) for batch in _list(data["batches"])),
-            cameras=tuple(map(Camera.from_json, _list(data["cameras"]))),
+            {"effects": {}, "geometry": BOXES} | data,
+            runs=typed(RunGrid, data["runs"]) if data.get("geometry") == RUNS else None,
+            levels=tuple(plain(n, "int", "a level") for n in listed(data.get("levels", ()))),
+            origin=numbers(data["origin"], 3),
+            up=whole_numbers(data["up"], 3),
+            ahead=whole_numbers(data["ahead"], 3),
+            batches=tuple(typed(Batch, {"ellipsoid": False} | batch) for batch in listed(data["batches"])),
+            cameras=tuple(map(Camera.from_json, listed(data["cameras"]))),
         )
 
 
@@ -227,6 +212,14 @@ ARRAYS = (
     Array("sizes", ("c", "s"), "uint32", "geometry", "radius of each splat between them, a chunk in whole words"),
     Array("position", ("n", "3"), "uint8", "geometry", "24-bit cell index, little-endian: x lowest, then y, then z"),
     Array("normal", ("n", "2"), "int8", "geometry", "octahedral normal, -127..127"),
+    Array("run_base", ("q", "3"), "int32", "geometry", "column, row and slice that starts of each section count from"),
+    Array("run_first", ("q",), "uint32", "geometry", "first run of each section"),
+    Array("run_section", ("g",), "uint32", "geometry", "first section of each group"),
+    Array("run_start", ("m",), "uint32", "geometry", "11 bits of column, 11 of row, 5 of slice, 5 of length - 1"),
+    Array("run_normal", ("m", "2"), "int8", "geometry", "octahedral normal of each run's first cell, -127..127"),
+    Array("run_step", ("t",), "uint8", "geometry", "turn, 3 bits, and step of the normal, 5, of each further cell"),
+    Array("run_codebook", ("32", "2"), "int8", "geometry", "steps of normals on the octahedral map"),
+    Array("run_batch", ("n",), "uint8", "geometry", "batch of each cell, in the order of the runs"),
     Array("color", ("n", "3"), "uint8", "colors", "average of the patch, sRGB"),
     Array(
         "color_low",
@@ -235,13 +228,7 @@ ARRAYS = (
         "colors",
         "lowest corner of each chunk's box of colours on three axes, 32nds of a 255th",
     ),
-    Array(
-        "color_size",
-        ("c", "3"),
-        "uint8",
-        "colors",
-        "extents of each chunk's box of colours, in sixteenths of an octave",
-    ),
+    Array("color_size", ("c", "3"), "uint8", "colors", "extents of that box, in sixteenths of an octave"),
     Array("color_word", ("c",), "uint32", "colors", "first word of each chunk's colours"),
     Array("colors", ("e",), "uint32", "colors", "cell of each splat's average in its chunk's box, first axis lowest"),
     Array("batch_count", ("c", "b"), "uint8", "codes", "how many splats of the chunk belong to each batch"),
@@ -262,11 +249,16 @@ ARRAYS = (
     ),
 )
 BY_NAME = {array.name: array for array in ARRAYS}
+FORMS = dict.fromkeys(("box_low", "box_size", "box_bits", "position", "normal"), BOXES) | {
+    array.name: RUNS for array in ARRAYS if array.name.startswith("run_")
+}  # arrays of one geometry alone
 
 
 def arrays_of(header: Header) -> tuple[Array, ...]:
     """The arrays that a file with this header holds: what a scan does not call for is not there."""
-    absent = set()
+    absent = {name for name, form in FORMS.items() if form != header.geometry}
+    if len(header.batches) < 2:
+        absent.add("run_batch")
     if not header.n_dictionary:
         absent |= {a.name for a in ARRAYS if a.part == "dictionary"} | {"codes", "group_word"}
     absent |= {f"atoms_{size}" for size in MIP_SIZES if size not in header.mip_sizes}
@@ -291,6 +283,9 @@ def dimensions_of(header: Header) -> dict[str, int]:
         "r": header.n_ranks,
         "w": 2**header.weight_bits,
         "s": CHUNK * header.size_bits // 32,
+        "q": header.runs.n_sections if header.runs else 0,
+        "m": header.runs.n_runs if header.runs else 0,
+        "t": header.n_splats - header.runs.n_runs if header.runs else 0,
     } | {str(s): s for s in (1, 2, 3, 4, 8, 16, 32)}
 
 

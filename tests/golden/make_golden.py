@@ -41,6 +41,8 @@ CASES = {
     "boxes-of-two-groups": Case(
         n_splats=8192 + 130, period=128, n_dictionary=0, atom_counts=(0,), n_cameras=0, color_step=80
     ),
+    "runs": Case(n_splats=8192 + 130, period=128, n_dictionary=0, atom_counts=(0,), n_cameras=0, runs=True),
+    "runs-of-batches": Case(runs=True, cliplines=True, ellipsoids=True, size_bits=3, atom_size=8, color_step=100),
 }
 
 
@@ -60,7 +62,7 @@ def decoded_numbers(scene: PackedScene) -> dict:
 def _splat_numbers(scene: PackedScene, i: int) -> dict:
     u, v, normal = (
         rows[0].tolist()
-        for rows in tangent_frames(scene.arrays["normal"][i : i + 1], scene.header.up, scene.header.ahead)
+        for rows in tangent_frames(reference_packed.normal_code(scene, i), scene.header.up, scene.header.ahead)
     )
     patch = reference_packed.decode_patch(scene, i) if scene.header.n_dictionary else np.zeros((32, 32, 3))
     return {

@@ -8,8 +8,7 @@ import pytest
 from pipeline.geometry.cliplines import decode_cliplines
 from pipeline.geometry.ellipsoids import decode_ellipsoids
 from pipeline.geometry.normals import decode_normals
-from pipeline.geometry.positions import Boxes, decode_positions
-from pipeline.splats.decoded import scene_radii
+from pipeline.splats.decoded import scene_normal_codes, scene_positions, scene_radii
 from pipeline.stages.packed.measure import decoded_colors
 from storage.packed.bits import unpack_bits
 from storage.packed.packed import SUFFIX, PackedFile
@@ -76,14 +75,12 @@ def test_golden__what_is_written_now_decodes_to_the_same_numbers(name, expected,
 @pytest.mark.parametrize("name", NAMES)
 def test_golden__the_decoders_in_use_agree(name, scenes, expected):
     scene, wanted = scenes[name], expected[name]["splats"]
-    arrays, splats = scene.arrays, [int(i) for i in wanted]
-    boxes = Boxes(arrays["box_low"], arrays["box_size"], arrays["box_bits"])
-    code = np.pad(arrays["position"], ((0, 0), (0, 1))).view("<u4")[:, 0]
-    position = decode_positions(code, boxes)
+    splats = [int(i) for i in wanted]
+    position, normal_code = scene_positions(scene), scene_normal_codes(scene)
     atom, weight = scene.codes()
     for i in splats:
         assert_close(position[i].tolist(), wanted[str(i)]["position"])
-        assert_close(decode_normals(arrays["normal"][i : i + 1])[0].tolist(), wanted[str(i)]["normal"])
+        assert_close(decode_normals(normal_code[i : i + 1])[0].tolist(), wanted[str(i)]["normal"])
         n_atoms = scene.n_atoms[i]
         assert [list(pair) for pair in zip(atom[i, :n_atoms], weight[i, :n_atoms])] == wanted[str(i)]["code"]
 

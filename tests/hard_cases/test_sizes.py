@@ -38,9 +38,9 @@ def test_sizes__spacing_that_varies_a_thousandfold_is_followed(tmp_path):
     assert row_of(report)["enabled"] and scene.header.size_bits == 3
     radius = scene_radii(scene)
     assert radius.max() / radius.min() > 300
-    from pipeline.exports.cloud import positions_of
+    from pipeline.splats.decoded import scene_positions
 
-    own = np.interp(positions_of(scene)[:, 0] + scene.header.origin[0], x, step)
+    own = np.interp(scene_positions(scene)[:, 0] + scene.header.origin[0], x, step)
     inside = np.abs(np.log(radius / own)) < np.log(2.5)
     assert inside.mean() > 0.97
 

@@ -1,10 +1,10 @@
 """Runs of cells as a graphics card takes them, and back.
 
 DuoDecim (2006), section 2.5: a start, then a byte a cell: 3 bits of step to one of 6 neighbours, 5 of step of the normal. Steps are
-turns, (k - k before) mod 6, 0 straight on: bytes that repeat. What the paper keeps a slice is kept a group here: at most GROUP runs, in
-a box of 2,048 columns, 2,048 rows and 32 slices, a workgroup's worth, which a box and a cone of normals cull.
+turns, (k - k before) mod 6, 0 straight on: bytes that repeat. What the paper keeps a slice is kept a section here: at most
+MOST_RUNS runs, in a box of 2,048 columns, 2,048 rows and 32 slices, a workgroup's worth, which a box and a cone of normals cull.
 
-A run's start is one word: 11 bits of column, 11 of row, 5 of slice against the group's base, 5 of length - 1.
+A run's start is one word: 11 bits of column, 11 of row, 5 of slice against the section's base, 5 of length - 1.
 """
 
 from __future__ import annotations
@@ -19,21 +19,20 @@ from pipeline.geometry.hcp import ROW, SLICE, index_of, key_of, neighbour
 from pipeline.geometry.normals import decode_normals, encode_normals
 from pipeline.geometry.runs.normals import UNIT, decode_steps, encode_steps, learn_steps
 from pipeline.geometry.runs.walks import RUN_LENGTH, Runs
+from storage.packed.schema import COLUMN_BITS, GROUP, LENGTH_BITS, MOST_RUNS, ROW_BITS, SLICE_BITS
 
-GROUP = 256  # runs
-COLUMN_BITS, ROW_BITS, SLICE_BITS, LENGTH_BITS = 11, 11, 5, 5
 MOST_LENGTH = 1 << LENGTH_BITS
 RUNS_A_SECTOR = 128  # on average: fewer would make tables of more than a tenth of a bit a cell
-MOST_SECTORS = 8  # of the octahedral map, either way: runs of a group have normals of one of them
+MOST_SECTORS = 8  # of the octahedral map, either way: runs of a section have normals of one of them
 
 
 @dataclass(frozen=True)
 class RunCodes:
     """What is packed. Cells stand run by run in all that is decoded."""
 
-    base: np.ndarray  # (n_groups, 3) int32: column, row and slice that starts count from
-    first_run: np.ndarray  # (n_groups,) uint32
-    first_step: np.ndarray  # (n_groups,) uint32: of `step`
+    base: np.ndarray  # (n_sections, 3) int32: column, row and slice that starts count from
+    first_run: np.ndarray  # (n_sections,) uint32
+    first_step: np.ndarray  # (n_sections,) uint32: of `step`
     start: np.ndarray  # (n_runs,) uint32
     normal: np.ndarray  # (n_runs, 2) int8, octahedral
     step: np.ndarray  # (n_cells - n_runs,) uint8: turn in the lowest 3 bits, above it the step of the normal
@@ -91,33 +90,58 @@ def _walk(first, start, turn, index):
             index[at, 0], index[at, 1], index[at, 2] = column, row, slice_
 
 
-def _grouped(first: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The order of runs, box by box and in it by their mean normals (n_runs, 3), unit; and where each group begins in it."""
-    box = np.stack([first[:, 2] >> SLICE_BITS, first[:, 1] >> ROW_BITS, first[:, 0] >> COLUMN_BITS])
+@dataclass(frozen=True)
+class _Ordered:
+    """Runs in the order of the file: run r is cells[begin[r] : begin[r + 1]]."""
+
+    cells: np.ndarray  # (m,)
+    begin: np.ndarray  # (n_runs + 1,)
+    first: np.ndarray  # (n_runs, 3) column, row and slice of starts
+    first_run: np.ndarray  # (n_sections,)
+
+
+def _ordered(keys: np.ndarray, normal: np.ndarray, runs: Runs, first_cell: int) -> _Ordered:
+    """Runs box by box and in it by their mean normals, cut where a group of splats ends; `first_cell` cells stand before them."""
+    box = _boxes(_index(keys[runs.cells[runs.start[:-1]]]))
     n_boxes = len(np.unique(box, axis=1).T)
-    sectors = int(np.clip(math.sqrt(len(first) / (n_boxes * RUNS_A_SECTOR)), 1, MOST_SECTORS))
-    square = (encode_normals(mean).astype(np.int64) + 127) * sectors // 255
-    part = np.stack([*box, square[:, 0], square[:, 1]])
-    order = np.lexsort([first[:, 0], first[:, 1], first[:, 2], *part[::-1]])
-    changes = (np.diff(part[:, order], axis=1) != 0).any(axis=0)
+    sectors = int(np.clip(math.sqrt(box.shape[1] / (n_boxes * RUNS_A_SECTOR)), 1, MOST_SECTORS))
+    mean = _mean_normals(normal[runs.cells], runs.start)
+    square = ((encode_normals(mean).astype(np.int64) + 127) * sectors // 255).T
+    order = np.lexsort([keys[runs.cells[runs.start[:-1]]], *square[::-1], *box[::-1]])
+    length = np.diff(runs.start)[order]
+    whole = np.concatenate([[0], np.cumsum(length)])
+    cells = runs.cells[np.repeat(runs.start[:-1][order] - whole[:-1], length) + np.arange(whole[-1])]
+    ends = np.arange(GROUP - first_cell % GROUP, whole[-1], GROUP)
+    begin = np.union1d(whole, ends)
+    parent = np.searchsorted(whole, begin[:-1], side="right") - 1
+    first = _index(keys[cells[begin[:-1]]])
+    part = np.stack([*_boxes(first), *square[:, order][:, parent], (begin[:-1] + first_cell) // GROUP])
+    changes = (np.diff(part, axis=1) != 0).any(axis=0)
     edges = np.concatenate([[0], np.flatnonzero(changes) + 1, [len(first)]])
-    return order, np.concatenate([np.arange(a, b, GROUP) for a, b in zip(edges, edges[1:])])
+    return _Ordered(cells, begin, first, np.concatenate([np.arange(a, b, MOST_RUNS) for a, b in zip(edges, edges[1:])]))
+
+
+def _index(keys: np.ndarray) -> np.ndarray:
+    return np.stack(index_of(keys), axis=1)
+
+
+def _boxes(first: np.ndarray) -> np.ndarray:
+    """The box of each start, (3, n): slices, rows, columns."""
+    return np.stack([first[:, 2] >> SLICE_BITS, first[:, 1] >> ROW_BITS, first[:, 0] >> COLUMN_BITS])
 
 
 def encode_runs(
-    keys: np.ndarray, normal: np.ndarray, runs: Runs, codebook: np.ndarray | None = None
+    keys: np.ndarray, normal: np.ndarray, runs: Runs, codebook: np.ndarray | None = None, first_cell: int = 0
 ) -> tuple[RunCodes, np.ndarray]:
     """Codes of runs of cells (n,) with normals (n, 3), unit; and the place among the given cells of each that is decoded, (m,).
+    `first_cell` cells stand before them in the file.
 
-    Guarantees: what `decode_runs` gives are these cells; a normal's error does not add up along a run.
+    Guarantees: what `decode_runs` gives are these cells; a normal's error does not add up along a run; no section reaches over
+    the end of a group of splats.
     """
     assert len(keys) and RUN_LENGTH <= MOST_LENGTH
-    starts = np.stack(index_of(keys[runs.cells[runs.start[:-1]]]), axis=1)
-    order, first_run = _grouped(starts, _mean_normals(normal[runs.cells], runs.start))
-    length = np.diff(runs.start)[order]
-    begin = np.concatenate([[0], np.cumsum(length)])
-    source = np.repeat(runs.start[:-1][order] - begin[:-1], length) + np.arange(begin[-1])
-    cells = runs.cells[source]
+    ordered = _ordered(keys, normal, runs, first_cell)
+    cells, begin, first_run = ordered.cells, ordered.begin, ordered.first_run
     turn = np.empty(len(cells), np.uint8)
     joined = _turns(keys, cells, begin, turn)
     assert joined == 0, "cells side by side in a run are neighbours"
@@ -127,9 +151,10 @@ def encode_runs(
     encode_steps(target, goal[begin[:-1]], begin, book, UNIT, step, place)
     inner = np.ones(len(cells), bool)
     inner[begin[:-1]] = False
-    base = starts[order][first_run] & [-1 << COLUMN_BITS, -1 << ROW_BITS, -1 << SLICE_BITS]
-    group = np.searchsorted(first_run, np.arange(len(order)), side="right") - 1
-    column, row, slice_ = (starts[order] - base[group]).T
+    base = ordered.first[first_run] & [-1 << COLUMN_BITS, -1 << ROW_BITS, -1 << SLICE_BITS]
+    section = np.searchsorted(first_run, np.arange(len(begin) - 1), side="right") - 1
+    column, row, slice_ = (ordered.first - base[section]).T
+    length = np.diff(begin)
     word = (
         column
         | row << COLUMN_BITS
@@ -194,7 +219,7 @@ def positions_of(index: np.ndarray, size: float) -> np.ndarray:
 
 
 def cones(codes: RunCodes) -> tuple[np.ndarray, np.ndarray]:
-    """Axis (n_groups, 3) and half angle in radians (n_groups,) of a cone that holds all decoded normals of each group."""
+    """Axis (n_sections, 3) and half angle in radians (n_sections,) of a cone that holds all decoded normals of each section."""
     _, place = decode_runs(codes)
     normal = decode_normals(place)
     begin = codes.first_run.astype(np.int64) + codes.first_step

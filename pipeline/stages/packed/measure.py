@@ -13,9 +13,8 @@ from pipeline.coding.quantize import dequantize_atoms
 from pipeline.effects.plan.request import OFF, asked_by
 from pipeline.geometry.ellipsoids import decode_ellipsoids, squares_of
 from pipeline.geometry.frame import tangent_frames
-from pipeline.geometry.positions import Boxes, decode_positions
 from pipeline.numerics.accuracy import psnr_db
-from pipeline.splats.decoded import scene_radii
+from pipeline.splats.decoded import scene_normal_codes, scene_positions, scene_radii
 from pipeline.stages.texture.encode import ROWS, coding_quality
 from pipeline.texture.colors import ColorBoxes, decode_colors
 from pipeline.texture.patches import Patches, make_patches, patch_errors
@@ -115,26 +114,18 @@ def splat_errors(ingest: Path, packed: Path, index: int) -> SplatErrors:
         mean = np.tile(color[rows], PATCH_DIM // 3) / 255
         plain[rows] = ((mean - wanted) ** 2).mean(axis=1)
         error[rows] = (((mean + decode_patches(scene, rows, atoms, levels)).clip(0, 1) - wanted) ** 2).mean(axis=1)
-    return SplatErrors(decoded_positions(scene) + scene.header.origin, scene.arrays["camera"], error, plain)
+    return SplatErrors(scene_positions(scene) + scene.header.origin, scene.arrays["camera"], error, plain)
 
 
 def scene_squares(scene: PackedScene) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Middles and tangents of the squares that the splats of a scene are textured on, all (n, 3)."""
-    header, normal_code = scene.header, scene.arrays["normal"]
-    centre, (u, v, _) = decoded_positions(scene), tangent_frames(normal_code, header.up, header.ahead)
+    header, normal_code = scene.header, scene_normal_codes(scene)
+    centre, (u, v, _) = scene_positions(scene), tangent_frames(normal_code, header.up, header.ahead)
     has, fields = scene.ellipsoids
     radius = scene_radii(scene)[has]
     axes = decode_ellipsoids(fields, normal_code[has], header.up, header.ahead, radius)
     centre, u, v = squares_of(centre, u, v, has, axes, radius)
     return centre, (u, v)
-
-
-def decoded_positions(scene: PackedScene) -> np.ndarray:
-    """(n, 3) float64 against the origin."""
-    a = scene.arrays
-    position = a["position"].astype(np.uint32)
-    code = position[:, 0] | position[:, 1] << 8 | position[:, 2] << 16
-    return decode_positions(code, Boxes(a["box_low"], a["box_size"], a["box_bits"]))
 
 
 def decoded_colors(scene: PackedScene) -> np.ndarray:

@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from renderer.splats.baseline import PhotoSplats
-from renderer.splats.scene import DRAWS, GpuScene, group_boxes
+from renderer.splats.scene import DRAWS, GpuScene
+from renderer.splats.upload.tables import group_boxes
 from storage.packed.schema import GROUP, MAX_ATOMS
 from tests.renderer.reference_renderer import psnr_db, render, render_baseline
 from tests.renderer.splats.test_baseline import smooth_photo

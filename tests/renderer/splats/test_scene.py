@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from renderer.splats.atlas import atlas_layout, atlas_picture
-from renderer.splats.scene import DRAWS, GpuScene, group_boxes, group_table, running_counts, splat_words, storage_buffer
+from renderer.splats.scene import DRAWS, GpuScene, storage_buffer
+from renderer.splats.upload.tables import group_boxes, group_table, running_counts, splat_words
 from storage.errors import ResourceExhausted
 from storage.packed.schema import CHUNK, GROUP, MIP_SIZES
 from tests.scenes import Settings, build_scene, coded, random_dictionary, sheet

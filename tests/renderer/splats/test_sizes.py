@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from pipeline.splats.decoded import scene_radii
-from renderer.splats.scene import GpuScene, group_boxes
+from renderer.splats.scene import GpuScene
 from renderer.splats.stacks import has_stacks
+from renderer.splats.upload.tables import group_boxes
 from tests.renderer.reference_renderer import agreement_db, render
 from tests.scenes import Settings, Splats, build_scene, camera_looking, coded, random_dictionary, sheet
 

@@ -36,6 +36,7 @@ from tests.reference_packed import decode_code, decode_color
 SMALL = Case(n_splats=200, n_dictionary=3, cliplines=True, ellipsoids=True, size_bits=3)
 MANY_GROUPS = Case(n_splats=9 * GROUP + 500, cliplines=True, period=128)  # in two zarr chunks of splats
 BOXED = Case(n_splats=300, n_dictionary=3, atom_counts=(0, 1, 9, 16), n_ranks=16, color_step=112)
+WALKED = Case(n_splats=300, atom_counts=(0, 2), n_dictionary=3, runs=True)
 MANY_BOXED = replace(MANY_GROUPS, cliplines=False, color_step=112)
 
 
@@ -53,6 +54,11 @@ def small(tmp_path_factory):
 @pytest.fixture(scope="module")
 def boxed(tmp_path_factory):
     return write_packed_file(BOXED, tmp_path_factory.mktemp("packed") / "boxed.splatpress")
+
+
+@pytest.fixture(scope="module")
+def walked(tmp_path_factory):
+    return write_packed_file(WALKED, tmp_path_factory.mktemp("packed") / "walked.splatpress")
 
 
 @pytest.fixture(scope="module")
@@ -630,26 +636,28 @@ def test_packed__refuses_word_streams_of_another_length(small, tmp_path, n_words
     assert_refused(craft_json(small, tmp_path / "a.splatpress", "codes/zarr.json", lambda data: data.update(edit)))
 
 
-def one_with(name: str, small, boxed):
+def one_with(name: str, small, boxed, walked):
     """A file that has an array."""
+    if name.startswith("run_"):
+        return walked
     return boxed if name.startswith("color") and name != "color" else small
 
 
 @pytest.mark.parametrize("name", [array.name for array in ARRAYS])
-def test_packed__refuses_a_missing_array(small, boxed, tmp_path, name):
+def test_packed__refuses_a_missing_array(small, boxed, walked, tmp_path, name):
     def drop(members):
         for member in [m for m in members if m.startswith(name + "/")]:
             del members[member]
 
-    assert_refused(craft(one_with(name, small, boxed), tmp_path / "a.splatpress", drop))
+    assert_refused(craft(one_with(name, small, boxed, walked), tmp_path / "a.splatpress", drop))
 
 
 @pytest.mark.parametrize("name", [array.name for array in ARRAYS])
-def test_packed__refuses_a_missing_chunk(small, boxed, tmp_path, name):
+def test_packed__refuses_a_missing_chunk(small, boxed, walked, tmp_path, name):
     def drop(members):
         del members[next(m for m in members if m.startswith(name + "/c/"))]
 
-    assert_refused(craft(one_with(name, small, boxed), tmp_path / "a.splatpress", drop), match="members")
+    assert_refused(craft(one_with(name, small, boxed, walked), tmp_path / "a.splatpress", drop), match="members")
 
 
 @pytest.mark.parametrize("renamed", ["position/c/1/0", "position/c/0/1", "../position", "/position/c/0/0"])

@@ -8,7 +8,7 @@ import pytest
 from pipeline.geometry.hcp import centres_of, key_of
 from pipeline.geometry.normals import decode_normals, encode_normals
 from pipeline.geometry.runs.cells import search_size
-from pipeline.geometry.runs.codes import GROUP, cones, decode_runs, encode_runs
+from pipeline.geometry.runs.codes import MOST_RUNS, cones, decode_runs, encode_runs
 from pipeline.geometry.runs.normals import N_STEPS, wrapped
 from pipeline.geometry.runs.walks import runs_of
 from tests.pipeline.geometry.runs.test_cells import sphere
@@ -52,7 +52,7 @@ def test_codes__take_few_bits_and_say_which(coded):
 
 def test_codes__groups_hold_at_most_256_runs_and_their_cones_all_normals(coded):
     _, _, codes, _ = coded
-    assert np.diff([*codes.first_run, len(codes.start)]).max() <= GROUP
+    assert np.diff([*codes.first_run, len(codes.start)]).max() <= MOST_RUNS
     axis, angle = cones(codes)
     _, code = decode_runs(codes)
     begin = codes.first_run.astype(int) + codes.first_step
