@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from storage.place import is_remote
+
 PREFIX = "SPLATPRESS_"
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 DAY_S = 86_400
@@ -14,7 +16,11 @@ DAY_S = 86_400
 
 @dataclass(frozen=True)
 class ServiceSettings:
-    data: Path = Path("splatpress-data")  # scans, uploads, work folders, results; shared by API, runner and workers
+    data: Path = Path(
+        "splatpress-data"
+    )  # scans, uploads, work folders, results; shared by API, runner and workers; or s3://BUCKET/PREFIX
+    state: Path = Path("splatpress-state")  # where data is a bucket: uploads and whatever else this machine keeps
+    objects: str = ""  # the bucket's address, once `data` is this machine's folder beside it
     database: str = ""  # SQLAlchemy's URL; empty: SQLite in the data folder
     host: str = "127.0.0.1"
     port: int = 8000
@@ -47,6 +53,11 @@ class ServiceSettings:
     webhook_private: bool = False  # whether webhooks may go to private addresses
 
     @property
+    def place(self) -> Path:
+        """Where scans, work folders and results lie: the data folder, or a bucket (storage/place)."""
+        return Path(self.objects) if self.objects else self.data
+
+    @property
     def database_url(self) -> str:
         return self.database or f"sqlite:///{self.data / 'splatpress.sqlite'}"
 
@@ -56,6 +67,11 @@ class ServiceSettings:
 
     def __post_init__(self) -> None:
         """The data folder becomes absolute here, once: children and workers run in folders of their own."""
+        if is_remote(self.data):
+            object.__setattr__(self, "objects", str(self.data))
+            object.__setattr__(self, "data", self.state)
+        if self.objects and len(Path(self.objects).parts) < 3:
+            raise ValueError(f"{PREFIX}DATA is {self.objects!r}; allowed: a folder, or s3://BUCKET/PREFIX")
         object.__setattr__(self, "data", Path(os.path.abspath(self.data)))
         for field in fields(self):
             value = getattr(self, field.name)

@@ -17,6 +17,7 @@ from pipeline.readers.container import open_container
 from pipeline.readers.files.spelling import shown
 from pipeline.readers.points import HANDLED, READERS, open_points
 from pipeline.scan import Piece, ScanSource
+from storage import place
 from storage.errors import InvalidScan, UnsupportedScan
 
 
@@ -65,7 +66,7 @@ def open_scan(path: str | os.PathLike, options: ReadOptions = ReadOptions()) -> 
     Raises: FileNotFoundError where there is nothing at `path`; InvalidScan for a scan that breaks its format or has no
     points; UnsupportedScan for a format that is not handled.
     """
-    path = Path(path)
+    path = place.held(Path(path))
     if not path.exists():
         raise FileNotFoundError(errno.ENOENT, "no such scan", str(path))
     source = _with_station(_open(path, options), options)

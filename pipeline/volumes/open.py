@@ -8,6 +8,7 @@ from importlib import import_module
 from pathlib import Path
 
 from pipeline.volumes.volume import Choice, Volume
+from storage import place
 from storage.errors import UnsupportedScan
 from storage.foreign import is_store
 
@@ -54,7 +55,7 @@ def open_volume(path: str | os.PathLike, choice: Choice = Choice()) -> Volume:
     Raises: FileNotFoundError where there is nothing; InvalidScan for a file that breaks its format; UnsupportedScan for a format, or a
     sort of voxels, that is not handled.
     """
-    path = Path(path)
+    path = place.held(Path(path))
     if not path.exists():
         raise FileNotFoundError(errno.ENOENT, "no such volume", str(path))
     reader = _reader(path)

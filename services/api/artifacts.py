@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 from urllib.parse import quote
 
@@ -17,6 +18,7 @@ from services.problems import Problem
 from services.store.exports import export_name, packed_artifact, want_export
 from services.store.store import LIVE
 from services.uploads.scans import safe_name
+from storage import place
 
 router = APIRouter(tags=["artifacts"])
 # A report is a page of ours that names things a stranger chose: it may run its plots, and reach nothing else.
@@ -89,12 +91,15 @@ def get_artifact(job: Job, name: str, settings: Settings, store: Database, reque
     artifact = store.artifact(job["id"], name) if len(name) <= 300 and name.isprintable() else None
     if artifact is None:
         raise _absent(job, repr(name))
-    path = job_folder(settings, job["id"]) / artifact["path"]
-    if not path.is_file():
-        raise Problem(410, "expired", f"{name} has expired")
     headers = {"etag": f'"{artifact["sha256"]}"', "cache-control": "private, max-age=0, must-revalidate"}
     if is_known(request, headers["etag"]):
         return Response(status_code=304, headers=headers)
+    try:
+        path = place.here(job_folder(settings, job["id"]) / artifact["path"])
+    except FileNotFoundError:
+        path = Path()
+    if not path.is_file():
+        raise Problem(410, "expired", f"{name} has expired")
     if path.suffix == ".html":
         headers["content-security-policy"] = _PAGE
     return FileResponse(path, headers=headers)

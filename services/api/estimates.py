@@ -14,9 +14,11 @@ from fastapi import APIRouter, Query, Request
 from pipeline.planning.knobs import BY_NAME
 from pipeline.planning.settings import DEFAULT_PRESET, PRESETS, settings_for
 from services.api.context import Database, Owner, Settings
+from services.flow.estimate_cache import FOLDER as ESTIMATES
 from services.flow.estimate_cache import known_estimate
 from services.problems import RESOURCE, Problem
 from services.uploads.scans import scan_path, work_folder
+from storage import place
 
 router = APIRouter(tags=["jobs"])
 PILOT_S = 300.0
@@ -41,9 +43,14 @@ def get_estimate(
     options = {k: v for k, v in request.query_params.items() if k not in ("scan", "preset")}
     wanted = _settings(preset, options)
     folder = work_folder(settings, scan)
-    folder.mkdir(parents=True, exist_ok=True)
     known = known_estimate(folder, wanted)
-    return known if known is not None else _pilot(scan_path(settings, found), folder, preset, options)
+    if known is not None:
+        return known
+    own = settings.data / "work" / scan  # where a bucket has the work folders, the pilot has one of its own
+    own.mkdir(parents=True, exist_ok=True)
+    made = _pilot(place.held(scan_path(settings, found)), own, preset, options)
+    place.put_folder(own / ESTIMATES, folder / ESTIMATES)
+    return made
 
 
 def _settings(preset: str, options: dict[str, str]):

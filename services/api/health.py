@@ -25,7 +25,7 @@ def get_healthz() -> dict:
 @router.get("/readyz", responses={503: {"description": "not yet"}})
 def get_readyz(settings: Settings, store: Database) -> JSONResponse:
     """The database answers, the disk has room, and the runner is alive."""
-    age = runner_age_s(settings.data)
+    age = runner_age_s(settings.place)
     checks = {
         "database": _answers(store),
         "disk": shutil.disk_usage(settings.data).free > settings.reserve_bytes,

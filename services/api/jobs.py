@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from pathlib import Path
 from typing import Annotated, Literal, Union
 
@@ -20,6 +19,7 @@ from services.jobs.workflow import dismissal_token, job_folder
 from services.problems import RESOURCE, Problem
 from services.processes.kinds import BUDGET_S, COMPRESS, PROCESSES, stored
 from services.store.store import DISMISSED, FAILED, LEVELS, LIVE, STATES, SUCCESSFUL, KeyReused, TooManyJobs
+from storage import place
 
 router = APIRouter(tags=["jobs"])
 Offset = Annotated[int, Query(ge=0, le=1 << 31)]
@@ -163,10 +163,8 @@ def delete_job(job: Job, settings: Settings, store: Database) -> dict:
     if was is None:
         raise Problem(410, "dismissed", f"job {job['id']} was dismissed before")
     if was not in LIVE:
-        shutil.rmtree(job_folder(settings, job["id"]), ignore_errors=True)
-    token = dismissal_token(settings, job["id"], job["attempt"])
-    token.parent.mkdir(parents=True, exist_ok=True)
-    token.touch()
+        place.remove_folder(job_folder(settings, job["id"]))
+    place.touch(dismissal_token(settings, job["id"], job["attempt"]))
     return job_document(store.job(job["id"]), settings)
 
 

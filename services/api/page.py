@@ -52,4 +52,4 @@ def get_file(name: str) -> FileResponse:
 @router.get("/web-state")
 def get_state(owner: Owner, settings: Settings) -> dict:
     """What the page shows beside the API's own answers."""
-    return {"owner": owner, "dashboard": settings.dashboard_url or dashboard(settings.data)}
+    return {"owner": owner, "dashboard": settings.dashboard_url or dashboard(settings.place)}

@@ -25,7 +25,7 @@ def run_api(settings: ServiceSettings) -> None:
     from services.api.app import create_app
     from services.api.door.connection import protocol
 
-    make_data_folder(settings.data)
+    make_data_folder(settings)
     tempfile.tempdir = str(settings.data / "incoming")  # bodies of a form: as large as scans, so on the disk for scans
     uvicorn.run(
         create_app(settings),
@@ -44,10 +44,10 @@ def serve(settings: ServiceSettings) -> int:
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    make_data_folder(settings.data)
+    make_data_folder(settings)
     with alone_on(settings.data, address(settings)):
         _check_port(settings)
-        show_gone(settings.data)
+        show_gone(settings.place)
         threading.Thread(target=_announce, args=(settings, stop), daemon=True).start()
         return keep_running(PARTS, {**os.environ, **environment_of(settings)}, stop)
 
@@ -73,7 +73,7 @@ def _check_port(settings: ServiceSettings) -> None:
 
 def _announce(settings: ServiceSettings, stop: threading.Event) -> None:
     deadline = time.monotonic() + READY_S
-    while runner_age_s(settings.data) is None and time.monotonic() < deadline and not stop.wait(0.2):
+    while runner_age_s(settings.place) is None and time.monotonic() < deadline and not stop.wait(0.2):
         pass
     if stop.is_set():
         return
@@ -82,8 +82,8 @@ def _announce(settings: ServiceSettings, stop: threading.Event) -> None:
         ("job page", base + "/"),
         ("API", base + "/v1/openapi.json"),
         ("API docs", base + "/docs"),
-        ("Dask dashboard", dashboard(settings.data)),
-        ("data", str(settings.data)),
+        ("Dask dashboard", dashboard(settings.place)),
+        ("data", settings.objects or str(settings.data)),
     ):
         print(f"{what:<15} {url}", flush=True)
     if settings.needs_tokens:

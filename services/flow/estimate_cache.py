@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from pipeline.planning.settings import Settings
+from storage import place
 from storage.work import work
 
 FOLDER = "estimates"
@@ -16,14 +17,14 @@ FIGURES = ("seconds", "peak_memory_bytes", "gpu_bytes", "texture_psnr_db")
 
 def keep_estimate(work_folder: Path, settings: Settings, estimate: dict) -> None:
     path = _path(work_folder, settings)
-    path.parent.mkdir(exist_ok=True)
+    place.make_folder(path.parent)
     work.write_json(path, estimate)
 
 
 def known_estimate(work_folder: Path, settings: Settings) -> dict | None:
     """The estimate that was made in a work folder for these settings."""
     path = _path(work_folder, settings)
-    return work.read_json(path) if path.is_file() else None
+    return work.read_json(path) if place.is_file(path) else None
 
 
 def _path(work_folder: Path, settings: Settings) -> Path:

@@ -29,7 +29,7 @@ from pipeline.stages.points.sizes import Sizes
 from pipeline.stages.points.splats import Splats
 from pipeline.volumes.open import is_volume
 from pipeline.volumes.request import SurfaceRequest
-from services.flow.fingerprint import fingerprint
+from services.flow.fingerprint import fingerprint, located
 from services.flow.maps import StationMaps, draw_maps, maps_for, with_edits
 from services.flow.run import Run
 from services.flow.volumes import refuse_surfaces, surface_points
@@ -155,7 +155,7 @@ def ingest_of(run: Run, scan: Path, reading: ReadOptions = ReadOptions()) -> Sta
 
     Raises: InvalidScan for a warning about the scan where the run is strict.
     """
-    path, files = str(scan.resolve()), fingerprint(scan)
+    path, files = located(scan), fingerprint(scan)
     ingest = run.do(Ingest(path, files, reading))
     if ingest.summary["seen"]:
         ingest = run.do(Ingest(path, files, reading, ingest.summary["seen"]))

@@ -13,8 +13,9 @@ from pipeline.stages.volumes.voxels import Voxels
 from pipeline.volumes.open import open_volume
 from pipeline.volumes.request import PALETTE, Iso, SurfaceRequest, parse_isos, parse_spacing
 from pipeline.volumes.volume import Choice
-from services.flow.fingerprint import fingerprint
+from services.flow.fingerprint import fingerprint, located
 from services.flow.run import Run
+from storage import place
 from storage.errors import InvalidScan, UnsupportedScan
 
 
@@ -26,7 +27,7 @@ def surface_request(settings: Settings) -> SurfaceRequest:
 
 def voxels_of(run: Run, path: Path, choice: Choice) -> StageRecord:
     """Read the volume."""
-    return run.do(Voxels(str(path.resolve()), _fingerprint(path, choice), choice))
+    return run.do(Voxels(located(path), _fingerprint(path, choice), choice))
 
 
 def iso_values_of(run: Run, path: Path, choice: Choice) -> tuple[StageRecord, StageRecord]:
@@ -68,7 +69,7 @@ def refuse_surfaces(scan: Path, asked: SurfaceRequest) -> None:
 
 def _fingerprint(path: Path, choice: Choice) -> str:
     """A hash of the sizes and times of all the files that a volume is read from."""
-    if path.is_dir():
+    if path.is_dir() or place.is_remote(path):
         return fingerprint(path)
     files = map(Path, open_volume(path, choice).files)
     return hashlib.sha256("\n".join(fingerprint(file) for file in files).encode()).hexdigest()

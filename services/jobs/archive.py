@@ -6,6 +6,8 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from storage import place
+
 BLOCK_BYTES = 1 << 18
 
 
@@ -16,7 +18,7 @@ def zipped(files: list[tuple[str, Path]]) -> Iterator[bytes]:
     with zipfile.ZipFile(sink, "w", zipfile.ZIP_STORED) as archive:  # type: ignore[call-overload]
         for name, path in files:
             try:
-                source = open(path, "rb")
+                source = open(place.here(path), "rb")
             except FileNotFoundError:
                 continue
             entry = zipfile.ZipInfo(name)

@@ -26,6 +26,7 @@ from services.store.migrate import newest
 from services.store.store import Store
 from services.store.tables import ARTIFACTS, SCANS
 from services.uploads.scans import scan_path
+from storage import place
 from storage.errors import InvalidPackedFile, ResourceExhausted
 
 FORMAT = 1
@@ -55,7 +56,7 @@ def back_up(settings: ServiceSettings, path: Path) -> Backup:
             rows = copy_rows(store, copy)
             files = list(_files(settings, copy))
             copy.close()
-            made = _write(partial, Path(folder) / DATABASE, rows, files, settings.data)
+            made = _write(partial, Path(folder) / DATABASE, rows, files, settings.place)
         os.replace(partial, path)
         return made
     finally:
@@ -64,14 +65,14 @@ def back_up(settings: ServiceSettings, path: Path) -> Backup:
 
 
 def _files(settings: ServiceSettings, rows: Store) -> Iterator[Path]:
-    yield settings.data / KEY
+    yield settings.place / KEY
     for scan in rows._all(sa.select(SCANS)):
         yield scan_path(settings, {"id": scan["id"], "path_name": scan["file"]})
     for artifact in rows._all(sa.select(ARTIFACTS).order_by(ARTIFACTS.c.job, ARTIFACTS.c.path)):
         yield job_folder(settings, artifact["job"]) / artifact["path"]
 
 
-def _write(partial: Path, database: Path, rows: dict[str, int], files: list[Path], data: Path) -> Backup:
+def _write(partial: Path, database: Path, rows: dict[str, int], files: list[Path], folder: Path) -> Backup:
     n_files = n_bytes = 0
     missing = []
     os.close(
@@ -80,9 +81,9 @@ def _write(partial: Path, database: Path, rows: dict[str, int], files: list[Path
     with tarfile.open(partial, "w", format=tarfile.PAX_FORMAT) as tar:
         tar.add(database, DATABASE)
         for file in dict.fromkeys(files):
-            name = file.relative_to(data).as_posix()
+            name = file.relative_to(folder).as_posix()
             try:
-                with open(file, "rb") as stream:
+                with open(place.here(file), "rb") as stream:
                     entry = tar.gettarinfo(arcname=name, fileobj=stream)
                     entry.uid = entry.gid = 0
                     entry.uname = entry.gname = ""
@@ -111,9 +112,10 @@ def restore(settings: ServiceSettings, path: Path) -> Backup:
     Raises: InvalidPackedFile for a file that is no whole backup, ResourceExhausted for a folder that is not empty,
     NotEmpty for such a database.
     """
-    if settings.data.exists() and any(settings.data.iterdir()):
-        raise ResourceExhausted(str(settings.data), "a folder that is not empty", "an empty one, or none")
-    make_data_folder(settings.data)
+    for folder in (settings.data, settings.place):
+        if place.names(folder):
+            raise ResourceExhausted(str(folder), "a folder that is not empty", "an empty one, or none")
+    make_data_folder(settings)
     try:
         with tarfile.open(path) as tar:
             tar.extractall(settings.data, filter="data")
@@ -136,4 +138,15 @@ def restore(settings: ServiceSettings, path: Path) -> Backup:
         for left in settings.data.glob(f"{taken.name}*"):
             left.unlink()
     (settings.data / ABOUT).unlink()
+    _put_where_it_belongs(settings)
     return found
+
+
+def _put_where_it_belongs(settings: ServiceSettings) -> None:
+    """What was unpacked here, where scans and results lie in a bucket."""
+    if settings.place != settings.data:
+        for folder in ("scans", "jobs"):
+            place.put_folder(settings.data / folder, settings.place / folder)
+            place.remove_folder(settings.data / folder)
+        if (settings.data / KEY).exists():
+            place.put_in_place(settings.data / KEY, settings.place / KEY)

@@ -11,6 +11,7 @@ import shutil
 from pathlib import Path
 
 from services.settings import ServiceSettings
+from storage import place
 from storage.errors import ResourceExhausted
 
 DATA_VERSION = 1  # of what lies where in a data folder; raised when an older program would not find its way
@@ -18,22 +19,26 @@ BALLAST_BYTES = 8 << 20  # the end of a job takes a few pages of two SQLite data
 HINT = "free some, then retry: what is done stays done"
 
 
-def make_data_folder(data: Path) -> None:
+def make_data_folder(settings: ServiceSettings) -> None:
     """Scans and results are their owners' alone: nobody else on this machine may look into a folder made here."""
+    data = settings.data
     data.parent.mkdir(parents=True, exist_ok=True)
     data.mkdir(mode=0o700, exist_ok=True)
-    _check_version(data)
+    _check_version(settings.place)
     (data / "incoming").mkdir(exist_ok=True)
 
 
 def _check_version(data: Path) -> None:
     """A folder without the file is of version 1. Raises ResourceExhausted for one that a newer program has changed."""
     path = data / "version"
-    found = path.read_text().strip() if path.exists() else str(DATA_VERSION)
+    try:
+        found = place.read_text(path).strip()
+    except FileNotFoundError:
+        found = str(DATA_VERSION)
     if not found.isdigit() or int(found) > DATA_VERSION:
         hint = "use the splatpress that made it, or a newer one"
         raise ResourceExhausted(f"{path}", f"a data folder of version {found[:20]!r}", f"up to {DATA_VERSION}", hint)
-    path.write_text(f"{DATA_VERSION}\n")
+    place.write_text(path, f"{DATA_VERSION}\n")
 
 
 def check_room(settings: ServiceSettings, stage: str) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from pipeline.exports.formats import FORMATS
 from services.jobs.disk import check_room
+from services.jobs.elsewhere import call_there
 from services.jobs.scheduler import SchedulerLink
 from services.jobs.workflow import Dismissed, dismissal_token, job_folder
 from services.problems import problem_of_job
@@ -18,6 +19,7 @@ from services.settings import ServiceSettings
 from services.store.exports import export_name, fail_export, keep_export, packed_artifact, wanted_exports
 from services.store.store import Store
 from services.uploads.scans import file_hash
+from storage import place
 
 
 def make_next_export(settings: ServiceSettings, store: Store, scheduler: str) -> None:
@@ -44,12 +46,12 @@ def _made(settings: ServiceSettings, store: Store, scheduler: str, job: str, for
     token = dismissal_token(settings, job, store.job(job)["attempt"])
 
     def check() -> None:
-        if token.exists():
+        if place.is_file(token):
             raise Dismissed
 
     with SchedulerLink(lambda: scheduler, store, job, check, Path(), float("inf")) as link:
-        made = link.call("export", export, folder / packed["path"], format, path)
+        made = call_there(link, folder, "export", export, folder / packed["path"], format, path)
     store.log(job, "info", f"export as {format}: {made.n_elements:,} {FORMATS[format].kind}, {made.n_bytes:,} bytes")
     for text in made.lost:
         store.log(job, "info", f"export as {format} loses {text}")
-    return {"name": name, "path": name, "bytes": made.n_bytes, "sha256": file_hash(path)}
+    return {"name": name, "path": name, "bytes": made.n_bytes, "sha256": file_hash(place.here(path))}

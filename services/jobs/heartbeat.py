@@ -1,35 +1,44 @@
-"""Signs of life that the runner leaves in the data folder, for the API to read."""
+"""Signs of life that the runner leaves beside scans and results, for the API to read."""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
 
+from storage import place
+
 _ALIVE, _DASHBOARD = "runner.alive", "dashboard.txt"
+BUCKET_EVERY_S = 5.0  # a request each
 
 
-def show_alive(data: Path) -> None:
-    (data / _ALIVE).touch()
+class Heartbeat:
+    """The runner's: `show` is called all the time."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._shown = folder, float("-inf")
+
+    def show(self) -> None:
+        if place.is_remote(self._folder) and time.monotonic() - self._shown < BUCKET_EVERY_S:
+            return
+        self._shown = time.monotonic()
+        place.touch(self._folder / _ALIVE)
 
 
-def show_gone(data: Path) -> None:
-    (data / _ALIVE).unlink(missing_ok=True)
+def show_gone(folder: Path) -> None:
+    place.remove(folder / _ALIVE)
 
 
-def runner_age_s(data: Path) -> float | None:
+def runner_age_s(folder: Path) -> float | None:
     """Seconds since the runner last showed itself."""
+    return place.age_s(folder / _ALIVE)
+
+
+def show_dashboard(folder: Path, url: str) -> None:
+    place.write_text(folder / _DASHBOARD, url)
+
+
+def dashboard(folder: Path) -> str:
     try:
-        return max(0.0, time.time() - (data / _ALIVE).stat().st_mtime)
-    except FileNotFoundError:
-        return None
-
-
-def show_dashboard(data: Path, url: str) -> None:
-    (data / _DASHBOARD).write_text(url)
-
-
-def dashboard(data: Path) -> str:
-    try:
-        return (data / _DASHBOARD).read_text().strip()
+        return place.read_text(folder / _DASHBOARD).strip()
     except FileNotFoundError:
         return ""

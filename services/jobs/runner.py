@@ -5,7 +5,6 @@ One runner a data folder: a second one waits until the first is gone. After a ki
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import signal
@@ -22,13 +21,14 @@ from services.jobs.cluster import own_cluster
 from services.jobs.disk import make_data_folder
 from services.jobs.documents import job_document
 from services.jobs.exports import make_next_export
-from services.jobs.heartbeat import show_alive, show_dashboard, show_gone
+from services.jobs.heartbeat import Heartbeat, show_dashboard, show_gone
 from services.jobs.webhooks import deliver_due
 from services.jobs.workflow import JobRunner, job_folder
 from services.settings import ServiceSettings
 from services.store.store import Store
 from services.store.tokens import forget_actions
 from services.uploads.scans import discard_unused_scans
+from storage import place
 
 APPLICATION_VERSION = "1"  # raised when the steps of a job change; workflows of another version are not resumed
 EXECUTOR_ID = "runner"
@@ -54,17 +54,17 @@ def run_forever(settings: ServiceSettings, stop: threading.Event | None = None) 
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    make_data_folder(settings.data)
+    make_data_folder(settings)
     # It ends by os._exit, see below: what its helper process then says of semaphores, which it cleans up, is no news
     os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (os.environ.get("PYTHONWARNINGS"), "ignore:resource_tracker")))
     with ExitStack() as stack:
-        if not _alone(stack, settings.data, stop):
+        if not _alone(stack, settings.place, stop):
             return
         store = Store(settings.database_url, DATABASE_PATIENCE_S)
         scheduler, dashboard = settings.scheduler, settings.dashboard_url
         if not scheduler:
             scheduler, dashboard = stack.enter_context(own_cluster(settings.workers, settings.data / "dask"))
-        show_dashboard(settings.data, dashboard)
+        show_dashboard(settings.place, dashboard)
         _jobs = JobRunner(settings, store, lambda: scheduler)
         DBOS(config=dbos_config(settings))
         DBOS.launch()
@@ -75,7 +75,7 @@ def run_forever(settings: ServiceSettings, stop: threading.Event | None = None) 
         except Exception as error:
             _complain(error)
         finally:
-            show_gone(settings.data)
+            show_gone(settings.place)
             # Not further: jobs under way would see their workers go, one by one, and count it as failure. As after a
             # kill, the next start goes on with them; the workers end with this process.
             os._exit(status)
@@ -97,14 +97,12 @@ def dbos_config(settings: ServiceSettings) -> dict:
     }
 
 
-def _alone(stack: ExitStack, data: Path, stop: threading.Event) -> bool:
-    lock = stack.enter_context(open(data / "runner.lock", "w"))
+def _alone(stack: ExitStack, folder: Path, stop: threading.Event) -> bool:
+    attempt = stack.enter_context(place.try_alone(folder / "runner.lock"))
     while not stop.is_set():
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if attempt():
             return True
-        except BlockingIOError:
-            stop.wait(POLL_S)
+        stop.wait(POLL_S)
     return False
 
 
@@ -115,9 +113,10 @@ def _serve(settings: ServiceSettings, store: Store, stop: threading.Event, sched
     under_way = {"-".join(w.workflow_id.split("-")[:2]): DBOS.retrieve_workflow(w.workflow_id) for w in found}
     for job in store.running_jobs():
         store.log(job["id"], "warning", f"attempt {job['attempt']}: the runner was started anew and goes on")
+    heartbeat = Heartbeat(settings.place)
     while not stop.is_set():
-        show_alive(settings.data)
         try:
+            heartbeat.show()
             under_way = _look_after(settings, store, under_way)
         except Exception as error:  # most likely the database was away for longer than anyone had patience
             _complain(error)
@@ -184,7 +183,7 @@ def tidy(settings: ServiceSettings, store: Store) -> None:
     before = time.time() - settings.retention_s
     for job in store.expired_jobs(before):
         if store.forget_job(job["id"]):
-            shutil.rmtree(job_folder(settings, job["id"]), ignore_errors=True)
+            place.remove_folder(job_folder(settings, job["id"]))
     forget_actions(store, time.time() - settings.audit_s)
     store.disown_expired_scans(before)
     discard_unused_scans(settings, store)

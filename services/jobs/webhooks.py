@@ -11,7 +11,6 @@ import hashlib
 import hmac
 import ipaddress
 import json
-import os
 import re
 import secrets
 import socket
@@ -25,6 +24,7 @@ from standardwebhooks import Webhook
 
 from services.settings import ServiceSettings
 from services.store.store import Store
+from storage import place
 
 BACKOFF_S = (5, 30, 120, 600, 3600, 6 * 3600)  # after each failed try; then it is given up
 TIMEOUT_S = 10.0
@@ -42,17 +42,8 @@ class RefusedAddress(Exception):
 
 def owner_secret(settings: ServiceSettings, owner: str) -> str:
     """The secret that an owner's webhooks are signed with; every owner has another."""
-    path = settings.data / "webhook-key"
-    if not path.is_file():
-        partial = path.with_name(f"webhook-key.{secrets.token_hex(4)}.partial")
-        with open(os.open(partial, os.O_WRONLY | os.O_CREAT, 0o600), "wb") as stream:
-            stream.write(secrets.token_bytes(32))
-        try:
-            os.link(partial, path)  # unlike a rename this never replaces another's
-        except FileExistsError:
-            pass
-        partial.unlink()
-    return "whsec_" + b64encode(hmac.digest(path.read_bytes(), owner.encode(), hashlib.sha256)).decode()
+    key = place.made_once(settings.place / "webhook-key", lambda: secrets.token_bytes(32))
+    return "whsec_" + b64encode(hmac.digest(key, owner.encode(), hashlib.sha256)).decode()
 
 
 def check_url(url: str, allow_private: bool) -> httpx.URL:

@@ -6,6 +6,7 @@ the tasks without a recorded result run. What a job made is committed only while
 
 from __future__ import annotations
 
+import shutil
 import time
 import traceback
 from collections.abc import Callable
@@ -25,6 +26,7 @@ from services.flow.run import Run
 from services.flow.stage_lock import stage_lock
 from services.jobs.cluster import GL
 from services.jobs.disk import check_room, drop_ballast, take_ballast
+from services.jobs.elsewhere import call_with_files
 from services.jobs.progress import JobProgress
 from services.jobs.scheduler import SchedulerLink
 from services.problems import is_of_database, problem_of_job
@@ -34,8 +36,10 @@ from services.processes.tradeoff import measure_ladder
 from services.settings import ServiceSettings
 from services.store.store import FAILED, SUCCESSFUL, Store
 from services.uploads.scans import file_hash, scan_path, work_folder
+from storage import place
 from storage.work.work import stage_folder, write_json
 
+BUCKET_LOOK_S = 1.0  # a request each
 LEARNING, PERFORMANCE = "learning.json", "dask-performance.html"
 
 
@@ -44,12 +48,13 @@ class Dismissed(Exception):
 
 
 def job_folder(settings: ServiceSettings, id: str) -> Path:
-    return settings.data / "jobs" / id
+    return settings.place / "jobs" / id
 
 
 def made_folder(settings: ServiceSettings, id: str, attempt: int) -> Path:
-    """Where an attempt writes: none writes into another's."""
-    return job_folder(settings, id) / f"attempt-{attempt}"
+    """Where the runner writes what an attempt makes: none writes into another's. Where results lie in a bucket, its own
+    copy of that folder."""
+    return settings.data / "jobs" / id / f"attempt-{attempt}"
 
 
 def dismissal_token(settings: ServiceSettings, id: str, attempt: int) -> Path:
@@ -71,26 +76,43 @@ class JobRunner:
             return "not wanted"
         out = made_folder(self.settings, id, attempt)
         out.mkdir(parents=True, exist_ok=True)
+        there = job_folder(self.settings, id) / out.name
         try:
-            self._make_though_the_database_may_go(job, out)
+            place.bring_folder(there, out)
+            self._make_though_the_database_may_go(job, out, there)
+            made = self._kept(out, there)
         except Dismissed:
             self.store.log(id, "warning", f"attempt {attempt}: dismissed; what it made so far stays")
-            self.store.keep_artifacts(id, attempt, artifacts_in(out))
+            self.store.keep_artifacts(id, attempt, self._kept(out, there))
             return "dismissed"
         except Exception as error:
             drop_ballast(self.settings.data)  # the disk may be full
             self.store.log(id, "error", f"attempt {attempt}: {type(error).__name__}: {error}")
             self.store.log(id, "debug", traceback.format_exc()[-4000:])
-            self.store.end(id, attempt, FAILED, artifacts_in(out), problem_of_job(error))
+            self.store.end(id, attempt, FAILED, self._kept_if_it_can(out, there), problem_of_job(error))
             return "failed"
-        self.store.end(id, attempt, SUCCESSFUL, artifacts_in(out))
+        self.store.end(id, attempt, SUCCESSFUL, made)
+        if out != there:
+            shutil.rmtree(out.parent, ignore_errors=True)
         return "successful"
 
-    def _make_though_the_database_may_go(self, job: dict, out: Path) -> None:
+    def _kept(self, out: Path, there: Path) -> list[dict]:
+        """The artifacts, in their place."""
+        place.put_folder(out, there)
+        return artifacts_in(out)
+
+    def _kept_if_it_can(self, out: Path, there: Path) -> list[dict]:
+        """Those of a job that failed, perhaps because its place is full or away."""
+        try:
+            return self._kept(out, there)
+        except OSError:
+            return []
+
+    def _make_though_the_database_may_go(self, job: dict, out: Path, there: Path) -> None:
         """Again where a step's end could not be noted: what the step did is on disk, and found there."""
         while True:
             try:
-                return self._make(job, out)
+                return self._make(job, out, there)
             except SQLAlchemyError as error:
                 if not is_of_database(error) or is_of_database(error, full=True):
                     raise
@@ -98,12 +120,12 @@ class JobRunner:
                     job["id"], "warning", "the database was away at the end of a step; going on"
                 )  # once it is back
 
-    def _make(self, job: dict, out: Path) -> None:
+    def _make(self, job: dict, out: Path, there: Path) -> None:
         check = self._check_of(job)
         n_cameras = self.store.scan(job["scan"])["header"]["cameras"]["count"]
         progress = JobProgress(self.store, job, check, textured=bool(n_cameras))
         work = work_folder(self.settings, job["scan"])
-        work.mkdir(parents=True, exist_ok=True)
+        place.make_folder(work)
         scan = scan_path(self.settings, self.store.scan(job["scan"]))
         file = (self.store.scan(job["scan"], job["owner"]) or {"file": job["name"]})["file"]
         link = SchedulerLink(
@@ -136,14 +158,19 @@ class JobRunner:
 
             def on_gl_worker() -> list[dict]:
                 check_room(self.settings, "render")
-                return link.call(RENDER, previews_of, packed, ingest, folder, resources=GL, meanwhile=count)
+                files = (packed, ingest, folder)
+                return call_with_files(link, out, there, RENDER, previews_of, *files, resources=GL, meanwhile=count)
 
             n_views = n_cameras or 4
             return DBOS.run_step({"name": RENDER}, on_gl_worker)
 
         def paint(function: Callable, *arguments):
             check_room(self.settings, PICTURES)
-            return DBOS.run_step({"name": PICTURES}, lambda: link.call(RENDER, function, *arguments, resources=GL))
+
+            def on_gl_worker():
+                return call_with_files(link, out, there, RENDER, function, *arguments, resources=GL)
+
+            return DBOS.run_step({"name": PICTURES}, on_gl_worker)
 
         run.step, run.draw, run.paint, run.round = step, draw, paint, progress.round
         run.clock = lambda: DBOS.run_step(
@@ -167,8 +194,14 @@ class JobRunner:
     def _check_of(self, job: dict) -> Callable[[], None]:
         token = dismissal_token(self.settings, job["id"], job["attempt"])
 
+        every_s, looked = BUCKET_LOOK_S if place.is_remote(token) else 0.0, float("-inf")
+
         def check() -> None:
-            if token.exists():
+            nonlocal looked
+            if time.monotonic() - looked < every_s:
+                return
+            looked = time.monotonic()
+            if place.is_file(token):
                 raise Dismissed
 
         return check

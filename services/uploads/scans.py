@@ -9,20 +9,17 @@ In the data folder:
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
-import os
 import re
 import secrets
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from services.problems import Problem
 from services.settings import ServiceSettings
 from services.store.store import Store
 from services.uploads.validation import validated_header
+from storage import place
 
 MAX_NAME = 120
 BLOCK_BYTES = 1 << 20
@@ -51,11 +48,11 @@ def disk_name(file: str) -> str:
 
 
 def scan_path(settings: ServiceSettings, scan: dict) -> Path:
-    return settings.data / "scans" / scan["id"] / scan["path_name"]
+    return settings.place / "scans" / scan["id"] / scan["path_name"]
 
 
 def work_folder(settings: ServiceSettings, scan_id: str) -> Path:
-    return settings.data / "work" / scan_id
+    return settings.place / "work" / scan_id
 
 
 def accept_scan(path: Path, owner: str, settings: ServiceSettings, store: Store) -> tuple[dict, bool]:
@@ -78,31 +75,20 @@ def accept_scan(path: Path, owner: str, settings: ServiceSettings, store: Store)
     }
     with scans_alone(settings):
         target = scan_path(settings, store.scan(id) or scan)
-        if not target.is_file():
-            _put_in_place(path, target)
+        if not place.is_file(target):
+            place.put_in_place(path, target)
         new = store.add_scan(scan, owner)
     return store.scan(id, owner), new
 
 
-@contextmanager
-def scans_alone(settings: ServiceSettings) -> Iterator[None]:
+def scans_alone(settings: ServiceSettings) -> AbstractContextManager[None]:
     """Putting a scan in place and taking it away again happen one after the other, in whichever process."""
-    with open(settings.data / "scans.lock", "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
+    return place.alone(settings.place / "scans.lock", poll_s=0.02)
 
 
 def file_hash(path: Path) -> str:
     with open(path, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _put_in_place(path: Path, target: Path) -> None:
-    """Durably: the database says that the scan is there only once it is."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with open(path, "rb") as stream:
-        os.fsync(stream.fileno())
-    os.replace(path, target)
 
 
 def discard_unused_scans(settings: ServiceSettings, store: Store) -> None:
@@ -114,5 +100,5 @@ def discard_unused_scans(settings: ServiceSettings, store: Store) -> None:
 
 
 def _discard(settings: ServiceSettings, id: str) -> None:
-    shutil.rmtree(settings.data / "scans" / id, ignore_errors=True)
-    shutil.rmtree(work_folder(settings, id), ignore_errors=True)
+    place.remove_folder(settings.place / "scans" / id)
+    place.remove_folder(work_folder(settings, id))

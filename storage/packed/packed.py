@@ -19,7 +19,10 @@ import zarr
 from zarr.codecs import ZstdCodec
 from zarr.storage import ZipStore
 
-from storage import zarr_config  # noqa: F401 (for its effect)
+from storage import (
+    place,
+    zarr_config,  # noqa: F401 (for its effect)
+)
 from storage.errors import InternalError, InvalidPackedFile
 from storage.packed.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.packed.checks import ZSTD_HEADER_BYTES, check_frame, check_layout, check_members, read_header
@@ -85,7 +88,7 @@ def create_array(root: zarr.Group, header: Header, array: Array, n_words: int = 
 
 def begin_packed(folder: Path, header: Header) -> zarr.Group:
     """An empty packed file as a folder: its header and its fixed-length arrays, to be filled by the caller."""
-    root = zarr.open_group(str(folder), mode="w", zarr_format=3, attributes=header.to_json())
+    root = zarr.open_group(place.zarr_store(folder), mode="w", zarr_format=3, attributes=header.to_json())
     for array in arrays_of(header):
         if "e" not in array.dims:
             create_array(root, header, array)
@@ -94,7 +97,7 @@ def begin_packed(folder: Path, header: Header) -> zarr.Group:
 
 def reopen_packed(folder: Path) -> zarr.Group:
     """A begun packed file, for a task that fills in its zarr chunks."""
-    return zarr.open_group(str(folder), mode="r+", zarr_format=3)
+    return zarr.open_group(place.zarr_store(folder), mode="r+", zarr_format=3)
 
 
 def seal_packed(folder: Path, path: Path) -> None:
@@ -114,13 +117,14 @@ def seal_packed(folder: Path, path: Path) -> None:
 
 def _finished_members(folder: Path) -> list[str]:
     """The members of a folder that a packed file consists of, in the order of their names."""
-    header = Header.from_json(json.loads((folder / ROOT_MEMBER).read_bytes())["attributes"])
-    members = [ROOT_MEMBER]
+    header = Header.from_json(json.loads(place.here(folder / ROOT_MEMBER).read_bytes())["attributes"])
+    members, there = [ROOT_MEMBER], place.sizes(folder)
     for array in arrays_of(header):
         metadata = folder / metadata_member(array)
-        shape = json.loads(metadata.read_bytes())["shape"] if metadata.exists() else (0,)
+        known = metadata_member(array) in there
+        shape = json.loads(place.here(metadata).read_bytes())["shape"] if known else (0,)
         members += members_of(array, tuple(shape))
-    missing = [member for member in members if not (folder / member).is_file()]
+    missing = [member for member in members if member not in there]
     if missing:
         raise InternalError(str(folder), f"{len(missing)} members were never written, such as {missing[0]}")
     return sorted(members)
@@ -130,8 +134,9 @@ def _add_member(archive: zipfile.ZipFile, folder: Path, member: str) -> None:
     info = zipfile.ZipInfo(member, _ZIP_TIME)
     info.create_system = _UNIX
     info.external_attr = 0o644 << 16
-    info.file_size = (folder / member).stat().st_size
-    with open(folder / member, "rb") as source, archive.open(info, "w") as target:
+    file = place.here(folder / member)
+    info.file_size = file.stat().st_size
+    with open(file, "rb") as source, archive.open(info, "w") as target:
         shutil.copyfileobj(source, target, 1 << 20)
 
 
@@ -147,7 +152,7 @@ class PackedFile:
     """
 
     def __init__(self, path: str | Path, verify: bool = True) -> None:
-        self.path = Path(path)
+        self.path = place.here(Path(path))
         self.n_bytes = self.path.stat().st_size
         if verify:
             check_seal(self.path)

@@ -17,63 +17,29 @@ import os
 import shutil
 import uuid
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import zarr
 
-from storage import zarr_config  # noqa: F401 (for its effect)
+from storage import (
+    place,
+    zarr_config,  # noqa: F401 (for its effect)
+)
 from storage.whole import whole
-
-BLOCK = 16384  # splats a task: two groups
-METADATA = "zarr.json"
-
-
-@dataclass(frozen=True)
-class Layout:
-    """What an array's `zarr.json` says."""
-
-    shape: tuple[int, ...]
-    chunks: tuple[int, ...]
-    dtype: np.dtype
-
-    @property
-    def of_whole_rows(self) -> bool:
-        return self.chunks[1:] == self.shape[1:]
-
-    def to_json(self) -> dict:
-        """As zarr writes it. Chunks are files c.0.0: its usual c/0/0 is a new folder a chunk, which takes longer than
-        most bytes."""
-        codec = {"name": "bytes"} | ({"configuration": {"endian": "little"}} if self.dtype.itemsize > 1 else {})
-        return {
-            "shape": list(self.shape),
-            "data_type": self.dtype.name,
-            "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": list(self.chunks)}},
-            "chunk_key_encoding": {"name": "default", "configuration": {"separator": "."}},
-            "fill_value": self.dtype.type(0).item(),
-            "codecs": [codec],
-            "attributes": {},
-            "zarr_format": 3,
-            "node_type": "array",
-            "storage_transformers": [],
-        }
+from storage.work.layout import BLOCK, METADATA, Layout, layout_for
 
 
 def create(folder: Path, name: str, shape: tuple[int, ...], dtype: str, chunks: tuple[int, ...] | None = None) -> None:
     """A new array of a stage, zeros until written; a chunk, by default BLOCK rows, is what one task owns."""
-    shutil.rmtree(folder / f"{name}.zarr", ignore_errors=True)
-    _describe(folder, name, _layout(shape, dtype, chunks))
-
-
-def _layout(shape: tuple[int, ...], dtype: str, chunks: tuple[int, ...] | None) -> Layout:
-    return Layout(
-        tuple(shape), tuple(max(1, min(c, s)) for c, s in zip(chunks or (BLOCK, *shape[1:]), shape)), np.dtype(dtype)
-    )
+    if not place.is_remote(folder):  # there nothing is written before all of a stage's arrays are described
+        shutil.rmtree(folder / f"{name}.zarr", ignore_errors=True)
+    _describe(folder, name, layout_for(shape, dtype, chunks))
 
 
 def _describe(folder: Path, name: str, layout: Layout) -> None:
-    (folder / f"{name}.zarr").mkdir(parents=True, exist_ok=True)
+    place.make_folder(folder / f"{name}.zarr")
     with whole(folder / f"{name}.zarr" / METADATA) as partial:
         partial.write_text(json.dumps(layout.to_json()))
 
@@ -81,18 +47,23 @@ def _describe(folder: Path, name: str, layout: Layout) -> None:
 def store(folder: Path, name: str, rows: np.ndarray, chunks: tuple[int, ...] | None = None) -> None:
     """A whole array in one call, of chunks of whole rows, there under its name whole or not at all. For tasks, which
     may run more than once, also side by side: where it is there already it stays, for equal tasks make equal bytes."""
-    aside, layout = _aside(name), _layout(rows.shape, str(rows.dtype), chunks)
+    aside, layout = _aside(folder, name), layout_for(rows.shape, str(rows.dtype), chunks)
     assert layout.of_whole_rows, layout
-    _describe(folder, aside, layout)
+    place.make_folder(folder / f"{aside}.zarr")
     _write_chunks(folder, aside, layout, 0, rows)
+    _describe(folder, aside, layout)
     _give_name(folder, aside, name)
 
 
-def _aside(name: str) -> str:
-    return f"{name}.{uuid.uuid4().hex}.partial"
+def _aside(folder: Path, name: str) -> str:
+    """What an array is called until it is whole. A bucket renames nothing: there an array is no array until its last
+    object, the one that describes it."""
+    return name if place.is_remote(folder) else f"{name}.{uuid.uuid4().hex}.partial"
 
 
 def _give_name(folder: Path, aside: str, name: str) -> None:
+    if aside == name:
+        return
     made = folder / f"{aside}.zarr"
     try:
         os.rename(made, folder / f"{name}.zarr")
@@ -103,18 +74,23 @@ def _give_name(folder: Path, aside: str, name: str) -> None:
 
 
 def exists(folder: Path, name: str) -> bool:
-    return (folder / f"{name}.zarr" / METADATA).is_file()
+    return place.is_file(folder / f"{name}.zarr" / METADATA)
+
+
+def names(folder: Path) -> list[str]:
+    """Of the arrays in a folder, in order."""
+    return [name.removesuffix(".zarr") for name in place.names(folder) if name.endswith(".zarr")]
 
 
 def opened(folder: Path, name: str, mode: str = "r") -> zarr.Array:
     """For what is done to part of a chunk, or to more than rows."""
-    return zarr.open_array(store=str(folder / f"{name}.zarr"), mode=mode)
+    return zarr.open_array(store=place.zarr_store(folder / f"{name}.zarr"), mode=mode)
 
 
 @functools.lru_cache(maxsize=1024)
 def layout_of(folder: Path, name: str) -> Layout:
     """Of an array whose shape changes no more."""
-    told = json.loads((folder / f"{name}.zarr" / METADATA).read_text())
+    told = json.loads(place.here(folder / f"{name}.zarr" / METADATA).read_text())
     layout = Layout(
         tuple(told["shape"]), tuple(told["chunk_grid"]["configuration"]["chunk_shape"]), np.dtype(told["data_type"])
     )
@@ -173,7 +149,8 @@ def write_picture(folder: Path, name: str, pixels: np.ndarray) -> None:
 
 
 def _chunk(folder: Path, name: str, layout: Layout, *index: int) -> np.memmap:
-    return np.memmap(_path_of(folder, name, layout, *index), layout.dtype, "r", shape=layout.chunks)
+    file = place.here(_path_of(folder, name, layout, *index))
+    return np.memmap(file, layout.dtype, "r", shape=layout.chunks)
 
 
 def _path_of(folder: Path, name: str, layout: Layout, *index: int) -> Path:
@@ -270,11 +247,11 @@ class Appender:
     """Rows of unknown number, appended in order by one process, in whole chunks; there under their name once closed."""
 
     def __init__(self, folder: Path, name: str, row_shape: tuple[int, ...], dtype: str, rows: int = BLOCK) -> None:
-        self._folder, self._name, self._made_as = folder, name, _aside(name)
+        self._folder, self._name, self._made_as = folder, name, _aside(folder, name)
         self._layout = Layout((0, *row_shape), (rows, *row_shape), np.dtype(dtype))
         self._waiting: list = []
         self._n_waiting = 0
-        _describe(folder, self._made_as, self._layout)
+        place.make_folder(folder / f"{self._made_as}.zarr")
 
     def append(self, rows: np.ndarray) -> None:
         self._waiting.append(rows)

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from storage import place
 from storage.whole import whole
 
 LAYOUT_VERSION = 13  # raised when a stage's output changes for equal inputs
@@ -34,21 +35,31 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    return json.loads(path.read_text())
+    return json.loads(place.here(path).read_text())
 
 
 def write_parts(path: Path, **arrays: np.ndarray) -> None:
     """Arrays as one .npz, under its name only when it is whole."""
-    path.parent.mkdir(exist_ok=True)
+    place.make_folder(path.parent)
     with whole(path) as partial, open(partial, "wb") as stream:
         np.savez(stream, **arrays)  # type: ignore[arg-type]
 
 
 def write_part(path: Path, array: np.ndarray) -> None:
     """One array as .npy, which can be mapped, under its name only when it is whole."""
-    path.parent.mkdir(exist_ok=True)
+    place.make_folder(path.parent)
     with whole(path) as partial, open(partial, "wb") as stream:
         np.save(stream, array)
+
+
+def open_parts(path: Path) -> Any:
+    """What `write_parts` wrote, to be closed."""
+    return np.load(place.here(path))
+
+
+def map_part(path: Path) -> np.ndarray:
+    """What `write_part` wrote, read where it is looked at."""
+    return np.load(place.here(path), mmap_mode="r")
 
 
 def stage_folder(work: Path, stage: Any) -> Path:
@@ -70,11 +81,18 @@ def _plain(value: Any) -> Any:
 
 
 def is_complete(folder: Path) -> bool:
-    return (folder / "summary.json").is_file()
+    return place.is_file(folder / "summary.json")
+
+
+def last_complete(work: Path, name: str) -> Path | None:
+    """The folder of the stage of this name that was completed last; None if none ever was."""
+    folders = (work / found for found in place.names(work) if found.startswith(f"{name}-"))
+    ages = {folder: place.age_s(folder / "summary.json") for folder in folders}
+    return min((f for f, age in ages.items() if age is not None), key=ages.__getitem__, default=None)
 
 
 def begin(folder: Path) -> None:
-    (folder / "results").mkdir(parents=True, exist_ok=True)
+    place.make_folder(folder / "results")
 
 
 def parts(folder: Path) -> Path:
@@ -82,7 +100,9 @@ def parts(folder: Path) -> Path:
 
 
 def sweep(folder: Path) -> None:
-    """Delete what tasks that are gone had half written. Whole arrays, results and parts stay."""
+    """Delete what tasks that are gone had half written. Whole arrays, results and parts stay. A bucket has no halves."""
+    if place.is_remote(folder):
+        return
     for path in [*folder.rglob("*.partial*")]:
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
@@ -92,13 +112,14 @@ def sweep(folder: Path) -> None:
 
 def finished_tasks(folder: Path) -> dict[int, dict]:
     """The results of the tasks that have finished, by index."""
-    return {int(p.stem): read_json(p) for p in sorted((folder / "results").glob("*.json"))}
+    done = [folder / "results" / name for name in place.names(folder / "results") if name.endswith(".json")]
+    return {int(p.stem): json.loads(file.read_text()) for p, file in zip(done, place.all_here(done))}
 
 
 def finished_task(folder: Path, index: int) -> dict | None:
     """The result of one task, if it has finished."""
     path = _result_path(folder, index)
-    return read_json(path) if path.is_file() else None
+    return read_json(path) if place.is_file(path) else None
 
 
 def record_task(folder: Path, index: int, result: dict) -> None:
@@ -111,7 +132,7 @@ def _result_path(folder: Path, index: int) -> Path:
 
 def complete(folder: Path, summary: dict, seconds: float) -> None:
     write_json(folder / "summary.json", {"seconds": seconds, "summary": summary})
-    shutil.rmtree(parts(folder), ignore_errors=True)
+    place.remove_folder(parts(folder))
 
 
 def summary(folder: Path) -> dict:
@@ -124,4 +145,4 @@ def made_seconds(folder: Path) -> float:
 
 
 def discard(folder: Path) -> None:
-    shutil.rmtree(folder, ignore_errors=True)
+    place.remove_folder(folder)

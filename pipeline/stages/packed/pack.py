@@ -132,7 +132,7 @@ class Pack:
     def _join_words(self, folder: Path, root, name: str, table: str, n_words: list[int], n_tasks: int) -> None:
         root[table][:] = (np.cumsum(n_words) - n_words).astype(np.uint32)
         joined = create_array(root, self.header, BY_NAME[name], sum(n_words) + 1)
-        pieces = (np.load(work.parts(folder) / f"{name}-{index}.npz")["words"] for index in range(n_tasks))
+        pieces = (work.open_parts(work.parts(folder) / f"{name}-{index}.npz")["words"] for index in range(n_tasks))
         at, waiting = 0, np.zeros(0, np.uint32)
         for piece in [*pieces, np.zeros(1, np.uint32)]:  # the spare word
             waiting = np.concatenate([waiting, piece])

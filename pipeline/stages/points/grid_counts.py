@@ -91,7 +91,7 @@ def _counts_of(folder: Path, index: int) -> Path:
 
 
 def _read(path: Path) -> CellCounts:
-    with np.load(path) as part:
+    with work.open_parts(path) as part:
         return CellCounts(part["cell"], part["count"])
 
 

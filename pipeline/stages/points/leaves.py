@@ -56,7 +56,7 @@ class DealtLeaves:
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         found = []
         for index in range(len(results)):
-            with np.load(_runs_of(folder, index)) as part:
+            with work.open_parts(_runs_of(folder, index)) as part:
                 rows = (part["leaf"], np.full(len(part["leaf"]), index), part["begin"], part["count"])
                 found.append(np.stack(rows, axis=1).astype(np.int64))
         runs = np.concatenate(found)
@@ -72,7 +72,7 @@ def records_of_leaf(dealt: Path, leaf: int, most: int) -> Iterator[np.ndarray]:
     """The records of a leaf in file order, at most so many at a time, not to be written to."""
     first, end = arrays.read(dealt, "first", leaf, leaf + 2)
     for run in arrays.read(dealt, "run", int(first), int(end)):
-        there = np.load(_records_of(dealt, run[PART]), mmap_mode="r")
+        there = work.map_part(_records_of(dealt, run[PART]))
         for at in range(run[BEGIN], run[BEGIN] + run[COUNT], most):
             yield np.asarray(there[at : min(at + most, run[BEGIN] + run[COUNT])])
 

@@ -53,9 +53,8 @@ def measures_of(summary: dict) -> dict[str, Measured]:
 def known_rows(work_folder: Path) -> list[dict] | None:
     """The rows of the plan that the scan of a work folder makes by itself, as it was measured last; None if it never
     was."""
-    measured = [p for p in work_folder.glob(f"{MeasureEffects.name}-*") if work.is_complete(p)]
-    if not measured:
+    last = work.last_complete(work_folder, MeasureEffects.name)
+    if last is None:
         return None
-    last = max(measured, key=lambda p: (p / "summary.json").stat().st_mtime_ns)
     results = work.finished_tasks(last).values()
     return plan_effects(measures_of(work.summary(last)), {}, sum(r["n_splats"] for r in results)).to_json()

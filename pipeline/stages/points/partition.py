@@ -21,6 +21,7 @@ from pipeline.stages.points.kept import (
 )
 from pipeline.stages.points.leaves import records_of_leaf
 from pipeline.stages.points.split_on_disk import PIECE, split_on_disk
+from storage import place
 from storage.work import arrays, work
 
 
@@ -63,7 +64,7 @@ class Partition:
                 at += len(piece)
             write(0, rows)
         else:
-            split_on_disk(self._records(index, record), record, n, IN_MEMORY, work.parts(folder), write)
+            split_on_disk(self._records(index, record), record, n, IN_MEMORY, place.scratch(work.parts(folder)), write)
         low, high = np.concatenate(boxes, axis=1)
         return {"n_splats": n, "block_low": low.tolist(), "block_high": high.tolist()}
 

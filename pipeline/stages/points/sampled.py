@@ -33,11 +33,11 @@ class Sampled:
         chunks = chosen_chunks(n, self.n_wanted)
         rows = (chunks[:, None] * CHUNK + np.arange(CHUNK)).ravel()
         rows = rows[rows < n]
-        for path in sorted(self.source.glob("*.zarr")):
-            layout = arrays.layout_of(self.source, path.stem)
+        for array in arrays.names(self.source):
+            layout = arrays.layout_of(self.source, array)
             taken = {n: rows, -(-n // CHUNK): chunks}.get(layout.shape[0])
             if taken is not None:
-                arrays.store(folder, path.stem, arrays.read_rows(self.source, path.stem, taken), layout.chunks)
+                arrays.store(folder, array, arrays.read_rows(self.source, array, taken), layout.chunks)
         return {"n_splats": len(rows)}
 
     def finalise(self, folder: Path, results: list[dict]) -> dict:

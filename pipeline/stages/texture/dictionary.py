@@ -135,7 +135,7 @@ def _store_sums(folder: Path, name: str, sums: Sums) -> None:
 
 def _load_sums(folder: Path, name: str) -> Sums:
     """All but the moment."""
-    with np.load(folder / f"{name}.npz") as stored:
+    with work.open_parts(folder / f"{name}.npz") as stored:
         fields = {key: stored[key] for key in stored.files}
     nothing = np.empty((0, fields["worst_patch"].shape[1]))
     return Sums(**{**fields, "error": float(fields["error"]), "n_patches": int(fields["n_patches"]), "moment": nothing})
@@ -143,7 +143,7 @@ def _load_sums(folder: Path, name: str) -> Sums:
 
 def _moment(folder: Path, name: str) -> np.ndarray:
     """The moment of stored sums, read where it is looked at."""
-    return np.load(_moment_path(folder, name), mmap_mode="r")
+    return work.map_part(_moment_path(folder, name))
 
 
 def _moment_path(folder: Path, name: str) -> Path:

@@ -84,7 +84,7 @@ class Quantization:
     def finalise(self, folder: Path, results: list[dict]) -> dict:
         samples: list[list[np.ndarray]] = [[] for _ in range(self.max_atoms)]
         for i in range(len(results)):
-            with np.load(work.parts(folder) / f"weights-{i}.npz") as stored:
+            with work.open_parts(work.parts(folder) / f"weights-{i}.npz") as stored:
                 for rank in range(stored["weight"].shape[1]):
                     samples[rank].append(stored["weight"][stored["n_atoms"] > rank, rank])
         ranks = [np.concatenate(s) if s else np.empty(0, np.float32) for s in samples]

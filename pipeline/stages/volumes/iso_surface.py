@@ -152,7 +152,7 @@ class IsoSurface:
         }
         step, at = max(1, n_points // SAMPLE), 0
         for index in range(n_tasks):
-            with np.load(work.parts(folder) / f"{index:06d}.npz") as part:
+            with work.open_parts(work.parts(folder) / f"{index:06d}.npz") as part:
                 for name in ("position", "normal", "color"):
                     writers[name].append(part[name])
                 writers["sample"].append(part["position"][-at % step :: step])

@@ -22,7 +22,7 @@ from services.cli.answers import ServiceError
 from services.cli.client import Client
 from services.cli.main import main
 from services.jobs.disk import make_data_folder
-from services.settings import settings_from
+from services.settings import ServiceSettings, settings_from
 from tests.services.service_process import ROOT, ApiProcess, free_port, until
 
 
@@ -87,7 +87,7 @@ def test_serve__a_part_that_cannot_start_is_given_up_and_says_why_in_a_line(tmp_
 def test_runner__one_that_waits_for_another_ends_at_once_and_without_a_dump(tmp_path):
     import fcntl
 
-    make_data_folder(tmp_path / "d")
+    make_data_folder(ServiceSettings(data=tmp_path / "d"))
     with open(tmp_path / "d" / "runner.lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         log = tmp_path / "log"
@@ -111,13 +111,13 @@ def test_compress__dask_listens_on_loopback_alone():
 
 
 def test_data__a_folder_made_here_is_its_owners_alone(tmp_path):
-    make_data_folder(tmp_path / "a" / "data")
+    make_data_folder(ServiceSettings(data=tmp_path / "a" / "data"))
     assert stat.S_IMODE((tmp_path / "a" / "data").stat().st_mode) == 0o700
 
 
 @pytest.mark.parametrize("name", ["X-Forwarded-For", "Forwarded", "X-Real-IP", "Via", "X-Forwarded-Proto"])
 def test_api__behind_a_proxy_a_token_is_needed_on_loopback_too(tmp_path, name):
-    make_data_folder(tmp_path / "data")
+    make_data_folder(ServiceSettings(data=tmp_path / "data"))
     with TestClient(create_app(settings_from({}, data=tmp_path / "data")), base_url="http://127.0.0.1") as api:
         assert api.get("/v1/jobs").status_code == 200
         assert api.get("/v1/jobs", headers={name: "for=1.2.3.4"}).status_code == 401

@@ -11,7 +11,7 @@ from services.cli.client import Client
 from services.cli.main import main
 from services.jobs.backup import back_up, restore
 from services.jobs.disk import make_data_folder
-from services.settings import settings_from
+from services.settings import ServiceSettings, settings_from
 from services.store.store import Store
 from services.uploads.scans import accept_scan
 from storage.errors import InvalidPackedFile, ResourceExhausted, SplatpressError
@@ -58,7 +58,7 @@ def test_backup__of_a_running_service_is_all_that_another_machine_needs(tmp_path
 def filled(tmp_path):
     """A data folder with a scan, a job that ended and an upload under way."""
     settings = settings_from({}, data=tmp_path / "data")
-    make_data_folder(settings.data)
+    make_data_folder(settings)
     store = Store(settings.database_url)
     scan, _ = accept_scan(point_scan(tmp_path / "ball.ply", 50), "ann", settings, store)
     row = {
@@ -132,7 +132,7 @@ def test_backup__says_which_files_were_not_there(filled, tmp_path, capsys):
 
 
 def test_data__a_folder_of_a_newer_program_is_refused(tmp_path, capsys):
-    make_data_folder(tmp_path / "data")
+    make_data_folder(ServiceSettings(data=tmp_path / "data"))
     (tmp_path / "data" / "version").write_text("2\n")
     assert main(["serve", "--data", str(tmp_path / "data")]) == 2
     assert "a data folder of version '2'; allowed: up to 1" in capsys.readouterr().err
