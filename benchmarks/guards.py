@@ -21,7 +21,7 @@ from benchmarks.patches import arguments, learned_dictionary, textured_patches
 from pipeline.coding import ksvd, omp, omp_kernels
 from pipeline.execution.threads import one_blas_thread
 from pipeline.texture import patches as texture_patches
-from pipeline.texture.patches import make_patches
+from pipeline.texture.patches import Block, make_patches
 from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
 from renderer.splats.targets import NARROW
@@ -111,7 +111,7 @@ def projections() -> dict:
     def run(is_whole, is_in_front) -> None:
         texture_patches.is_whole, texture_patches.is_in_front = is_whole, is_in_front
         try:
-            make_patches(
+            block = Block(
                 (camera,),
                 lambda i, left, top, right, bottom: PHOTO[top:bottom, left:right],
                 (0.0, 0.0, 0.0),
@@ -120,8 +120,8 @@ def projections() -> dict:
                 0.012,
                 np.zeros(n, np.uint16),
                 np.zeros((n, 3), np.uint8),
-                0,
             )
+            make_patches(block, 0)
         finally:
             texture_patches.is_whole, texture_patches.is_in_front = own
 

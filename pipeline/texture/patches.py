@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,41 +35,97 @@ class Patches:
     n_flagged: int  # patches that are not wholly what a photograph shows: without a camera, or beyond its edge
 
 
-def make_patches(
-    cameras: tuple[Camera, ...],
-    read_window: ReadWindow,
-    origin: tuple[float, float, float],
-    centre: np.ndarray,  # (n, 3) decoded, against the origin
-    frame: tuple[np.ndarray, np.ndarray],  # tangents u and v, (n, 3) each
-    radius: float | np.ndarray,  # (n,), or one for all
-    camera: np.ndarray,  # (n,) uint16
-    color: np.ndarray,  # (n, 3) uint8: of splats without a camera
-    first_splat: int,
-    antialiased: bool = True,
-) -> Patches:
-    """Resample a block. A splat without a camera has a patch of its one colour, and so no energy; so has one whose
-    square, once its geometry is quantised, reaches behind its camera. Both are flagged, as are those that reach beyond
-    their photo's edge, where texels repeat the edge."""
-    texel = np.empty((len(camera), PATCH_DIM), np.uint8)
-    unseen = camera == NO_CAMERA
-    radius = np.broadcast_to(radius, len(camera))
-    error, n_probes, n_flagged = 0.0, 0, int(unseen.sum())
-    for i in np.unique(camera[~unseen]):
-        rows = np.flatnonzero(camera == i)
-        h = homographies(cameras[i], origin, centre[rows], frame[0][rows], frame[1][rows], radius[rows])
-        n_flagged += int((~is_whole(h, cameras[i].width_px, cameras[i].height_px)).sum())
-        in_front = is_in_front(h)
-        unseen[rows[~in_front]] = True
-        rows, h = rows[in_front], h[in_front]
-        if not len(rows):
+@dataclass(frozen=True)
+class Block:
+    """A block of splats, and the photographs that show them."""
+
+    cameras: tuple[Camera, ...]
+    read_window: ReadWindow
+    origin: tuple[float, float, float]
+    centre: np.ndarray  # (n, 3) decoded, against the origin
+    frame: tuple[np.ndarray, np.ndarray]  # tangents u and v, (n, 3) each
+    radius: float | np.ndarray  # (n,), or one for all
+    camera: np.ndarray  # (n,) uint16
+    color: np.ndarray  # (n, 3) uint8: of splats without a camera
+
+
+def make_patches(block: Block, first_splat: int, antialiased: bool = True, into: np.ndarray | None = None) -> Patches:
+    """Resample a block whose first splat is `first_splat` of the scan; `into` (n or more, PATCH_DIM) uint8 is memory for its texels.
+
+    A splat without a camera has a patch of its one colour, and so no energy; so has one whose square, once its geometry is
+    quantised, reaches behind its camera. Both are flagged, as are those that reach beyond their photo's edge, where texels repeat the
+    edge."""
+    n = len(block.camera)
+    texel = np.empty((n, PATCH_DIM), np.uint8) if into is None else into[:n]
+    error, n_probes, n_flagged = 0.0, 0, int((block.camera == NO_CAMERA).sum())
+    unseen = np.ones(n, bool)
+    for seen in _by_camera(block):
+        n_flagged += seen.n_flagged
+        if seen.window is None:
             continue
-        bounds = window_bounds(project_corners(h), cameras[i].width_px, cameras[i].height_px)
-        window = Window(read_window(int(i), *bounds), bounds[0], bounds[1])
-        resample_into(texel, rows, window, h, antialiased)
-        error += float(resampling_error(texel, rows, window, h, first_splat).sum())
-        n_probes += 3 * PROBES * len(rows)
-    texel[unseen] = np.tile(color[unseen], PATCH_SIZE * PATCH_SIZE)
+        resample_into(texel, seen.rows, seen.window, seen.homography, antialiased)
+        error += float(resampling_error(texel, seen.rows, seen.window, seen.homography, first_splat).sum())
+        n_probes += 3 * PROBES * len(seen.rows)
+        unseen[seen.rows] = False
+    _fill(texel, unseen, block.color)
     return Patches(texel, *measured(texel), error, n_probes, n_flagged)
+
+
+def patches_again(block: Block, wanted: np.ndarray, antialiased: bool, into: np.ndarray) -> np.ndarray:
+    """The texels (m, PATCH_DIM) uint8 of the rows `wanted` (m,), ascending, of a block, in the memory `into` (m or more, PATCH_DIM).
+
+    Guarantees: those that `make_patches` made, to the byte, for windows of photographs are those of the whole block."""
+    texel = into[: len(wanted)]
+    place, unseen = np.full(len(block.camera), -1), np.ones(len(wanted), bool)
+    place[wanted] = np.arange(len(wanted))
+    for seen in _by_camera(block, place >= 0):
+        if seen.window is None:
+            continue
+        rows = place[seen.rows]
+        resample_into(texel, rows, seen.window, seen.homography, antialiased)
+        unseen[rows] = False
+    _fill(texel, unseen, block.color[wanted])
+    return texel
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """The splats of a block that one camera shows."""
+
+    rows: np.ndarray  # (m,) of the block, in front of it
+    homography: np.ndarray  # (m, 3, 3)
+    window: Window | None  # of its photograph; None where no splat is in front
+    n_flagged: int
+
+
+def _by_camera(block: Block, wanted: np.ndarray | None = None) -> Iterator[_Seen]:
+    """One after the other, so that no more than one window is held; of the rows that are `wanted` (n,) bool, in the windows of all."""
+    radius = np.broadcast_to(block.radius, len(block.camera))
+    for i in np.unique(block.camera[block.camera != NO_CAMERA]):
+        rows, camera = np.flatnonzero(block.camera == i), block.cameras[i]
+        u, v = block.frame
+        h = homographies(camera, block.origin, block.centre[rows], u[rows], v[rows], radius[rows])
+        n_flagged = int((~is_whole(h, camera.width_px, camera.height_px)).sum())
+        in_front = is_in_front(h)
+        rows, h = rows[in_front], h[in_front]
+        if not len(rows) or (wanted is not None and not wanted[rows].any()):
+            yield _Seen(rows, h, None, n_flagged)
+            continue
+        bounds = whole = window_bounds(project_corners(h), camera.width_px, camera.height_px)
+        if wanted is not None:
+            rows, h = rows[wanted[rows]], h[wanted[rows]]
+            bounds = window_bounds(project_corners(h), camera.width_px, camera.height_px)
+        yield _Seen(
+            rows,
+            h,
+            Window(block.read_window(int(i), *bounds), *bounds[:2], whole if wanted is not None else None),
+            n_flagged,
+        )
+
+
+def _fill(texel: np.ndarray, unseen: np.ndarray, color: np.ndarray) -> None:
+    """Patches that no photograph shows are of their one colour."""
+    texel[unseen] = np.tile(color[unseen], PATCH_SIZE * PATCH_SIZE)
 
 
 def measured(texel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

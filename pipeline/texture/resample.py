@@ -23,16 +23,26 @@ PROBES = 4  # random points of the disc that the resampling error is measured at
 
 @dataclass(frozen=True)
 class Window:
-    """A part of a photograph: pixels[y - top, x - left] is its pixel (x, y)."""
+    """A part of a photograph: pixels[y - top, x - left] is its pixel (x, y).
+
+    As a part of a `whole` window lookups in it round as in that one, so that patches are the same to the byte."""
 
     pixels: np.ndarray  # (h, w, 3) uint8
     left: int
     top: int
+    whole: tuple[int, int, int, int] | None = None  # left, top, right, bottom
 
     @cached_property
     def padded(self) -> np.ndarray:
         """The pixels as lookups want them; made once for all that look at the window."""
         return _padded(self.pixels)
+
+    @property
+    def place(self) -> tuple[int, int, float, float, int, int]:
+        """Left and top that lookups count from, the last column and row from there, and where the pixels begin."""
+        right, bottom = self.left + self.pixels.shape[1], self.top + self.pixels.shape[0]
+        left, top, right, bottom = self.whole or (self.left, self.top, right, bottom)
+        return left, top, right - left - 1.0, bottom - top - 1.0, self.left - left, self.top - top
 
 
 def window_bounds(corners: np.ndarray, width_px: int, height_px: int) -> tuple[int, int, int, int]:
@@ -66,7 +76,7 @@ def resample_into(
 ) -> None:
     """As `resample_patches`, into these rows (m,) of patches (n, PATCH_DIM) uint8."""
     shaped = patches.reshape(-1, PATCH_SIZE, PATCH_SIZE, 3)
-    _resample(window.padded, window.left, window.top, homography, shaped, rows, antialiased)
+    _resample(window.padded, *window.place, homography, shaped, rows, antialiased)
 
 
 def resampling_error(
@@ -79,6 +89,7 @@ def resampling_error(
     """
     error = np.empty(len(homography))
     shaped = patches.reshape(-1, PATCH_SIZE, PATCH_SIZE, 3)
+    assert window.whole is None
     _probe(window.padded, window.left, window.top, homography, shaped, rows, first_splat, error)
     return error
 
@@ -104,9 +115,10 @@ def disc_weights() -> np.ndarray:
 
 
 @part(error_model="numpy", fastmath={"contract"})
-def _project_row(h, y, within, left, top, last_x, last_y, stride, place, right, down):
+def _project_row(h, y, within, left, top, last_x, last_y, first, stride, place, right, down):
     """Where the photo is looked up at height y of the square, `within` (0 to 1) of each texel: the pixel's place in the
-    array, clamped to the pixels there are, and the shares of its right and lower neighbours."""
+    array, which begins `first` pixels after (left, top), clamped to the pixels there are, and the shares of its right and lower
+    neighbours."""
     a, b, c = h[0, 1] * y + h[0, 2], h[1, 1] * y + h[1, 2], h[2, 1] * y + h[2, 2]
     da, db, dc = h[0, 0], h[1, 0], h[2, 0]
     for i in range(PATCH_SIZE):
@@ -115,7 +127,7 @@ def _project_row(h, y, within, left, top, last_x, last_y, stride, place, right, 
         at_x = min(max((da * x + a) * w - 0.5 - left, 0.0), last_x)
         at_y = min(max((db * x + b) * w - 0.5 - top, 0.0), last_y)
         column, row = np.int32(at_x), np.int32(at_y)
-        place[i] = row * stride + column
+        place[i] = row * stride + column - first
         right[i], down[i] = np.float32(at_x - column), np.float32(at_y - row)
 
 
@@ -174,9 +186,9 @@ def _lookups_a_texel(h):
 
 
 @kernel(fastmath={"contract"})
-def _resample(pixels, left, top, homography, patches, rows, antialiased):
+def _resample(pixels, left, top, last_x, last_y, right_by, down_by, homography, patches, rows, antialiased):
     flat, stride = pixels.reshape(-1), np.int32(pixels.shape[1])
-    last_x, last_y = pixels.shape[1] - 2.0, pixels.shape[0] - 2.0
+    first = np.int32(down_by) * stride + np.int32(right_by)
     place, corner = np.empty(PATCH_SIZE, np.int32), np.empty((4, PATCH_SIZE), np.uint32)
     right, down = np.empty(PATCH_SIZE, np.float32), np.empty(PATCH_SIZE, np.float32)
     total, byte = np.empty((3, PATCH_SIZE), np.float32), np.empty((3, PATCH_SIZE), np.uint8)
@@ -190,7 +202,7 @@ def _resample(pixels, left, top, homography, patches, rows, antialiased):
                 y = (row + (j + 0.5) / n_y) * (2.0 / PATCH_SIZE) - 1.0
                 for k in range(n_x):
                     _project_row(
-                        homography[i], y, (k + 0.5) / n_x, left, top, last_x, last_y, stride, place, right, down
+                        homography[i], y, (k + 0.5) / n_x, left, top, last_x, last_y, first, stride, place, right, down
                     )
                     _fetch_row(flat, stride, place, corner)
                     _add_row(corner, right, down, total)

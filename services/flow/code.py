@@ -15,8 +15,8 @@ from services.flow.run import Run
 from services.flow.textures import Coded, code_patches
 
 
-def resample(run: Run, prepared: Prepared) -> StageRecord:
-    """Sample the photographs, or the maps of stations, into patches."""
+def resample(run: Run, prepared: Prepared, kept: bool = True) -> StageRecord:
+    """Sample the photographs, or the maps of stations, into patches; of photographs not `kept`, but made again where they are used."""
     scan, maps = prepared.scan, prepared.maps
     if maps is not None:
         splats, directions = prepared.splats.folder, directions_of(scan.summary["cameras"])
@@ -30,13 +30,15 @@ def resample(run: Run, prepared: Prepared) -> StageRecord:
             prepared.radius,
             *directions_of(scan.summary["cameras"]),
             "antialiasing" in prepared.effects.enabled,
+            kept,
         )
     )
 
 
 def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
-    """Resample patches, and code them."""
-    return code_prepared(run, prepared, resample(run, prepared), settings)
+    """Resample patches, and code them. They are kept where the work folder is, or where all are coded several times."""
+    kept = run.keeps_work or settings.budget_bytes is not None
+    return code_prepared(run, prepared, resample(run, prepared, kept), settings)
 
 
 def code_prepared(

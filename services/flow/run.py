@@ -35,6 +35,7 @@ class Run:
     round: Callable[[int, int], None] = lambda index, n_rounds: None  # hears which point of a trade-off begins
     clock: Callable[[], float] = time.monotonic
     strict: bool = False  # warnings about the scan are errors
+    keeps_work: bool = True  # whether the work folder is there after the job
     records: list[StageRecord] = field(default_factory=list)
 
     def do(self, stage: Stage) -> StageRecord:

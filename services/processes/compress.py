@@ -45,7 +45,7 @@ def compress(
     failed: Exception | None = None
     report: dict = {}
     with placed_whole(out) as made:
-        run = Run(work or made / "work", executor, progress, strict=strict)
+        run = Run(work or made / "work", executor, progress, strict=strict, keeps_work=work is not None)
         try:
             report = make(run, scan, settings, made, render, edited_maps=edited_maps)
         except Exception as error:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.splats.cameras import best_cameras
-from pipeline.texture.patches import make_patches
+from pipeline.texture.patches import Block, make_patches
 from pipeline.texture.projection import homographies, is_in_front, is_whole, project_corners
 from pipeline.texture.resample import Window, resample_patches, window_bounds
 from storage.packed.schema import NO_CAMERA, Camera
@@ -168,9 +168,8 @@ def test_projection__what_is_not_seen_is_flagged_and_takes_the_scan_s_colour(nam
             return PHOTO[top:bottom, left:right]
 
         color = np.array([[10, 200, 30]], np.uint8)
-        patches = make_patches(
-            (camera,), read, (0, 0, 0), centre[None], (u[None], v[None]), 0.1, np.zeros(1, np.uint16), color, 0
-        )
+        block = Block((camera,), read, (0, 0, 0), centre[None], (u[None], v[None]), 0.1, np.zeros(1, np.uint16), color)
+        patches = make_patches(block, 0)
         assert patches.n_flagged == 1
         assert np.isfinite(patches.energy).all() and np.isfinite(patches.resampling_error)
         if not is_in_front(h)[0]:

@@ -17,7 +17,7 @@ from pipeline.numerics.accuracy import psnr_db
 from pipeline.splats.decoded import scene_normal_codes, scene_positions, scene_radii
 from pipeline.stages.texture.encode import ROWS, coding_quality
 from pipeline.texture.colors import ColorBoxes, decode_colors
-from pipeline.texture.patches import Patches, make_patches, patch_errors
+from pipeline.texture.patches import Block, Patches, make_patches, patch_errors
 from pipeline.texture.resample import PATCH_DIM
 from storage.packed.packed import PackedFile, PackedScene
 from storage.packed.schema import GROUP
@@ -74,7 +74,7 @@ class Measure:
     def _resample(self, scene: PackedScene, first_splat: int) -> Patches:
         header, a = scene.header, scene.arrays
         centre, tangents = scene_squares(scene)
-        return make_patches(
+        block = Block(
             header.cameras,
             self._read_window,
             header.origin,
@@ -83,9 +83,8 @@ class Measure:
             scene_radii(scene),
             a["camera"],
             np.rint(decoded_colors(scene)).astype(np.uint8),
-            first_splat,
-            asked_by(header.settings)["antialiasing"] != OFF,
         )
+        return make_patches(block, first_splat, asked_by(header.settings)["antialiasing"] != OFF)
 
     def _read_window(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
         return arrays.read_window(self.ingest, f"photo_{camera}", top, bottom, left, right)

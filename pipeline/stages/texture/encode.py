@@ -13,6 +13,7 @@ from pipeline.coding.omp_kernels import squared_norms
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.stages.texture.atoms import load_atoms
 from pipeline.stages.texture.resample import n_coarser_of
+from pipeline.stages.texture.texels import texel_pieces
 from pipeline.texture.patches import centred, patch_errors
 from pipeline.texture.resample import PATCH_DIM, disc_weights
 from storage.work import arrays
@@ -60,7 +61,7 @@ class Encode:
             0.0,
             n_coarser_of(self.patches),
         )  # whole groups: no ROWS have some of two levels
-        for at, texel in arrays.pieces(self.patches, "texel", start, stop, ROWS):
+        for at, texel in texel_pieces(self.patches, start, stop, ROWS):
             rows = slice(at - start, at - start + len(texel))
             found, decoded = encode(centred(texel, average[rows]), COARSER_PRICE if at < n_coarser else 1.0)
             used = found.weight_code.shape[1]

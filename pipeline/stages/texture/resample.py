@@ -1,8 +1,9 @@
-"""Photographs -> patches, in the frame of the decoded geometry."""
+"""Photographs -> patches, in the frame of the decoded geometry: kept, or measured and made again where they are used."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import threading
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +12,22 @@ from pipeline.geometry.frame import Direction
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.splats.coarser import first_finest
 from pipeline.splats.decoded import decoded_squares
-from pipeline.texture.patches import Patches, make_patches
+from pipeline.texture.patches import Block, Patches, make_patches, patches_again
 from pipeline.texture.resample import PATCH_DIM
 from storage.packed.schema import Camera
 from storage.work import arrays, work
+
+AGAIN = "again.json"
+_thread = threading.local()
 
 
 @dataclass(frozen=True)
 class Resample:
     """A task a block. Arrays: texel (n, PATCH_DIM) uint8, average (n, 3) float32 in 255ths, energy (n,) float32, point
-    (n,) int64 as the partition's."""
+    (n,) int64 as the partition's.
+
+    Not `kept`, there are no texels, 3 kB a splat: `texels` makes them again from the file AGAIN, in which this stage stands.
+    """
 
     ingest: Path
     partition: Path
@@ -29,11 +36,15 @@ class Resample:
     up: Direction
     ahead: Direction
     antialiased: bool = True
+    kept: bool = True
     name = "resample"
 
     def init(self, folder: Path) -> int:
         n = work.summary(self.splats)["n_splats"]
-        arrays.create(folder, "texel", (n, PATCH_DIM), "uint8")
+        if self.kept:
+            arrays.create(folder, "texel", (n, PATCH_DIM), "uint8")
+        else:
+            work.write_json(folder / AGAIN, self._to_json())
         arrays.create(folder, "average", (n, 3), "float32")
         arrays.create(folder, "energy", (n,), "float32")
         arrays.create(folder, "point", (n,), "int64")
@@ -41,10 +52,10 @@ class Resample:
 
     def run(self, folder: Path, index: int) -> dict:
         start, stop = arrays.block_range(index, work.summary(self.partition)["n_splats"])
-        patches = resampled_block(
-            self.ingest, self.partition, self.splats, self.radius, self.up, self.ahead, index, self.antialiased
-        )
-        arrays.write(folder, "texel", start, patches.texel)
+        sources = (self.ingest, self.partition, self.splats, self.radius, self.up, self.ahead, index)
+        patches = resampled_block(*sources, self.antialiased, None if self.kept else block_memory())
+        if self.kept:
+            arrays.write(folder, "texel", start, patches.texel)
         arrays.write(folder, "average", start, patches.average)
         arrays.write(folder, "energy", start, patches.energy)
         arrays.write(folder, "point", start, arrays.read(self.partition, "point", start, stop))
@@ -65,6 +76,23 @@ class Resample:
             "n_coarser": first_finest(work.summary(self.partition)),
         }
 
+    def again(self, index: int, wanted: np.ndarray) -> np.ndarray:
+        """Texels (m, PATCH_DIM) uint8 of the splats `wanted` (m,), ascending rows of block `index`; the process's memory, good
+        until it makes others."""
+        block = _block(self.ingest, self.partition, self.splats, self.radius, self.up, self.ahead, index)
+        return patches_again(block, wanted, self.antialiased, block_memory())
+
+    def _to_json(self) -> dict:
+        """Folders by their names: all stand beside this stage's."""
+        return {k: v.name if isinstance(v, Path) else v for k, v in asdict(self).items()}
+
+    @staticmethod
+    def of(folder: Path) -> Resample:
+        """The stage whose folder this is, where it kept no texels."""
+        told = work.read_json(folder / AGAIN)
+        paths = {k: folder.parent / told[k] for k in ("ingest", "partition", "splats")}
+        return Resample(**told | paths | {k: tuple(told[k]) for k in ("up", "ahead")})
+
 
 def n_coarser_of(patches: Path) -> int:
     """How many of the patches, the first, are of coarser levels: whole groups. Nothing is learned or said of them."""
@@ -80,8 +108,17 @@ def resampled_block(
     ahead: Direction,
     index: int,
     antialiased: bool = True,
+    into: np.ndarray | None = None,
 ) -> Patches:
     """The patches of block `index`; `photos` is a stage's folder with photo_<i> and their cameras in its summary."""
+    start = index * arrays.BLOCK
+    block = _block(photos, partition, splats, radius, up, ahead, index)
+    return make_patches(block, start, antialiased, into)
+
+
+def _block(
+    photos: Path, partition: Path, splats: Path, radius: float, up: Direction, ahead: Direction, index: int
+) -> Block:
     points = work.summary(partition)
     start, stop = arrays.block_range(index, points["n_splats"])
     centre, tangents, radii = decoded_squares(splats, up, ahead, radius, start, stop)
@@ -89,7 +126,7 @@ def resampled_block(
     def read_window(camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
         return arrays.read_window(photos, f"photo_{camera}", top, bottom, left, right)
 
-    return make_patches(
+    return Block(
         tuple(Camera.from_json(c) for c in work.summary(photos)["cameras"]),
         read_window,
         tuple(points["origin"]),
@@ -98,6 +135,12 @@ def resampled_block(
         radii,
         arrays.read(splats, "camera", start, stop),
         arrays.read(splats, "color", start, stop),
-        start,
-        antialiased,
     )
+
+
+def block_memory() -> np.ndarray:
+    """(BLOCK, PATCH_DIM) uint8 of this thread, made once: new memory costs a process 8 us a patch, where a virtual machine must get
+    it from its host."""
+    if not hasattr(_thread, "memory"):
+        _thread.memory = np.empty((arrays.BLOCK, PATCH_DIM), np.uint8)
+    return _thread.memory

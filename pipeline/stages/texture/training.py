@@ -17,6 +17,7 @@ from pipeline.numerics.accuracy import psnr_db
 from pipeline.numerics.hashing import uniform_hash
 from pipeline.stages.texture.resample import n_coarser_of
 from pipeline.stages.texture.strata import octave_of, shares
+from pipeline.stages.texture.texels import texel_rows
 from pipeline.texture.patches import centred
 from storage.packed.schema import ATOM_SIZES, PATCH_SIZE
 from storage.work import arrays, work
@@ -67,9 +68,12 @@ class TrainingSet:
         draw = uniform_hash(arrays.read(self.patches, "point", start, stop), self.seed)
         chosen = np.flatnonzero(active & (draw < share[octave_of(energy)]))
         order = np.argsort(draw[chosen])
-        for name, source in (("texel", self.patches), ("average", self.colors)):
-            rows = arrays.read_rows(source, name, start + chosen)[order]  # type: ignore[assignment]
-            arrays.store(folder, f"{name}_{index}", rows, rows.shape)  # type: ignore[arg-type, attr-defined]
+        average, texel = (
+            arrays.read_rows(self.colors, "average", start + chosen),
+            texel_rows(self.patches, start + chosen),
+        )
+        for name, taken in (("texel", texel), ("average", average)):
+            arrays.store(folder, f"{name}_{index}", taken[order], taken.shape)
         luck = (draw / np.maximum(share[octave_of(energy)], 1e-300))[chosen][order]
         arrays.store(folder, f"luck_{index}", luck, luck.shape)
         shown = _patches(folder, index, slice(SHOWN))

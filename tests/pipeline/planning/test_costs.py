@@ -57,6 +57,14 @@ def test_makespan__more_workers_never_take_longer():
     assert all(b <= a + 1e-9 for a, b in zip(taken, taken[1:])) and taken[-1] >= 500 * 1e-3
 
 
+def test_plan__patches_that_are_made_again_are_not_written_and_not_read():
+    job = Job(71_000_000, 24, n_photographs=441, megapixels=9.0)
+    made_again, kept = (plan_job(replace(job, keeps_patches=k), known_costs()) for k in (False, True))
+    for bytes_of in (lambda s: s.read_bytes, lambda s: s.written_bytes):
+        assert sum(map(bytes_of, kept)) - sum(map(bytes_of, made_again)) > 0.85 * 3072 * job.n_splats
+    assert sum(s.seconds for s in kept) == sum(s.seconds for s in made_again)
+
+
 def test_plan__splats_twice_as_many_cost_twice_where_nothing_is_fixed():
     small, large = (plan_job(Job(n * BLOCK, 1, 1, 0.0, training_splats=1), FLAT) for n in (64, 128))
     by_name = {plan.name: plan for plan in large}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.texture.patches import centred, make_patches, patch_errors
+from pipeline.texture.patches import Block, centred, make_patches, patch_errors, patches_again
 from pipeline.texture.projection import homographies, is_in_front, project_corners
 from pipeline.texture.resample import (
     PATCH_DIM,
@@ -118,20 +118,23 @@ def test_patches__each_splat_is_sampled_from_its_own_camera():
     photos, camera = [photo(1), photo(2)], np.arange(30, dtype=np.uint16) % 2
     camera[7] = NO_CAMERA
     color = np.full((30, 3), (10, 20, 30), np.uint8)
-    made = make_patches(cameras, windows(photos), ORIGIN, centre, (u, v), 0.2, camera, color, 0)
+    block = Block(cameras, windows(photos), ORIGIN, centre, (u, v), 0.2, camera, color)
+    made = make_patches(block, 0)
     for i in (0, 1, 28, 29):
         h = homographies(cameras[i % 2], ORIGIN, centre[i : i + 1], u[i : i + 1], v[i : i + 1], 0.2)
         assert (made.texel[i] == resample_patches(Window(photos[i % 2], 0, 0), h)[0]).all()
     assert (made.texel[7].reshape(-1, 3) == (10, 20, 30)).all() and made.energy[7] == 0
     assert made.n_probes == 29 * 3 * PROBES
+    wanted, memory = np.array([0, 3, 7, 28]), np.empty((30, PATCH_DIM), np.uint8)
+    for rows in (wanted, np.arange(30)):
+        assert (patches_again(block, rows, True, memory) == made.texel[rows]).all()
 
 
 def test_patches__average_and_energy_are_those_of_the_texels():
     centre, u, v = tilted(30)
     camera = np.zeros(30, np.uint16)
-    made = make_patches(
-        (CAMERA,), windows([photo()]), ORIGIN, centre, (u, v), 0.2, camera, np.zeros((30, 3), np.uint8), 0
-    )
+    black = np.zeros((30, 3), np.uint8)
+    made = make_patches(Block((CAMERA,), windows([photo()]), ORIGIN, centre, (u, v), 0.2, camera, black), 0)
     mean = made.texel.reshape(30, -1, 3).mean(axis=1)
     assert np.abs(made.average - mean).max() <= 0.5
     rows = made.texel.reshape(30, -1, 3) / 255.0 - made.average[:, None] / 255.0

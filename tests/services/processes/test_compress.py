@@ -157,13 +157,15 @@ def test_workflow__the_packed_file_measures_what_the_coder_said(scan, packed_ser
     assert measured["atoms"] == made["atoms"]
 
 
-def test_workflow__what_a_change_does_not_touch_is_used_again(scan, tmp_path):
+def test_workflow__what_a_change_does_not_touch_is_used_again(scan, packed_serially, tmp_path):
     first, second = Heard(), Heard()
     compress(scan, tmp_path / "a", SETTINGS, SerialExecutor(), first, render=False, work=tmp_path / "work")
     other = settings_for("draft", target_psnr_db=32.0, training_splats=2000, iterations=2, weight_bits=8)
     better = compress(scan, tmp_path / "b", other, SerialExecutor(), second, render=False, work=tmp_path / "work")
     reused = {s["name"]: s["reused"] for s in better["stages"]}
     assert reused["resample"] and reused["ksvd-update"] and not reused["quantise"] and not reused["encode"]
+    kept, made_again = (next(out.glob("*.splatpress")) for out in (tmp_path / "a", packed_serially[0]))
+    assert next((tmp_path / "work").glob("resample-*/texel.zarr")) and kept.read_bytes() == made_again.read_bytes()
 
 
 def test_workflow__another_seed_gives_another_dictionary(scan, packed_serially, tmp_path):
