@@ -3,9 +3,10 @@ VENV ?= .venv
 
 .PHONY: demo test setup lock
 demo: setup
-	$(VENV)/bin/splatpress demo --out demo-output --overwrite
+	$(VENV)/bin/splatpress demo --refresh
 
-test: setup
+test:
+	@deploy/setup.sh $(VENV) with-tests
 	$(VENV)/bin/python -m pytest
 
 setup:
@@ -15,6 +16,9 @@ COMPILE = uv pip compile pyproject.toml --universal --python-version 3.11 --gene
 	--no-emit-find-links --custom-compile-command "make lock"
 
 # deploy/requirements.lock is the same without what only tests need: for the image. After a change of pyproject.toml's dependencies; needs uv.
+# wheels.txt names the wheels that the locked packages have, for the Pythons and processors that README names.
 lock:
 	$(COMPILE) --extra dev --output-file requirements.lock
-	$(COMPILE) --constraint requirements.lock --output-file deploy/requirements.lock
+	$(COMPILE) --extra evaluate --constraint requirements.lock --output-file deploy/requirements.lock
+	uv pip compile requirements.lock --universal --python-version 3.11 --format pylock.toml --quiet \
+		| python3 deploy/wheels.py >deploy/wheels.txt

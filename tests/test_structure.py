@@ -94,6 +94,8 @@ def test_structure__no_file_names_the_machine_it_was_made_on():
         ".ruff_cache",
         ".mypy_cache",
         "demo-output",
+        "demo-output-points",
+        "demo-output-volume",
     }
     named = [
         path.relative_to(ROOT).as_posix()

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from pipeline.planning.knobs import BY_NAME, KNOBS
 from pipeline.readers.attributes.options import ReadOptions
 from storage.packed.schema import MAX_ATOMS
+
+if TYPE_CHECKING:
+    from pipeline.volumes.volume import Choice
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,14 @@ class Settings:
     def reading(self) -> ReadOptions:
         """What of it decides how a scan is read."""
         return ReadOptions(self.marked_points, self.station, self.sparse_model, self.height_scale)
+
+    @property
+    def choice(self) -> Choice:
+        """Which of the volumes of a file is meant. Raises ValueError as `parse_spacing`."""
+        from pipeline.volumes.request import parse_spacing
+        from pipeline.volumes.volume import Choice
+
+        return Choice(self.component, self.time, parse_spacing(self.spacing))
 
     @property
     def asked_effects(self) -> str:

@@ -12,6 +12,7 @@ from pipeline.readers.attributes.counts import PointCounts, over_all_points
 from pipeline.readers.attributes.looks import Looks
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.readers.detect import open_scan
+from pipeline.readers.inspect import lacks
 from pipeline.scan import ScanSource
 from storage.errors import InvalidScan, ResourceExhausted
 
@@ -79,6 +80,11 @@ def _findings(source: ScanSource, seen: _Seen) -> Iterator[Finding]:
         yield Finding("warning", warning)
     if source.has_visibility and counts.n_unseen:
         yield Finding("note", f"{counts.n_unseen} of {n} points are seen by no camera and keep the scan's colour")
+    low, high = (", ".join(f"{x:.6g}" for x in corner) for corner in (counts.low, counts.high))
+    unit = "unit unknown" if source.unit == "unknown" else source.unit
+    yield Finding("note", f"{counts.n_kept:,} points from ({low}) to ({high}), {unit}")
+    for text in lacks(source):
+        yield Finding("note", text)
     if source.unused:
         yield Finding("note", f"properties that are there and not used: {', '.join(source.unused)}")
     yield from _notes_on_extent(seen)

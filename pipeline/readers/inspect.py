@@ -31,9 +31,29 @@ def summarise(source: ScanSource) -> dict:
         "has_intensity": source.has_intensity,
         "has_visibility": source.has_visibility,
         "warnings": list(source.warnings),
+        "lacks": lacks(source),
         "unused_properties": list(source.unused),
         "details": source.details,
     }
+
+
+def lacks(source: ScanSource) -> list[str]:
+    """What a scan does not have that its picture would gain by, and what is done instead."""
+    found = []
+    if not source.has_normals:
+        side = "up" if source.format == "las" else "away from the middle"
+        side = "to their cameras" if source.cameras else "to their stations" if source.stations else side
+        found.append(f"no normals: estimated from each point's neighbours, turned {side}")
+    if not (source.cameras or source.has_colors or source.has_intensity):
+        found.append("no photographs, colours or intensity: splats are grey, shaded by their normals")
+    elif not source.cameras and source.has_colors:
+        textured = "; --density 0.1 textures fewer of them from the others" if source.stations else ""
+        found.append(f"no photographs: each splat has one colour, the point's own{textured}")
+    elif not source.cameras:
+        found.append("no photographs or colours: each splat has one grey, of the point's intensity")
+    elif not source.has_visibility:
+        found.append("no lists of what each photograph sees (fused.ply.vis): a depth test tells")
+    return found
 
 
 def inspect_scan(path: str, options: ReadOptions = ReadOptions()) -> dict:

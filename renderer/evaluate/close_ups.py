@@ -123,8 +123,8 @@ def time_passes(variants: Sequence[Variant]) -> list[dict]:
 
 
 def choose_spots(packed: Path, ingest: Path) -> list[_Spot]:
-    """The best and the worst splat, and four between them by their share of the error of an average colour, among those
-    whose average colour loses more than the median does: where there is nothing to keep, anything keeps it."""
+    """The best and the worst splat by the error of their textures, and four between them, among those whose average
+    colour loses more than the median does: where there is nothing to keep, anything keeps it."""
     with PackedFile(packed) as opened:
         groups = even_choice(opened.header.n_groups, GROUPS_LOOKED_AT)
     parts = [splat_errors(ingest, packed, g) for g in groups]
@@ -133,13 +133,13 @@ def choose_spots(packed: Path, ingest: Path) -> list[_Spot]:
     )
     seen = np.flatnonzero(all_.camera != NO_CAMERA)
     seen = seen[all_.plain[seen] >= np.median(all_.plain[seen])]
-    by_share = seen[np.argsort(all_.error[seen] / np.maximum(all_.plain[seen], 1e-12), kind="stable")]
     by_error = seen[np.argsort(all_.error[seen], kind="stable")]
-    chosen = [("best", by_share[0])]
+    chosen = [("around the best splat", by_error[0])]
     chosen += [
-        (f"{100 * share:.0f} % are better", by_share[int(share * len(by_share))]) for share in (0.2, 0.4, 0.6, 0.8)
+        (f"around a splat that {100 * share:.0f} % are better than", by_error[int(share * len(by_error))])
+        for share in (0.2, 0.4, 0.6, 0.8)
     ]
-    chosen.append(("worst", by_error[-1]))
+    chosen.append(("around the worst splat", by_error[-1]))
     return [_Spot(why, int(all_.camera[i]), all_.centre[i], float(all_.error[i])) for why, i in chosen]
 
 

@@ -6,6 +6,7 @@ All take 8-bit sRGB as it is stored. PSNR and SSIM do not linearise: the paper's
 from __future__ import annotations
 
 import math
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -141,15 +142,16 @@ def flip(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float | None:
     """FLIP, the difference that a viewer sees when `a` alternates with the reference `b`, averaged over `mask`: 0 is
     none, 1 the most. For 67 pixels a degree, a screen 0.7 m away.
 
-    Guarantees: as `ssim`; an empty mask gives None.
+    Guarantees: as `ssim`; an empty mask gives None, and so does a Python without the package that measures it (see
+    `not_measured`).
 
     References: Andersson et al., Proceedings of the ACM on Computer Graphics and Interactive Techniques 3(2), 2020.
     """
+    _check_sizes(a, b, mask)
+    if not mask.any() or not_measured():
+        return None
     import flip_evaluator
 
-    _check_sizes(a, b, mask)
-    if not mask.any():
-        return None
     around = _rectangle(mask)
     a, b, mask = a[around], b[around], mask[around]
     a = np.where(mask[..., None], a, b)
@@ -157,6 +159,15 @@ def flip(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float | None:
         b.astype(np.float32) / PEAK, a.astype(np.float32) / PEAK, "LDR", applyMagma=False, computeMeanError=False
     )
     return float(np.asarray(seen)[..., 0][mask].mean(dtype=np.float64))
+
+
+def not_measured() -> str | None:
+    """Why FLIP is not measured here; None where it is."""
+    if find_spec("flip_evaluator"):
+        return None
+    return (
+        "FLIP was not measured: its package is not installed (pip install 'splatpress[evaluate]', Python 3.11 to 3.13)"
+    )
 
 
 def _rectangle(mask: np.ndarray) -> tuple[slice, slice]:

@@ -11,7 +11,7 @@ from pipeline.stages.volumes.iso_surface import IsoSurface
 from pipeline.stages.volumes.iso_values import IsoValues
 from pipeline.stages.volumes.voxels import Voxels
 from pipeline.volumes.open import open_volume
-from pipeline.volumes.request import PALETTE, Iso, SurfaceRequest, parse_isos, parse_spacing
+from pipeline.volumes.request import PALETTE, Iso, SurfaceRequest, parse_isos
 from pipeline.volumes.volume import Choice
 from services.flow.fingerprint import fingerprint, located
 from services.flow.run import Run
@@ -21,8 +21,9 @@ from storage.errors import InvalidScan, UnsupportedScan
 
 def surface_request(settings: Settings) -> SurfaceRequest:
     """What settings say of a volume."""
-    choice = Choice(settings.component, settings.time, parse_spacing(settings.spacing))
-    return SurfaceRequest(parse_isos(settings.iso), settings.cell, settings.resampling, settings.border, choice)
+    return SurfaceRequest(
+        parse_isos(settings.iso), settings.cell, settings.resampling, settings.border, settings.choice
+    )
 
 
 def voxels_of(run: Run, path: Path, choice: Choice) -> StageRecord:

@@ -11,6 +11,7 @@ from pipeline.planning.knobs import BY_NAME
 from pipeline.planning.settings import Settings
 from pipeline.stages.texture.photo_codecs import CODECS, texture_bytes
 from pipeline.stages.texture.photo_variants import PhotoVariant, VariantErrors
+from renderer.evaluate.compare import not_measured
 from renderer.report.report import sizes_of
 from services.flow.code import code_prepared
 from services.flow.pack import pack
@@ -182,6 +183,7 @@ def document_of(e: Evaluation, wanted: list[str]) -> dict:
         "target_psnr_db": e.settings.target_psnr_db,
         "n_workers": e.run.executor.n_workers,
         "failed": e.failed,
+        "not_measured": not_measured(),
         "complete": False,
     } | e.figures
 

@@ -17,10 +17,10 @@ from storage.errors import InvalidScan, UnsupportedScan
 from storage.packed.seal import is_packed_file
 
 
-def inspect(path: Path, reading: ReadOptions = ReadOptions()) -> dict:
-    """A JSON-able account of a scan or a packed file."""
+def inspect(path: Path, reading: ReadOptions = ReadOptions(), choice: Choice = Choice()) -> dict:
+    """A JSON-able account of a scan, of a volume of which `choice` says what it leaves open, or of a packed file."""
     if is_volume(path):
-        return inspect_volume(str(path))
+        return inspect_volume(str(path), choice)
     return inspect_packed(path) if is_packed_file(path) else inspect_scan(str(path), reading)
 
 
@@ -34,9 +34,9 @@ def inspect_packed(path: Path) -> dict:
     return {**header, "kind": "packed", "file_bytes": path.stat().st_size, "cameras": [c["name"] for c in cameras]}
 
 
-def check(path: Path, reading: ReadOptions = ReadOptions(), strict: bool = False) -> dict:
+def check(path: Path, reading: ReadOptions = ReadOptions(), strict: bool = False, choice: Choice = Choice()) -> dict:
     """A JSON-able account of what is wrong with a scan; `ok` unless a finding is an error, or a warning if `strict`."""
-    findings = _check_volume(path) if is_volume(path) else check_scan(str(path), reading)
+    findings = _check_volume(path, choice) if is_volume(path) else check_scan(str(path), reading)
     return {
         "path": str(path),
         "ok": not {f.severity for f in findings} & ({"error", "warning"} if strict else {"error"}),
@@ -44,9 +44,9 @@ def check(path: Path, reading: ReadOptions = ReadOptions(), strict: bool = False
     }
 
 
-def _check_volume(path: Path) -> list[Finding]:
+def _check_volume(path: Path, choice: Choice) -> list[Finding]:
     try:
-        warnings, notes = check_volume(str(path))
+        warnings, notes = check_volume(str(path), choice)
     except InvalidScan as error:
         return [Finding("error", str(error))]
     return [*(Finding("warning", text) for text in warnings), *(Finding("note", text) for text in notes)]

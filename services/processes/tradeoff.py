@@ -15,6 +15,7 @@ from pipeline.numerics.accuracy import BEST_DB
 from pipeline.planning.knobs import BY_NAME, KNOBS
 from pipeline.planning.settings import PRESETS, Settings
 from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
+from renderer.evaluate.compare import not_measured
 from renderer.report.report import sizes_of
 from renderer.report.tradeoff_page import summarised, write_tradeoff
 from services.flow.code import code_prepared, resample
@@ -157,6 +158,7 @@ def measure_ladder(
             "points": points,
             "skipped": skipped,
             "close_ups": pictures,
+            "not_measured": not_measured(),
         }
     )
     write_tradeoff(out, document)
@@ -212,6 +214,8 @@ def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
         "reused": [r.name for r in records if r.reused],
         "settings": asdict(step.settings),
         "frame_seconds": None,
+        "device": None,
+        "frame_px": None,
         "_packed": path,
         "n_cameras": len(prepared.scan.summary["cameras"]),
     }, prepared.photos
@@ -232,7 +236,7 @@ def _pictures(run: Run, points: list[dict], photographs: Path, out: Path) -> lis
     run.progress.advance(PICTURES, 1, 0)
     for point, timed in zip(points, run.paint(time_passes, variants), strict=True):
         point["frame_seconds"] = sum(timed["seconds"].values())
-        point["device"] = timed["device"]
+        point["device"], point["frame_px"] = timed["device"], [timed["width_px"], timed["height_px"]]
     run.progress.end(StageRecord(PICTURES, out, {}, time.perf_counter() - begun, 0, 2, 0, False))
     return close_ups
 

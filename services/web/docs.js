@@ -6,8 +6,12 @@ fetch("/v1/openapi.json").then((answer) => answer.json()).then((api) => {
   for (const [path, methods] of Object.entries(api.paths)) {
     for (const [method, operation] of Object.entries(methods)) {
       const box = document.getElementById("paths");
-      add(box, "h3", `${method.toUpperCase()} ${path}`);
-      add(box, "p", operation.description || operation.summary);
+      add(box, "h3", operation.summary);
+      add(add(box, "p", ""), "code", `${method.toUpperCase()} ${path}`);
+      for (const part of (operation.description || "").split(/\n\s*\n/).filter(Boolean)) {
+        const text = add(box, "p", "");
+        part.split("`").forEach((piece, i) => add(text, i % 2 ? "code" : "span", piece));
+      }
       const list = add(box, "ul", "");
       for (const p of operation.parameters || []) add(list, "li", `${p.name} (${p.in}, ${kind(p.schema)}${p.required ? ", required" : ""})`);
       const body = operation.requestBody?.content || {};

@@ -22,7 +22,8 @@ class Row:
     measure: float | None  # what decided; None where it was not measured, as for what was asked to be off
     measures: str  # what that is, with its unit
     threshold: float | None  # None for what is on by request alone
-    reason: str
+    reason: str  # what decided, of this scan
+    basis: str  # why the threshold stands where it does: what was measured on other scans
     costs: dict  # seconds, bytes, frame_share: of this scan if it is on, by what it cost on the scans of `measured_on`
     gives_db: float | None
     measured_on: str
@@ -98,6 +99,7 @@ def _row(effect: Effect, found: Measured | None, request: str, n_splats: int, po
         effect.measures,
         None if effect.by_request else effect.threshold,
         _reason(effect, found, request, possible),
+        effect.reason,
         {
             "seconds": worth.seconds_a_million * n_splats / 1e6,
             "bytes": round(worth.bytes_a_splat * n_splats * (share or 0.0)),
@@ -116,7 +118,7 @@ def _reason(effect: Effect, found: Measured | None, request: str, possible: bool
     if request == ON and found is not None:
         return "asked to be on"
     if effect.by_request:
-        return f"only where it is asked for: {effect.reason}"
+        return "only where it is asked for"
     if found is None:
-        return f"nothing in this scan to measure it by: {effect.reason}"
-    return f"{found.value:.3g} {'reaches' if found.value >= effect.threshold else 'stays below'} {effect.threshold:.3g}: {effect.reason}"
+        return "nothing in this scan to measure it by"
+    return f"{found.value:.3g} {'reaches' if found.value >= effect.threshold else 'stays below'} {effect.threshold:.3g}"

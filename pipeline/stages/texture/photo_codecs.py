@@ -9,8 +9,12 @@ from __future__ import annotations
 import io
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
+from types import ModuleType
 
 import numpy as np
+
+from storage.errors import ResourceExhausted
 
 MIP_LEVELS = 5  # HPG 2021, Table 1
 BC1_LEVEL = 10  # of 18: the highest gains 0.14 dB for five times the time (a photograph of fountain_p11)
@@ -86,22 +90,25 @@ def texels_of_bc7(blocks: bytes, height: int, width: int) -> np.ndarray:
     return _texels(blocks, height, width, _decode_bc7)
 
 
+def _package(name: str) -> ModuleType:
+    """One of those that only the evaluation needs. Raises ResourceExhausted where it is not installed."""
+    try:
+        return import_module(name)
+    except ImportError:
+        raise ResourceExhausted(f"package {name}", "not installed", "pip install 'splatpress[evaluate]'") from None
+
+
 # Decoded by texture2ddecoder: etcpak's own decoder crashed (0.9.15), bc7enc's is a loop in Python.
 def _bc1(rgba: bytes, width: int, height: int) -> bytes:
-    import bc7enc
-
-    return bc7enc.pack_dds(rgba, width, height, "DXT1", level=BC1_LEVEL)
+    return _package("bc7enc").pack_dds(rgba, width, height, "DXT1", level=BC1_LEVEL)
 
 
 def _fast_bc1(rgba: bytes, width: int, height: int) -> bytes:
-    import etcpak
-
-    return etcpak.compress_bc1(rgba, width, height)
+    return _package("etcpak").compress_bc1(rgba, width, height)
 
 
 def _bc7(rgba: bytes, width: int, height: int) -> bytes:
-    import etcpak
-
+    etcpak = _package("etcpak")
     effort = etcpak.BC7CompressBlockParams()
     effort.init_linear_weights()  # the error in RGB, which is what PSNR counts
     effort.m_uber_level = BC7_EFFORT
@@ -109,15 +116,11 @@ def _bc7(rgba: bytes, width: int, height: int) -> bytes:
 
 
 def _decode_bc1(blocks: bytes, width: int, height: int) -> bytes:
-    import texture2ddecoder
-
-    return texture2ddecoder.decode_bc1(blocks, width, height)
+    return _package("texture2ddecoder").decode_bc1(blocks, width, height)
 
 
 def _decode_bc7(blocks: bytes, width: int, height: int) -> bytes:
-    import texture2ddecoder
-
-    return texture2ddecoder.decode_bc7(blocks, width, height)
+    return _package("texture2ddecoder").decode_bc7(blocks, width, height)
 
 
 def _picture(kind: str, **options):

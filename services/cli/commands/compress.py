@@ -7,6 +7,7 @@ import json
 import shlex
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from services.cli.arguments import add_preset, add_settings, settings_of
@@ -14,6 +15,7 @@ from services.cli.commands.looks import add_edited_maps, settings_with_maps
 from services.cli.commands.options import add_output, add_running, add_strict
 from services.cli.commands.running import (
     executor_for,
+    look_at_opengl,
     look_first,
     made_folder,
     progress_bars,
@@ -45,7 +47,7 @@ def _compress(options: argparse.Namespace) -> int:
     settings = settings_with_maps(options)
     scan, out = scan_path(options.scan), Path(options.out)
     refuse_to_overwrite(out, options.overwrite)
-    look_first(scan, draws=not options.no_render, reading=settings.reading)
+    look_first(scan, not options.no_render, settings)
     with executor_for(options) as executor:
         report = compress(
             scan,
@@ -72,13 +74,16 @@ def add_report(commands) -> None:
 
 
 def _report(options: argparse.Namespace) -> int:
+    from services.processes.inspect import inspect_packed
     from services.processes.report import report
 
-    out = Path(options.out)
+    out, packed, scan = Path(options.out), scan_path(options.packed), scan_path(options.scan)
+    inspect_packed(packed)
+    look_at_opengl(not options.no_render)
     with executor_for(options) as executor:
         made = report(
-            scan_path(options.packed),
-            scan_path(options.scan),
+            packed,
+            scan,
             out,
             executor,
             progress_bars(),
@@ -89,10 +94,19 @@ def _report(options: argparse.Namespace) -> int:
 
 def add_demo(commands) -> None:
     """The verb `demo`."""
-    demo = commands.add_parser("demo", help="compress a real stereo pair")
-    demo.add_argument("--out", default="demo-output", metavar="DIR")
+    demo = commands.add_parser("demo", help="compress a scan that needs no download: a stereo pair, points or a volume")
+    demo.add_argument(
+        "--scan",
+        choices=("motorcycle", "points", "volume"),
+        default="motorcycle",
+        help="a real stereo pair; a made-up laser scan of points alone; a made-up volume",
+    )
+    demo.add_argument("--out", metavar="DIR", help="default: demo-output, of the others demo-output-points, -volume")
     add_preset(demo)
-    demo.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
+    demo.add_argument("--overwrite", "-w", action="store_true", help="make it anew, and replace what is in DIR")
+    demo.add_argument(
+        "--refresh", action="store_true", help="replace what is in DIR where another program or other settings made it"
+    )
     add_running(demo)
     demo.set_defaults(command=_demo)
 
@@ -101,16 +115,22 @@ def _demo(options: argparse.Namespace) -> int:
     import tempfile
 
     from services.processes.compress import compress
-    from services.processes.demo import write_motorcycle
+    from services.processes.demo.made import known, remember
+    from services.processes.demo.scans import SCANS
 
-    settings, out = settings_of(options), Path(options.out)
-    refuse_to_overwrite(out, options.overwrite)
+    demo, draws = SCANS[options.scan], not options.no_render
+    settings, out = replace(settings_of(options), iso=demo.iso), Path(options.out or demo.out)
+    if not options.overwrite and (report := known(out, settings, options.scan, draws)) is not None:
+        print(f"made before by the same program, and shown again; made anew with --overwrite: {out}", file=sys.stderr)
+        return _show_report(report, out, options)
+    refuse_to_overwrite(out, options.overwrite or options.refresh)
     with tempfile.TemporaryDirectory(dir=made_folder(out.absolute().parent)) as folder:
-        scan = write_motorcycle(Path(folder) / "motorcycle")
-        look_first(scan, draws=not options.no_render, reading=settings.reading)
+        scan = demo.write(Path(folder))
+        look_first(scan, draws, settings)
         with executor_for(options) as executor:
-            report = compress(scan, out, settings, executor, progress_bars(), render=not options.no_render)
-        shutil.move(scan, out / "scan")
+            report = compress(scan, out, settings, executor, progress_bars(), render=draws)
+        shutil.move(scan, out / demo.scan)
+    remember(out, settings, options.scan, draws)
     return _show_report(report, out, options)
 
 

@@ -23,7 +23,8 @@ def add_inspect(commands) -> None:
 def _inspect(options: argparse.Namespace) -> int:
     from services.processes.inspect import inspect
 
-    found = inspect(scan_path(options.path), settings_of(options).reading)
+    settings = settings_of(options)
+    found = inspect(scan_path(options.path), settings.reading, settings.choice)
     print(json.dumps(found) if options.json else _as_lines(found))
     return OK
 
@@ -41,7 +42,8 @@ def add_check(commands) -> None:
 def _check(options: argparse.Namespace) -> int:
     from services.processes.inspect import check
 
-    found = check(scan_path(options.path), settings_of(options).reading, options.strict)
+    settings = settings_of(options)
+    found = check(scan_path(options.path), settings.reading, options.strict, settings.choice)
     if options.json:
         print(json.dumps(found))
     else:
@@ -54,10 +56,12 @@ def _check(options: argparse.Namespace) -> int:
 def _as_lines(found: dict, indent: str = "") -> str:
     lines = []
     for key, value in found.items():
-        if isinstance(value, dict):
+        if isinstance(value, dict) and value:
             lines += [f"{indent}{key}:", _as_lines(value, indent + "  ")]
         elif isinstance(value, list) and value and all(isinstance(v, str) for v in value):
             lines += [f"{indent}{key}:"] + [f"{indent}  {v}" for v in value]
+        elif value in ([], {}, ""):
+            lines.append(f"{indent}{key}: none")
         else:
             lines.append(f"{indent}{key}: {value}")
     return "\n".join(lines)

@@ -58,7 +58,7 @@ def direction(text: str) -> tuple[float, float, float]:
 def add_reading(command: argparse.ArgumentParser) -> None:
     """The knobs of reading, for commands that only read."""
     command.set_defaults(preset=DEFAULT_PRESET)
-    add_knobs(command, ("marked_points", "station", "sparse_model", "height_scale"))
+    add_knobs(command, ("marked_points", "station", "sparse_model", "height_scale", "spacing", "component", "time"))
 
 
 def add_strict(command: argparse.ArgumentParser) -> None:

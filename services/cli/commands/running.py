@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pipeline.readers.attributes.options import ReadOptions
+from pipeline.planning.settings import Settings
 from services.cli.arguments import WrongArgument
 from storage.errors import InvalidScan, ResourceExhausted
 
@@ -31,12 +31,18 @@ def scan_path(text: str) -> Path:
     return path
 
 
-def look_first(scan: Path, draws: bool, reading: ReadOptions) -> None:
+def look_first(scan: Path, draws: bool, settings: Settings) -> None:
     """What takes a second is looked at before workers start: the scan's header, and OpenGL where pictures are wanted."""
-    from renderer.splats.context import gl_context
     from services.processes.inspect import inspect
 
-    inspect(scan, reading)
+    inspect(scan, settings.reading, settings.choice)
+    look_at_opengl(draws)
+
+
+def look_at_opengl(draws: bool) -> None:
+    """Raises ResourceExhausted where pictures are wanted and cannot be drawn."""
+    from renderer.splats.context import gl_context
+
     if draws:
         try:
             gl_context().release()
@@ -46,11 +52,11 @@ def look_first(scan: Path, draws: bool, reading: ReadOptions) -> None:
             ) from error
 
 
-def needs_photographs(scan: Path, reading: ReadOptions, why: str) -> None:
+def needs_photographs(scan: Path, settings: Settings, why: str) -> None:
     """Told by the header, before workers start."""
     from services.processes.inspect import inspect
 
-    if not inspect(scan, reading).get("cameras", {}).get("count"):
+    if not inspect(scan, settings.reading, settings.choice).get("cameras", {}).get("count"):
         raise InvalidScan(str(scan), "no photographs", f"a scan with photographs: {why}")
 
 

@@ -38,7 +38,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         raise WrongArgument(f"--rows has {', '.join(map(repr, unknown))}; allowed: {', '.join(ROWS)}")
     scan = scan_path(options.scan)
     refuse_to_overwrite(out, options.overwrite)
-    needs_photographs(scan, settings.reading, "there is no texture to evaluate")
+    needs_photographs(scan, settings, "there is no texture to evaluate")
     with executor_for(options) as executor:
         made = evaluate(
             scan,
@@ -107,7 +107,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
         raise WrongArgument(str(error)) from error
     scan = scan_path(options.scan)
     refuse_to_overwrite(out, options.overwrite)
-    needs_photographs(scan, settings.reading, "without, no knob trades accuracy")
+    needs_photographs(scan, settings, "without, no knob trades accuracy")
     with executor_for(options) as executor:
         made = tradeoff(
             scan,

@@ -2,12 +2,16 @@
 
 import json
 import math
+import sys
 
 import numpy as np
 import pytest
 from skimage.metrics import structural_similarity
 
-from renderer.evaluate.compare import BEST_DB, flip, psnr_db, ssim
+from pipeline.stages.texture import photo_codecs
+from renderer.evaluate import compare
+from renderer.evaluate.compare import BEST_DB, flip, not_measured, psnr_db, ssim
+from storage.errors import ResourceExhausted
 
 EVERYWHERE = np.ones((40, 60), bool)
 
@@ -131,3 +135,13 @@ def test_flip__pixels_outside_the_mask_have_no_influence(spot):
     other = np.where(spot[..., None], a, 255 - a)
     assert flip(a, b, spot) == flip(other, b, spot) > 0
     assert flip(a, b, np.zeros_like(spot)) is None
+
+
+def test_evaluation_without_its_packages__says_which_are_missing(monkeypatch):
+    a = picture()
+    assert not_measured() is None
+    monkeypatch.setattr(compare, "find_spec", lambda name: None)
+    assert flip(a, a, EVERYWHERE) is None and "FLIP was not measured" in not_measured()
+    monkeypatch.setitem(sys.modules, "etcpak", None)
+    with pytest.raises(ResourceExhausted, match=r"package etcpak: not installed; allowed: pip install"):
+        photo_codecs.CODECS["bc7"].coded(a, None)

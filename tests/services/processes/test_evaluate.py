@@ -94,7 +94,7 @@ def test_evaluate__our_rows_are_what_compress_makes(made, scan, tmp_path):
 
 def test_evaluate__close_ups_show_every_variant_and_passes_are_timed(made):
     out, document, _ = made
-    assert [row["why"] for row in document["close_ups"]][::5] == ["best", "worst"]
+    assert [row["why"] for row in document["close_ups"]][::5] == ["around the best splat", "around the worst splat"]
     for row in document["close_ups"]:
         assert len(row["pictures"]) >= 6 and all((out / path).is_file() for path in row["pictures"].values())
         figures = row["figures"]

@@ -109,6 +109,8 @@ def point(key, n_bytes, psnr, seconds=1.0, preset=None):
         "seconds": seconds,
         "texture_psnr_db": psnr,
         "frame_seconds": None,
+        "device": None,
+        "frame_px": None,
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import nibabel as nib
 import numpy as np
 import pytest
 
@@ -131,6 +132,18 @@ def test_inspect_and_check__of_a_volume(volume, tmp_path, capsys):
     assert not check(tmp_path / "cut.nrrd")["ok"]
     assert main(["inspect", str(volume), "--json"]) == 0
     json.loads(capsys.readouterr().out)
+
+
+def test_a_volume_of_several_times__is_looked_at_and_compressed_at_the_one_asked_for(volume, tmp_path, capsys):
+    voxels = ball(SHAPE, SPACING, radius=5.0).clip(0, 255).astype(np.uint8)
+    times = np.stack([np.zeros_like(voxels), voxels])
+    path = tmp_path / "times.nii"
+    nib.save(nib.Nifti1Image(times.transpose(1, 2, 3, 0), np.diag([*SPACING, 1.0])), path)
+    assert main(["inspect", str(path)]) == 5 and "--time 0..1" in capsys.readouterr().err
+    assert main(["inspect", str(path), "--time", "1"]) == 0 and main(["check", str(path), "--time", "1"]) == 0
+    command = ["compress", str(path), "--iso", "50", "--executor", "serial", "--no-render", "--out"]
+    assert main([*command, str(tmp_path / "out"), "--time", "1"]) == 0
+    assert (tmp_path / "out" / "times.splatpress").is_file()
 
 
 def test_iso__prints_a_histogram_and_proposals(volume, tmp_path, capsys):

@@ -66,7 +66,7 @@ def test_plan__keeps_the_outcome_of_what_is_on_and_of_nothing_else():
 def test_plan__its_rows_are_json_and_say_what_the_issue_asks_for():
     rows = json.loads(json.dumps(plan(0.04, {}).to_json()))
     assert {"effect", "enabled", "share", "measure", "threshold", "reason"} <= rows[0].keys()
-    assert "0.04 reaches 0.01" in rows[0]["reason"]
+    assert rows[0]["reason"] == "0.04 reaches 0.01" and rows[0]["basis"]
 
 
 def test_request__is_one_text_for_one_wish():
