@@ -12,6 +12,7 @@ import numpy as np
 from pipeline.geometry.frame import Direction, tangent_frames
 from pipeline.splats.coarser import first_finest
 from pipeline.splats.decoded import decoded_centres, seen_by_cameras, splat_radii
+from pipeline.summaries import Counted, Points, ScanRead
 from storage.packed.schema import NO_CAMERA, Camera
 from storage.work import arrays, work
 
@@ -32,8 +33,8 @@ class Sources:
     sizes: Path | None = None  # what sizes its splats need, whether or not they have them
 
     @cached_property
-    def scan(self) -> dict:
-        return work.summary(self.ingest)
+    def scan(self) -> ScanRead:
+        return work.summary(self.ingest, ScanRead)
 
     @cached_property
     def used_sizes(self) -> Path | None:
@@ -41,20 +42,20 @@ class Sources:
 
     @cached_property
     def n_splats(self) -> int:
-        return work.summary(self.splats)["n_splats"]
+        return work.summary(self.splats, Counted).n_splats
 
     @cached_property
     def first_finest(self) -> int:
         """The first splat of the finest level; coarser ones stand before it."""
-        return first_finest(work.summary(self.partition))
+        return first_finest(work.summary(self.partition, Points))
 
     @cached_property
     def origin(self) -> np.ndarray:
-        return np.array(work.summary(self.partition)["origin"])
+        return np.array(work.summary(self.partition, Points).origin)
 
     @cached_property
     def cameras(self) -> tuple[Camera, ...]:
-        return tuple(Camera.from_json(c) for c in self.scan["cameras"])
+        return self.scan.cameras
 
     def block(self, index: int, surveys: dict[str, Path] | None = None) -> Block:
         return Block(self, index, surveys or {})

@@ -8,6 +8,7 @@ from __future__ import annotations
 from pipeline.effects.block import Sources
 from pipeline.effects.effect import Effect, Measured, Worth
 from pipeline.splats.coarser import level_sizes
+from pipeline.summaries import Points
 from storage.work import work
 
 PICTURE = 1920 * 1080  # pixels
@@ -25,7 +26,7 @@ def possible_levels(n_splats: int, asked: int | None) -> tuple[int, ...]:
 
 
 def _conclude(sums: list[dict], sources: Sources) -> Measured:
-    counts = tuple(work.summary(sources.partition).get("levels", [sources.n_splats]))
+    counts = work.summary(sources.partition, Points).levels or (sources.n_splats,)
     return measured_by(counts if len(counts) > 1 else possible_levels(counts[-1], None))
 
 

@@ -7,7 +7,7 @@ from pipeline.effects.effect import Effect, Measured, Worth
 
 
 def _conclude(sums: list[dict], sources: Sources) -> Measured:
-    return Measured(1.0, 1.0, {"lamp": True} if sources.scan.get("is_albedo") else {})
+    return Measured(1.0, 1.0, {"lamp": True} if sources.scan.is_albedo else {})
 
 
 EFFECT = Effect(

@@ -9,17 +9,18 @@ from __future__ import annotations
 from pipeline.effects.block import Sources
 from pipeline.effects.effect import Effect, Measured, Worth
 from pipeline.geometry.sizes import BITS
+from pipeline.summaries import SizesNeeded
 from storage.work import work
 
 
-def measured_by(summary: dict) -> Measured:
+def measured_by(summary: SizesNeeded) -> Measured:
     """What the stage `sizes` says."""
-    return Measured(summary["large_share"], 1.0, {"bits": BITS})
+    return Measured(summary.large_share, 1.0, {"bits": BITS})
 
 
 def _conclude(sums: list[dict], sources: Sources) -> Measured:
-    found = {} if sources.sizes is None else work.summary(sources.sizes)
-    return measured_by(found) if "large_share" in found else Measured(0.0)
+    found = None if sources.sizes is None else work.summary(sources.sizes, SizesNeeded)
+    return Measured(0.0) if found is None or found.large_share is None else measured_by(found)
 
 
 EFFECT = Effect(

@@ -8,18 +8,19 @@ from __future__ import annotations
 
 from pipeline.effects.block import Sources
 from pipeline.effects.effect import Effect, Measured, Worth
+from pipeline.summaries import ScanRead
 
 
-def has_maps(scan: dict) -> bool:
+def has_maps(scan: ScanRead) -> bool:
     """Whether the scan of this summary of the ingest has stations, and colours of its own to draw, and no photographs,
     which show more."""
-    return bool(scan["stations"]) and scan["has_colors"] and not scan["cameras"]
+    return bool(scan.stations) and scan.has_colors and not scan.cameras
 
 
 def _conclude(sums: list[dict], sources: Sources) -> Measured | None:
     if not has_maps(sources.scan):
         return Measured(0.0)
-    return Measured(sources.scan["n_points"] / sources.n_splats, 1.0)
+    return Measured(sources.scan.n_points / sources.n_splats, 1.0)
 
 
 EFFECT = Effect(

@@ -10,13 +10,16 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Generic, Protocol, TypeVar, get_type_hints
 
 from pipeline.execution.calls import run_call
 from storage.work import work
 
+S = TypeVar("S")
+S_co = TypeVar("S_co", covariant=True)
 
-class Stage(Protocol):
+
+class Stage(Protocol[S_co]):
     """The three steps. `n_splats` of a result is what the progress counts.
 
     `init` runs in the process that calls `run_stage`, the other two wherever the executor says, perhaps more than once
@@ -31,8 +34,8 @@ class Stage(Protocol):
     def run(self, folder: Path, index: int) -> dict:
         """Do task `index`: write the chunks it owns, return what finalise needs."""
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        """Make one summary of the results, in the order of the tasks."""
+    def finalise(self, folder: Path, results: list[dict]) -> S_co:
+        """Make one summary of the results, in the order of the tasks: a frozen dataclass (`pipeline.summaries`)."""
 
 
 class Executor(Protocol):
@@ -49,12 +52,12 @@ class Executor(Protocol):
 
 
 @dataclass(frozen=True)
-class StageRecord:
+class StageRecord(Generic[S]):
     """What a stage did and cost."""
 
     name: str
     folder: Path
-    summary: dict
+    summary: S
     seconds: float
     peak_rss_bytes: int  # of the worker that needed most
     n_tasks: int
@@ -73,7 +76,7 @@ class Progress(Protocol):
     def end(self, record: StageRecord) -> None: ...
 
 
-def run_stage(stage: Stage, work_folder: Path, executor: Executor, progress: Progress) -> StageRecord:
+def run_stage(stage: Stage[S], work_folder: Path, executor: Executor, progress: Progress) -> StageRecord[S]:
     """Bring a stage's output into being, doing only what is missing.
 
     Guarantees: a complete stage is not run again; after a crash only tasks without a recorded result run.
@@ -87,7 +90,7 @@ def run_stage(stage: Stage, work_folder: Path, executor: Executor, progress: Pro
     record = StageRecord(
         stage.name,
         folder,
-        work.summary(folder),
+        work.summary(folder, summary_type(stage)),
         time.perf_counter() - begun,
         max((r["peak_rss_bytes"] for r in results), default=0),
         len(results),
@@ -97,6 +100,12 @@ def run_stage(stage: Stage, work_folder: Path, executor: Executor, progress: Pro
     )
     progress.end(record)
     return record
+
+
+def summary_type(stage: Stage) -> Any:
+    """What `finalise` of a stage returns, by its annotation; a stage that may stand for several says which by a
+    property `summary_type`."""
+    return getattr(stage, "summary_type", None) or get_type_hints(type(stage).finalise)["return"]
 
 
 def _bring_into_being(stage: Stage, folder: Path, executor: Executor, progress: Progress) -> None:

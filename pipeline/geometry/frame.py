@@ -8,12 +8,13 @@ same one (renderer/shaders/splat_geometry.glsl).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import gcd
 
 import numpy as np
 
 from pipeline.geometry.normals import octahedron_of
-from storage.packed.schema import DEFAULT_AHEAD, DEFAULT_UP, LONGEST_DIRECTION
+from storage.packed.schema import DEFAULT_AHEAD, DEFAULT_UP, LONGEST_DIRECTION, Camera
 
 Direction = tuple[int, int, int]
 
@@ -36,8 +37,8 @@ def tangent_frames(
     return u, np.cross(normal, u), normal
 
 
-def directions_of(cameras: list[dict]) -> tuple[Direction, Direction]:
-    """The directions `up` and `ahead` of a scan with these cameras (`asdict` of storage.packed.schema.Camera).
+def directions_of(cameras: Sequence[Camera]) -> tuple[Direction, Direction]:
+    """The directions `up` and `ahead` of a scan with these cameras.
 
     Up is the line that the photographs' columns follow best, so that patches stand upright as in the photographs, and
     edges that run along their rows and columns stay so; ahead is the line at right angles to it that they look along.
@@ -45,7 +46,7 @@ def directions_of(cameras: list[dict]) -> tuple[Direction, Direction]:
     """
     if not cameras:
         return DEFAULT_UP, DEFAULT_AHEAD
-    rotation = np.array([c["rotation"] for c in cameras], np.float64)  # (n, 3, 3)
+    rotation = np.array([camera.rotation for camera in cameras], np.float64)  # (n, 3, 3)
     up = whole_direction(_leading(-rotation[:, 1]))
     level = np.eye(3) - np.outer(_unit(up), _unit(up))
     return up, whole_direction(

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.execution.compiled import kernel
+from pipeline.summaries import Points
 from storage.packed.levels import FEWER, n_coarser
 from storage.packed.schema import CHUNK, GROUP
 
@@ -48,9 +49,9 @@ def level_sizes(n: int, most_levels: int) -> tuple[int, ...]:
     return tuple(sizes)
 
 
-def first_finest(points: dict) -> int:
+def first_finest(points: Points) -> int:
     """The first splat of the finest level, by the summary of a stage's points; coarser ones stand before it."""
-    return sum(points.get("levels", [])[:-1])
+    return sum(points.levels[:-1])
 
 
 def rows_of_group(group: int, n: int) -> tuple[int, int]:

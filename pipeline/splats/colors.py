@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.summaries import ScanRead
 from storage.work import arrays
 
 # A scan with neither colour nor intensity is shown as grey plaster under a lamp above and to the side: a flat grey
@@ -14,13 +15,13 @@ LAMP = np.array([0.42, 0.28, 0.86])
 DARKEST, BRIGHTEST = 0.15, 0.85
 
 
-def point_colors(scan: dict, partition: Path, normal: np.ndarray, start: int, stop: int) -> np.ndarray:
+def point_colors(scan: ScanRead, partition: Path, normal: np.ndarray, start: int, stop: int) -> np.ndarray:
     """Colours (n, 3) uint8 of the points start..stop of a partition; `scan` is the ingest's summary, `normal` (n, 3)
     turned to the viewer."""
     if arrays.exists(partition, "color"):
         return arrays.read(partition, "color", start, stop)
-    if scan["intensity_range"] is not None:
-        low, high = scan["intensity_range"]
+    if scan.intensity_range is not None:
+        low, high = scan.intensity_range
         intensity = arrays.read(partition, "intensity", start, stop).astype(np.float64)
         grey = np.clip(np.nan_to_num((intensity - low) / max(high - low, np.finfo(float).tiny)), 0, 1)
     else:

@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.numerics import accuracy
 from pipeline.stages.packed.measure import SplatErrors, splat_errors
+from pipeline.summaries import Photographs
 from renderer.evaluate.compare import flip, psnr_db, ssim
 from renderer.evaluate.previews import WARM_UP_PX, even_choice, limited_view
 from renderer.pictures import save_picture
@@ -59,7 +60,7 @@ def draw_close_ups(
     against the first variant.
     """
     spots = choose_spots(packed, ingest)[keep]
-    cameras = [Camera.from_json(c) for c in work.summary(ingest)["cameras"]]
+    cameras = list(work.summary(ingest, Photographs).cameras)
     views = [close_up(cameras[spot.camera], spot.centre) for spot in spots]
     rows: list[dict] = [
         {
@@ -175,7 +176,7 @@ def _drawn(renderer: Renderer, variant: Variant) -> Iterator:
         if variant.photos is None:
             yield lambda view: renderer.render(gpu_scene, view)
             return
-        cameras = [Camera.from_json(c) for c in work.summary(variant.photos)["cameras"]]
+        cameras = list(work.summary(variant.photos, Photographs).cameras)
         photos = PhotoSplats(gpu_scene, lambda i: arrays.read(variant.photos, f"photo_{i}"), cameras=cameras)
         yield lambda view: renderer.render_baseline(photos, view)
     finally:

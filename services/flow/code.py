@@ -8,6 +8,7 @@ from pipeline.planning.settings import Settings
 from pipeline.stages.maps.resample_maps import ResampleMaps
 from pipeline.stages.texture.prices import price_for
 from pipeline.stages.texture.resample import Resample
+from pipeline.summaries import Ladder, PatchesMade, Training
 from services.flow.budget import NO_ATOMS, Trial, check_budget, within_budget
 from services.flow.pack import pack, packed_gpu_bytes, texels_of_levels
 from services.flow.prepare import Prepared
@@ -15,11 +16,11 @@ from services.flow.run import Run
 from services.flow.textures import Coded, code_patches
 
 
-def resample(run: Run, prepared: Prepared, kept: bool = True) -> StageRecord:
+def resample(run: Run, prepared: Prepared, kept: bool = True) -> StageRecord[PatchesMade]:
     """Sample the photographs, or the maps of stations, into patches; of photographs not `kept`, but made again where they are used."""
     scan, maps = prepared.scan, prepared.maps
     if maps is not None:
-        splats, directions = prepared.splats.folder, directions_of(scan.summary["cameras"])
+        splats, directions = prepared.splats.folder, directions_of(scan.summary.cameras)
         partition, radius = prepared.partition.folder, prepared.radius
         return run.do(ResampleMaps(maps.folder, partition, splats, radius, *directions, maps.log_gain))
     return run.do(
@@ -28,7 +29,7 @@ def resample(run: Run, prepared: Prepared, kept: bool = True) -> StageRecord:
             prepared.partition.folder,
             prepared.splats.folder,
             prepared.radius,
-            *directions_of(scan.summary["cameras"]),
+            *directions_of(scan.summary.cameras),
             "antialiasing" in prepared.effects.enabled,
             kept,
         )
@@ -42,16 +43,16 @@ def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
 
 
 def code_prepared(
-    run: Run, prepared: Prepared, patches: StageRecord, settings: Settings, n_splats: int | None = None
+    run: Run, prepared: Prepared, patches: StageRecord[PatchesMade], settings: Settings, n_splats: int | None = None
 ) -> Coded:
     """Code the patches of splats, which are all or a sample of `n_splats`, for the target or within the budget."""
-    n_sample, most_texels = prepared.splats.summary["n_splats"], texels_of_levels(prepared, settings)[0]
+    n_sample, most_texels = prepared.splats.summary.n_splats, texels_of_levels(prepared, settings)[0]
     if settings.budget_bytes is None:
         return code_patches(run, patches, settings, n_splats, most_texels)
     share, first = n_sample / (n_splats or n_sample), []
 
     def attempt(price: float) -> Trial:
-        def priced(ladder: dict, training: dict) -> float:
+        def priced(ladder: Ladder, training: Training) -> float:
             first.append(price_for(ladder, training))
             return price
 

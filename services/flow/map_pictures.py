@@ -36,13 +36,13 @@ def map_scan(
     with placed_whole(out) as made:
         run = Run(work or made / "work", executor, progress)
         ingest, partition = points_of(run, scan, reading=reading)
-        if not ingest.summary["stations"]:
+        if not ingest.summary.stations:
             raise InvalidScan(
                 str(scan), "no station: nothing says where a scanner stood", "a laser scan with stations",
                 "--station x,y,z says where the scanner of a merged scan stood",
             )  # fmt: skip
         maps = draw_maps(run, ingest, partition, run.do(Neighbourhoods(partition.folder))).folder
-        rows = [_row(maps, i, made, ingest.summary["unit"]) for i in range(len(ingest.summary["stations"]))]
+        rows = [_row(maps, i, made, ingest.summary.unit) for i in range(len(ingest.summary.stations))]
         if work is None:
             shutil.rmtree(made / "work")
     return rows

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.effects.exposure.stations import StationLight
+from pipeline.effects.exposure.stations import StationGains, StationLight
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import Direction
 from pipeline.stages.maps.edited_maps import EditedMaps
 from pipeline.stages.maps.panoramas import Panoramas
+from pipeline.summaries import MapsDrawn
 from services.flow.fingerprint import fingerprint
 from services.flow.run import Run
 from storage.work import work
@@ -21,10 +22,10 @@ class StationMaps:
 
     folder: Path  # color_<i> and depth_<i> of each station
     log_gain: tuple[tuple[float, float, float], ...]  # of each station's light, by channel
-    light: dict | None  # what the gains were told from; None for one station
+    light: StationGains | None  # what the gains were told from; None for one station
 
 
-def draw_maps(run: Run, ingest: StageRecord, partition: StageRecord, neighbours: StageRecord) -> StageRecord:
+def draw_maps(run: Run, ingest: StageRecord, partition: StageRecord, neighbours: StageRecord) -> StageRecord[MapsDrawn]:
     """The maps of all stations; `partition` and `neighbours` have all points of the scan."""
     return run.do(Panoramas(ingest.folder, partition.folder, neighbours.folder))
 
@@ -42,8 +43,8 @@ def maps_for(
     run: Run, maps: Path, partition: Path, splats: Path, radius: float, directions: tuple[Direction, Direction]
 ) -> StationMaps:
     """Maps as texture: the light of several stations brought together."""
-    n_stations = len(work.summary(maps)["frames"])
+    n_stations = len(work.summary(maps, MapsDrawn).frames)
     if n_stations < 2:
         return StationMaps(maps, ((0.0, 0.0, 0.0),) * n_stations, None)
     light = run.do(StationLight(maps, partition, splats, radius, *directions)).summary
-    return StationMaps(maps, tuple(tuple(gain) for gain in light["log_gain"]), light)
+    return StationMaps(maps, light.log_gain, light)

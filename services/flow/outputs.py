@@ -51,7 +51,7 @@ def _views(run: Run, path: Path, photos: Path, out: Path) -> list[dict]:
 
     run.progress.begin(RENDER, 1)
     views = run.draw(path, photos, out, on_view)
-    record = StageRecord(RENDER, out, {}, time.perf_counter() - begun, 0, len(views), 0, False)
+    record: StageRecord = StageRecord(RENDER, out, None, time.perf_counter() - begun, 0, len(views), 0, False)
     run.records.append(record)
     run.progress.end(record)
     return views

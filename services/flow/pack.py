@@ -13,10 +13,11 @@ from pipeline.geometry.frame import directions_of
 from pipeline.geometry.sizes import BITS
 from pipeline.planning.settings import Settings
 from pipeline.stages.packed.pack import Pack, batches_of, write_packed
+from pipeline.summaries import Packed
 from services.flow.prepare import Prepared
 from services.flow.run import Run
 from services.flow.textures import Coded, color_step
-from storage.packed.schema import BY_NAME, EXTRAS, Camera, Header
+from storage.packed.schema import BY_NAME, EXTRAS, Header
 from storage.work import arrays
 
 
@@ -33,36 +34,38 @@ def _stored_index_bits(coded: Coded | None, settings: Settings) -> int:
     """No more than the indices take; the paper's coder has those of its name."""
     if settings.coder == "paper" and settings.dictionary_bits != "auto":
         return int(settings.dictionary_bits)
-    n_indices = coded.n_dictionary * coded.quantized.summary["n_turns"] if coded and coded.quantized else 1
+    n_indices = coded.n_dictionary * coded.quantized.summary.n_turns if coded and coded.quantized else 1
     return max(1, (n_indices - 1).bit_length())
 
 
 def _stored_form(coded: Coded | None, coarsest: int) -> dict:
-    found = coded.quantized.summary if coded and coded.quantized else {}
-    form = {name: found[name] for name in ("atom_size", "n_turns") if name in found}
-    return form | {"coarsest_size": min(coarsest, form["atom_size"])} if form else {}
+    if coded is None or coded.quantized is None:
+        return {}
+    found = coded.quantized.summary
+    size = found.atom_size
+    return {"atom_size": size, "n_turns": found.n_turns, "coarsest_size": min(coarsest, size)}
 
 
 def pack(
     run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, name: str, path: Path | None
-) -> StageRecord:
+) -> StageRecord[Packed]:
     """Write the packed file to `path`; None leaves it a folder of the work folder's."""
     scan = prepared.scan.summary
     flag_of = {extra.stream: extra.flag for extra in EXTRAS}  # an effect is named as its stream
     extras = tuple((flag_of[name], folder) for name, folder in prepared.built if name in flag_of)
-    n_splats = prepared.splats.summary["n_splats"]
+    n_splats = prepared.splats.summary.n_splats
     batches = batches_of(n_splats, coded.codes.folder if coded else None, extras)
     margin = prepared.effects.outcomes.get("depth_margin", {"margin_radii": LEAST_RADII})["margin_radii"]
-    up, ahead = directions_of(scan["cameras"])
+    up, ahead = directions_of(scan.cameras)
     header = Header(
         n_splats=n_splats,
         radius=prepared.radius,
-        unit=scan["unit"],
-        origin=tuple(prepared.partition.summary["origin"]),
+        unit=scan.unit,
+        origin=prepared.partition.summary.origin,
         up=up,
         ahead=ahead,
         margin_radii=margin,
-        levels=tuple(levels) if len(levels := prepared.partition.summary.get("levels", ())) > 1 else (),
+        levels=levels if len(levels := prepared.partition.summary.levels) > 1 else (),
         size_bits=BITS if arrays.exists(prepared.splats.folder, "size_code") else 0,
         n_dictionary=coded.n_dictionary if coded else 0,
         dictionary_bits=_stored_index_bits(coded, settings),
@@ -72,8 +75,8 @@ def pack(
         effects=prepared.effects.outcomes,
         n_ranks=max([1, *(batch.n_atoms for batch in batches)]),
         color_step=color_step(settings) if coded else 0,
-        cameras=tuple(Camera.from_json(c) for c in scan["cameras"]),
-        scan={"name": name, "format": scan["format"], "n_points": scan["n_read"]},
+        cameras=scan.cameras,
+        scan={"name": name, "format": scan.format, "n_points": scan.n_read},
         settings=asdict(settings),
     )
     record = run.do(
@@ -91,7 +94,7 @@ def pack(
     return record
 
 
-def packed_gpu_bytes(packed: StageRecord, share: float = 1.0) -> float:
+def packed_gpu_bytes(packed: StageRecord[Packed], share: float = 1.0) -> float:
     """Of a scan's splats, or of a sample's, to which a `share` of the dictionary is counted."""
     counted = {"dictionary": share, "provenance": 0.0}
-    return sum(n * counted.get(BY_NAME[name].part, 1.0) for name, n in packed.summary["bytes"].items())
+    return sum(n * counted.get(BY_NAME[name].part, 1.0) for name, n in packed.summary.bytes.items())

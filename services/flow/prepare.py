@@ -22,11 +22,12 @@ from pipeline.stages.points.grid_counts import IN_MEMORY, GridCounts
 from pipeline.stages.points.ingest import Ingest
 from pipeline.stages.points.leaves import DealtLeaves
 from pipeline.stages.points.levels import with_levels
-from pipeline.stages.points.measure_effects import MeasureEffects, measures_of
+from pipeline.stages.points.measure_effects import MeasureEffects
 from pipeline.stages.points.neighbours import Neighbourhoods, radius_of
 from pipeline.stages.points.partition import Partition
 from pipeline.stages.points.sizes import Sizes
 from pipeline.stages.points.splats import Splats
+from pipeline.summaries import Points, ScanRead, SizesNeeded, Spacings, SplatsMade
 from pipeline.volumes.open import is_volume
 from pipeline.volumes.request import SurfaceRequest
 from services.flow.fingerprint import fingerprint, located
@@ -41,10 +42,10 @@ from storage.work import work
 class Prepared:
     """A scan as quantised splats with cameras: what every setting but the radius shares."""
 
-    scan: StageRecord
-    partition: StageRecord
-    neighbours: StageRecord
-    splats: StageRecord
+    scan: StageRecord[ScanRead]
+    partition: StageRecord[Points]
+    neighbours: StageRecord[Spacings]
+    splats: StageRecord[SplatsMade]
     radius: float
     sources: Sources
     held_out: tuple[int, ...] = ()  # photographs that texture nothing
@@ -92,7 +93,7 @@ def with_maps(run: Run, prepared: Prepared, edited: Path | None = None) -> Prepa
             )
         return prepared
     drawn = draw_maps(run, prepared.scan, *_all_points(run, prepared))
-    splats, directions = prepared.splats.folder, directions_of(prepared.scan.summary["cameras"])
+    splats, directions = prepared.splats.folder, directions_of(prepared.scan.summary.cameras)
     folder = with_edits(run, drawn.folder, edited)
     maps = maps_for(run, folder, prepared.partition.folder, splats, prepared.radius, directions)
     built = dict(prepared.built)
@@ -102,9 +103,9 @@ def with_maps(run: Run, prepared: Prepared, edited: Path | None = None) -> Prepa
     return replace(prepared, maps=maps, built=tuple(built.items()))
 
 
-def _all_points(run: Run, prepared: Prepared) -> tuple[StageRecord, StageRecord]:
+def _all_points(run: Run, prepared: Prepared) -> tuple[StageRecord[Points], StageRecord[Spacings]]:
     """All points of the scan in chunk order, and their neighbours, whatever share of them became splats."""
-    if prepared.partition.summary["n_splats"] == prepared.scan.summary["n_points"]:
+    if prepared.partition.summary.n_splats == prepared.scan.summary.n_points:
         return prepared.partition, prepared.neighbours
     partition = _in_chunk_order(run, prepared.scan, 1.0)
     return partition, run.do(Neighbourhoods(partition.folder))
@@ -150,17 +151,17 @@ def splats_of(
     return splats_from(run, *points, str(scan), radius, request, held_out, levels)
 
 
-def ingest_of(run: Run, scan: Path, reading: ReadOptions = ReadOptions()) -> StageRecord:
+def ingest_of(run: Run, scan: Path, reading: ReadOptions = ReadOptions()) -> StageRecord[ScanRead]:
     """Read the scan; where all of its points say otherwise of it than those that were sampled, once more.
 
     Raises: InvalidScan for a warning about the scan where the run is strict.
     """
     path, files = located(scan), fingerprint(scan)
     ingest = run.do(Ingest(path, files, reading))
-    if ingest.summary["seen"]:
-        ingest = run.do(Ingest(path, files, reading, ingest.summary["seen"]))
-    if run.strict and ingest.summary["warnings"]:
-        raise InvalidScan(str(scan), "; ".join(ingest.summary["warnings"]), "no warnings, with --strict")
+    if ingest.summary.seen:
+        ingest = run.do(Ingest(path, files, reading, ingest.summary.seen))
+    if run.strict and ingest.summary.warnings:
+        raise InvalidScan(str(scan), "; ".join(ingest.summary.warnings), "no warnings, with --strict")
     return ingest
 
 
@@ -170,7 +171,7 @@ def points_of(
     density: float = 1.0,
     surface: SurfaceRequest = SurfaceRequest(),
     reading: ReadOptions = ReadOptions(),
-) -> tuple[StageRecord, StageRecord]:
+) -> tuple[StageRecord[ScanRead], StageRecord[Points]]:
     """Read the scan or the surfaces of a volume, and put its points in chunk order, or that share of them."""
     if is_volume(scan):
         ingest = surface_points(run, scan, surface)
@@ -180,11 +181,11 @@ def points_of(
     return ingest, _in_chunk_order(run, ingest, density)
 
 
-def _in_chunk_order(run: Run, ingest: StageRecord, density: float) -> StageRecord:
-    if density * ingest.summary["n_points"] <= IN_MEMORY:
+def _in_chunk_order(run: Run, ingest: StageRecord[ScanRead], density: float) -> StageRecord[Points]:
+    if density * ingest.summary.n_points <= IN_MEMORY:
         return run.do(Partition(ingest.folder, density))
     counts = run.do(GridCounts(ingest.folder, density))
-    if counts.summary["n_leaves"] == 1:
+    if counts.summary.n_leaves == 1:
         return run.do(Partition(ingest.folder, density))
     dealt = run.do(DealtLeaves(ingest.folder, counts.folder, density))
     return run.do(Partition(ingest.folder, density, counts.folder, dealt.folder))
@@ -192,8 +193,8 @@ def _in_chunk_order(run: Run, ingest: StageRecord, density: float) -> StageRecor
 
 def splats_from(
     run: Run,
-    ingest: StageRecord,
-    partition: StageRecord,
+    ingest: StageRecord[ScanRead],
+    partition: StageRecord[Points],
     scan: str,
     radius: float | None,
     request: str = "",
@@ -208,9 +209,9 @@ def splats_from(
         needed = run.do(Sizes(partition.folder, neighbours.folder, radius))
         sizes = needed.folder if _calls_for_sizes(needed.summary, request) else None
     depth = None
-    if ingest.summary["cameras"] and not ingest.summary["has_visibility"]:
+    if ingest.summary.cameras and not ingest.summary.has_visibility:
         depth = run.do(DepthMaps(ingest.folder, partition.folder, radius, sizes)).folder
-    counts = possible_levels(partition.summary["n_splats"], levels)
+    counts = possible_levels(partition.summary.n_splats, levels)
     near = neighbours.folder
     if len(counts) > 1 and (levels or _calls_for_levels(counts, request)):
         partition, near, sizes = with_levels(run.do, partition, near, needed, sizes, radius, len(counts) - 1)
@@ -222,7 +223,7 @@ def splats_from(
         depth,
         splats.folder,
         radius,
-        *directions_of(ingest.summary["cameras"]),
+        *directions_of(ingest.summary.cameras),
         held_out,
         sizes or (needed.folder if needed else None),
     )
@@ -234,7 +235,7 @@ def _calls_for_levels(counts: tuple[int, ...], request: str) -> bool:
     return bool(plan_effects({"levels": levels_measured(counts)}, parse_request(request), known=known).enabled)
 
 
-def _calls_for_sizes(summary: dict, request: str) -> bool:
+def _calls_for_sizes(summary: SizesNeeded, request: str) -> bool:
     """Decided before the plan, for all that it measures is of splats as large as they will be; the plan says the same."""
     known = {"sizes": effects()["sizes"]}
     return bool(plan_effects({"sizes": measured_by(summary)}, parse_request(request), known=known).enabled)
@@ -243,9 +244,9 @@ def _calls_for_sizes(summary: dict, request: str) -> bool:
 def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[EffectPlan, dict[str, Path]]:
     """Measure the scan for every effect that the request leaves open, and plan; and what the surveys of effects
     made."""
-    if sources.scan.get("is_albedo") and request["relighting"] == AUTO:
+    if sources.scan.is_albedo and request["relighting"] == AUTO:
         request = request | {"relighting": ON}  # colours without light in them show no shape
-    if not sources.sizes or "large_share" not in work.summary(sources.sizes):
+    if not sources.sizes or work.summary(sources.sizes, SizesNeeded).large_share is None:
         request = request | {"sizes": OFF}  # who fixed one radius asked for no other
     names = measured_effects(request)
     if not names:
@@ -253,12 +254,12 @@ def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[Effe
     stages = ((name, effects()[name].survey(sources)) for name in names)
     surveys = tuple((name, run.do(stage).folder) for name, stage in stages if stage is not None)
     found = run.do(MeasureEffects(sources, names, surveys)).summary
-    return plan_effects(measures_of(found), request, sources.n_splats), dict(surveys)
+    return plan_effects(found, request, sources.n_splats), dict(surveys)
 
 
 def has_photographs(prepared: Prepared) -> bool:
     """Whether any splat has a photograph."""
-    return prepared.splats.summary["n_without_camera"] < prepared.splats.summary["n_splats"]
+    return prepared.splats.summary.n_without_camera < prepared.splats.summary.n_splats
 
 
 def is_textured(prepared: Prepared) -> bool:

@@ -6,9 +6,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 from pipeline.execution.stage import Executor, Progress, Stage, StageRecord, run_stage
 from services.flow.previews import previews_of
+
+S = TypeVar("S")
 
 
 def _at_once(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
@@ -38,7 +41,8 @@ class Run:
     keeps_work: bool = True  # whether the work folder is there after the job
     records: list[StageRecord] = field(default_factory=list)
 
-    def do(self, stage: Stage) -> StageRecord:
-        record = self.step(stage, lambda: run_stage(stage, self.work, self.executor, self.progress))
+    def do(self, stage: Stage[S]) -> StageRecord[S]:
+        """Run a stage, and keep what it cost."""
+        record: StageRecord[S] = self.step(stage, lambda: run_stage(stage, self.work, self.executor, self.progress))
         self.records.append(record)
         return record

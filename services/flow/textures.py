@@ -19,6 +19,7 @@ from pipeline.stages.texture.encode import Encode
 from pipeline.stages.texture.prices import WHILE_LEARNING, Prices, price_for
 from pipeline.stages.texture.quantise import Quantization
 from pipeline.stages.texture.training import Coefficients, Components, TrainingSet
+from pipeline.summaries import AverageColors, CodesMade, Ladder, PatchesMade, Quantised, Training, Updated
 from pipeline.texture.colors import step_for
 from pipeline.texture.resample import PATCH_DIM
 from services.flow.run import Run
@@ -50,10 +51,10 @@ class Stop:
 class Coded:
     """Splats with texture: what the settings of the coder decide."""
 
-    patches: StageRecord
-    colors: StageRecord
-    codes: StageRecord
-    quantized: StageRecord | None
+    patches: StageRecord[PatchesMade]
+    colors: StageRecord[AverageColors]
+    codes: StageRecord[CodesMade]
+    quantized: StageRecord[Quantised] | None
     learning: list[dict]
     n_dictionary: int
     safeguard_steps: int  # dictionaries that did worse than the best before them
@@ -61,11 +62,11 @@ class Coded:
 
 def code_patches(
     run: Run,
-    patches: StageRecord,
+    patches: StageRecord[PatchesMade],
     settings: Settings,
     n_splats: int | None = None,
     most_texels: int = PATCH_SIZE,
-    priced: Callable[[dict, dict], float] = price_for,
+    priced: Callable[[Ladder, Training], float] = price_for,
 ) -> Coded:
     """Learn a dictionary if any patch calls for one, and code all patches; with as many atoms as a scan of `n_splats`
     pays for, where the patches are a sample of it, of `most_texels` to a side at most, where that is left to the scan.
@@ -83,14 +84,14 @@ def code_patches(
             tolerance,
         )
     )
-    if not (settings.max_atoms and training.summary["n_patches"]):
+    if not (settings.max_atoms and training.summary.n_patches):
         return Coded(patches, colors, encode(run, patches.folder, colors.folder, None, settings), None, [], 0, 0)
     form = _form(training.summary, settings, tolerance, most_texels)
     if form is None:
-        space = run.do(Components(training.folder, tolerance * 10 ** (-settings.subspace_floor_db / 10)))
+        space: StageRecord = run.do(Components(training.folder, tolerance * 10 ** (-settings.subspace_floor_db / 10)))
     else:
         space = run.do(Coefficients(training.folder, form.size))
-    bits = index_bits(settings, form, n_splats or training.summary["n_splats"])
+    bits = index_bits(settings, form, n_splats or training.summary.n_splats)
     learned, learning = _learn(run, training, space, settings, stop, form, bits)
     quantized, n_taken_back = _quantize_best(run, space, learned, settings, stop, form)
     n_taken_back += sum(not row["accepted"] for row in learning)
@@ -100,7 +101,7 @@ def code_patches(
         ladder = run.do(stage).summary
         price = priced(ladder, training.summary)
     codes = encode(run, patches.folder, colors.folder, quantized, settings, price)
-    return Coded(patches, colors, codes, quantized, learning, quantized.summary["n_atoms"], n_taken_back)
+    return Coded(patches, colors, codes, quantized, learning, quantized.summary.n_atoms, n_taken_back)
 
 
 def color_step(settings: Settings) -> int:
@@ -112,13 +113,13 @@ def color_step(settings: Settings) -> int:
     )
 
 
-def _form(training: dict, settings: Settings, tolerance: float, most_texels: int) -> AtomForm | None:
+def _form(training: Training, settings: Settings, tolerance: float, most_texels: int) -> AtomForm | None:
     """The atoms of the default coder: of the fewest texels that show what the target asks for, and of no more than
     views show; None for the paper's."""
     if settings.coder == "paper":
         return None
-    share = training["n_active"] / training["n_splats"]
-    fine = [s for s in ATOM_SIZES if training["beyond"][str(s)] * share <= BEYOND_ATOMS * tolerance]
+    share = training.n_active / training.n_splats
+    fine = [s for s in ATOM_SIZES if training.beyond[str(s)] * share <= BEYOND_ATOMS * tolerance]
     return AtomForm(
         min(*fine, most_texels, ATOM_SIZES[0]) if settings.atom_size == "auto" else int(settings.atom_size), SYMMETRIES
     )
@@ -136,7 +137,7 @@ def index_bits(settings: Settings, form: AtomForm | None, n_splats: int) -> int:
 
 def encode(
     run: Run, patches: Path, colors: Path, quantized: StageRecord | None, settings: Settings, price: float = 0.0
-) -> StageRecord:
+) -> StageRecord[CodesMade]:
     """Code patches by a dictionary that is there; None gives every splat its average colour alone."""
     if settings.coder == "paper":
         tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
@@ -150,7 +151,7 @@ def encode(
                 search=settings.atom_search,
             )
         )
-    form = AtomForm(quantized.summary["atom_size"], quantized.summary["n_turns"]) if quantized else None
+    form = AtomForm(quantized.summary.atom_size, quantized.summary.n_turns) if quantized else None
     return run.do(
         Encode(
             patches,
@@ -168,20 +169,20 @@ def encode(
 
 def _learn(
     run: Run,
-    training: StageRecord,
+    training: StageRecord[Training],
     space: StageRecord,
     settings: Settings,
     stop: Stop,
     form: AtomForm | None,
     bits: int,
-) -> tuple[StageRecord, list[dict]]:
+) -> tuple[StageRecord[Updated], list[dict]]:
     """The last iteration, and the learning curve as estimates for the whole scan: of the best dictionary so far.
 
     Ends early where an iteration gains less than `least_gain_db`.
     """
     seconds = 0.0  # of the passes as they were made, now or by an earlier run
     of_turns = form or AtomForm()
-    n_atoms = max(1, min(2**bits // of_turns.n_turns, training.summary["n_patches"] // PATCHES_AN_ATOM))
+    n_atoms = max(1, min(2**bits // of_turns.n_turns, training.summary.n_patches // PATCHES_AN_ATOM))
     learned = run.do(DictionarySeed(space.folder, n_atoms, settings.seed, of_turns)).folder
     curve = []
     for iteration in range(settings.iterations):
@@ -193,8 +194,8 @@ def _learn(
         curve.append(
             {
                 "seconds": seconds,
-                "replaced_atoms": found["n_replaced"],
-                "accepted": found["accepted"],
+                "replaced_atoms": found.n_replaced,
+                "accepted": found.accepted,
                 "psnr_db": estimated_psnr_db(training.summary, found),
             }
         )
@@ -211,8 +212,8 @@ def _is_settled(curve: list[dict], least_gain_db: float) -> bool:
 
 
 def _quantize_best(
-    run: Run, space: StageRecord, learned: StageRecord, settings: Settings, stop: Stop, form: AtomForm | None
-) -> tuple[StageRecord, int]:
+    run: Run, space: StageRecord, learned: StageRecord[Updated], settings: Settings, stop: Stop, form: AtomForm | None
+) -> tuple[StageRecord[Quantised], int]:
     """The better of the last dictionary and the best before it, in bytes, and whether (0 or 1) the last was taken back.
 
     Quantising codes the training set once more, so the last dictionary, which no iteration has measured, is measured
@@ -232,13 +233,13 @@ def _quantize_best(
         for name in ("dictionary", "best")
     )
     last = run.do(next(stages))
-    if last.summary["squared_error"] <= learned.summary["squared_error"]:
+    if last.summary.squared_error <= learned.summary.squared_error:
         return last, 0
     best = run.do(next(stages))
-    return (best, 1) if best.summary["squared_error"] < last.summary["squared_error"] else (last, 0)
+    return (best, 1) if best.summary.squared_error < last.summary.squared_error else (last, 0)
 
 
-def estimated_psnr_db(training: dict, update: dict) -> float:
+def estimated_psnr_db(training: Training, update: Updated) -> float:
     """PSNR of the whole scan as far as an iteration's error over the training set tells; both are summaries."""
-    error = update["squared_error"] / update["n_patches"] * training["n_active"] + training["settled_energy"]
-    return psnr_db(error, training["n_splats"] * PATCH_DIM)
+    error = update.squared_error / update.n_patches * training.n_active + training.settled_energy
+    return psnr_db(error, training.n_splats * PATCH_DIM)

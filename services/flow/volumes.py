@@ -8,8 +8,9 @@ from pathlib import Path
 from pipeline.execution.stage import StageRecord
 from pipeline.planning.settings import Settings
 from pipeline.stages.volumes.iso_surface import IsoSurface
-from pipeline.stages.volumes.iso_values import IsoValues
+from pipeline.stages.volumes.iso_values import IsoProposed, IsoValues
 from pipeline.stages.volumes.voxels import Voxels
+from pipeline.summaries import ScanRead, VolumeRead
 from pipeline.volumes.open import open_volume
 from pipeline.volumes.request import PALETTE, Iso, SurfaceRequest, parse_isos
 from pipeline.volumes.volume import Choice
@@ -26,18 +27,18 @@ def surface_request(settings: Settings) -> SurfaceRequest:
     )
 
 
-def voxels_of(run: Run, path: Path, choice: Choice) -> StageRecord:
+def voxels_of(run: Run, path: Path, choice: Choice) -> StageRecord[VolumeRead]:
     """Read the volume."""
     return run.do(Voxels(located(path), _fingerprint(path, choice), choice))
 
 
-def iso_values_of(run: Run, path: Path, choice: Choice) -> tuple[StageRecord, StageRecord]:
+def iso_values_of(run: Run, path: Path, choice: Choice) -> tuple[StageRecord[VolumeRead], StageRecord[IsoProposed]]:
     """Read the volume, and see which iso values it proposes."""
     voxels = voxels_of(run, path, choice)
     return voxels, run.do(IsoValues(voxels.folder))
 
 
-def surface_points(run: Run, path: Path, asked: SurfaceRequest) -> StageRecord:
+def surface_points(run: Run, path: Path, asked: SurfaceRequest) -> StageRecord[ScanRead]:
     """The points of the surfaces asked for, or of the one that the volume proposes first.
 
     Raises: InvalidScan where it proposes none.
@@ -46,15 +47,15 @@ def surface_points(run: Run, path: Path, asked: SurfaceRequest) -> StageRecord:
         voxels, isos = voxels_of(run, path, asked.choice), asked.isos
     else:
         voxels, values = iso_values_of(run, path, asked.choice)
-        proposals = values.summary["proposals"]
+        proposals = values.summary.proposals
         if not proposals:
             found = (
-                f"all voxels are {voxels.summary['low']:g}"
-                if voxels.summary["low"] == voxels.summary["high"]
+                f"all voxels are {voxels.summary.low:g}"
+                if voxels.summary.low == voxels.summary.high
                 else "no value that voxels pass steeply"
             )
             raise InvalidScan(str(path), found, "values that differ", "give one with --iso")
-        isos = (Iso(proposals[0]["iso"], PALETTE[0]),)
+        isos = (Iso(proposals[0].iso, PALETTE[0]),)
     return run.do(IsoSurface(voxels.folder, isos, asked.cell, asked.method, asked.border, not asked.isos))
 
 

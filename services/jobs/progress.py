@@ -9,6 +9,7 @@ from pipeline.catalogue import RENDER
 from pipeline.execution.stage import StageRecord
 from pipeline.stages.texture.dictionary import KsvdUpdate
 from pipeline.stages.texture.training import TrainingSet
+from pipeline.summaries import Training
 from services.flow.textures import estimated_psnr_db
 from services.jobs.portion import Portion
 from services.store.store import Store
@@ -29,7 +30,7 @@ class JobProgress:
         self._portion = Portion(job["settings"]["iterations"], textured)
         self._begun = self._told = time.monotonic()
         self.stage, self._n_tasks, self._n_done, self._n_splats, self._stage_begun = "", 1, 0, 0, self._begun
-        self._training: dict | None = None
+        self._training: Training | None = None
         self._first: float | None = None  # percent when this attempt began: what earlier ones did took it no time
         self._psnr_db: float | None = None
         self.learning: list[dict] = []
@@ -66,7 +67,7 @@ class JobProgress:
                 {
                     "iteration": len(self.learning) + 1,
                     "psnr_db": self._psnr_db,
-                    "replaced_atoms": record.summary["n_replaced"],
+                    "replaced_atoms": record.summary.n_replaced,
                 }
             )
             self._store.note_learning(self._id, self.learning[-1])

@@ -142,7 +142,7 @@ class JobRunner:
             record = DBOS.run_step({"name": stage.name}, bring_about)
             progress.passed(record)
             if stage.name == Ingest.name:
-                bounds = {"min": record.summary["low"], "max": record.summary["high"]}
+                bounds = {"min": record.summary.low, "max": record.summary.high}
                 self.store.note_of_scan(job["scan"], job["owner"], bounds=bounds)
             if stage.name == KsvdUpdate.name:
                 write_json(out / LEARNING, progress.learning)

@@ -88,7 +88,7 @@ def make(
     coded = code(run, prepared, settings) if wants_texture(prepared, settings.texture) else None
     packed = pack(run, prepared, coded, settings, name, None)
     if settings.budget_bytes is not None:
-        check_budget(settings.budget_bytes, prepared.splats.summary["n_splats"], packed_gpu_bytes(packed))
+        check_budget(settings.budget_bytes, prepared.splats.summary.n_splats, packed_gpu_bytes(packed))
     write_packed(packed.folder, path)
     return finish(run, path, prepared, coded, settings, out, render)
 
@@ -122,39 +122,39 @@ def _estimate(run: Run, path: Path, coded: Coded | None, settings: Settings) -> 
             "seconds": sum(r.made_seconds for r in run.records),
             "peak_memory_bytes": max(r.peak_rss_bytes for r in run.records),
             "gpu_bytes": n_bytes,
-            "texture_psnr_db": coded.codes.summary["texture_psnr_db"] if coded else None,
+            "texture_psnr_db": coded.codes.summary.texture_psnr_db if coded else None,
         },
     )
 
 
 def _scan_record(prepared: Prepared) -> dict:
     scan = prepared.scan.summary
-    warnings = list(scan["warnings"])
-    n_bad = prepared.neighbours.summary["n_degenerate"]
+    warnings = list(scan.warnings)
+    n_bad = prepared.neighbours.summary.n_degenerate
     if n_bad:
         warnings.append(
-            f"{n_bad} of {scan['n_points']} splats have no normal of the scan's, and none that their neighbourhood defines"
+            f"{n_bad} of {scan.n_points} splats have no normal of the scan's, and none that their neighbourhood defines"
         )
-    if not (scan["has_colors"] or scan["cameras"]):
+    if not (scan.has_colors or scan.cameras):
         warnings.append(
             "the scan has neither colours nor intensity nor photographs; its splats are grey, shaded by their normals"
         )
-    n_blind = prepared.splats.summary["n_without_camera"]
-    if scan["cameras"] and n_blind:
-        warnings.append(f"{n_blind} of {scan['n_points']} splats are seen by no camera and have the scan's colour")
-    found = {"unit": scan["unit"], "n_points": scan["n_read"], "n_cameras": len(scan["cameras"]), "warnings": warnings}
-    found["unused"] = scan.get("unused", [])
-    return found | ({"volume": scan["volume"]} if "volume" in scan else {})
+    n_blind = prepared.splats.summary.n_without_camera
+    if scan.cameras and n_blind:
+        warnings.append(f"{n_blind} of {scan.n_points} splats are seen by no camera and have the scan's colour")
+    found = {"unit": scan.unit, "n_points": scan.n_read, "n_cameras": len(scan.cameras), "warnings": warnings}
+    found["unused"] = list(scan.unused)
+    return found | ({"volume": asdict(scan.volume)} if scan.volume else {})
 
 
 def _numerics(prepared: Prepared, coded: Coded | None) -> dict:
     """The hard cases that were met, counted."""
     scan = prepared.scan.summary
-    blind = prepared.splats.summary["n_without_camera"] if scan["cameras"] else 0
+    blind = prepared.splats.summary.n_without_camera if scan.cameras else 0
     return {
-        "dropped_points": scan["n_dropped"],
-        "degenerate_normals": prepared.neighbours.summary["n_degenerate"],
-        "flagged_projections": coded.patches.summary["n_flagged"] if coded else blind,
+        "dropped_points": scan.n_dropped,
+        "degenerate_normals": prepared.neighbours.summary.n_degenerate,
+        "flagged_projections": coded.patches.summary.n_flagged if coded else blind,
         "replaced_atoms": sum(row["replaced_atoms"] for row in coded.learning) if coded else 0,
         "safeguard_steps": coded.safeguard_steps if coded else 0,
     }
@@ -163,11 +163,11 @@ def _numerics(prepared: Prepared, coded: Coded | None) -> dict:
 def _quality(prepared: Prepared, coded: Coded | None) -> dict:
     splats = prepared.splats.summary
     geometry = {
-        "mean_position_error": splats["mean_position_error"],
-        "mean_position_error_in_radii": splats["mean_position_error"] / prepared.radius,
-        "mean_normal_error_degrees": splats["mean_normal_error_degrees"],
+        "mean_position_error": splats.mean_position_error,
+        "mean_position_error_in_radii": splats.mean_position_error / prepared.radius,
+        "mean_normal_error_degrees": splats.mean_normal_error_degrees,
     }
     texture = dict.fromkeys(("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db"))
     if coded:
-        texture = {k: (coded.codes.summary | coded.patches.summary)[k] for k in texture}
+        texture = {k: (vars(coded.patches.summary) | vars(coded.codes.summary))[k] for k in texture}
     return texture | {"geometry": geometry}

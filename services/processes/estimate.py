@@ -26,6 +26,7 @@ from pipeline.stages.texture.prices import Prices, least_price, price_for
 from pipeline.stages.texture.resample import Resample
 from pipeline.stages.texture.strata import shares
 from pipeline.stages.texture.training import TrainingSet, membership
+from pipeline.summaries import AverageColors
 from renderer.report.report import sizes_of
 from services.flow.code import code_prepared, resample
 from services.flow.estimate_cache import keep_estimate
@@ -62,7 +63,7 @@ class _Pilot:
 
     @property
     def n_splats(self) -> int:
-        return self.prepared.splats.summary["n_splats"]
+        return self.prepared.splats.summary.n_splats
 
     @property
     def share(self) -> float:
@@ -128,7 +129,7 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
     if wants_texture(prepared, settings.texture):
         patches = resample(pilot, sampled)
         own = _affordable(settings, patches, prepared)
-        coded = code_prepared(pilot, sampled, patches, own, prepared.splats.summary["n_splats"])
+        coded = code_prepared(pilot, sampled, patches, own, prepared.splats.summary.n_splats)
     path = scratch / f"pilot{SUFFIX}"
     pack(pilot, sampled, coded, own, "pilot", path)
     with PackedFile(path) as packed:
@@ -139,7 +140,7 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
         coded,
         own,
         sizes,
-        sampled.splats.summary["n_splats"],
+        sampled.splats.summary.n_splats,
         stages,
         list(run.records),
         run.executor.n_workers,
@@ -168,7 +169,7 @@ def _affordable(settings: Settings, patches: StageRecord, prepared: Prepared) ->
         None if settings.coder == "paper" else AtomForm(ATOM_SIZES[-1], SYMMETRIES)
     )  # the smallest atoms are the most
     n_turns = (form or AtomForm()).n_turns
-    n_indices = 2 ** index_bits(settings, form, prepared.splats.summary["n_splats"])
+    n_indices = 2 ** index_bits(settings, form, prepared.splats.summary.n_splats)
     n_atoms = min(n_indices // n_turns, settings.training_splats // PATCHES_AN_ATOM, MOST_ATOMS)
     n_training = min(settings.training_splats, max(3 * MOST_TRAINING // 4, n_atoms * PATCHES_AN_ATOM))
     passes = max(2, MOST_PRODUCTS // (n_training * n_atoms * n_turns))
@@ -237,17 +238,17 @@ def _learning(pilot: _Pilot, settings: Settings) -> dict:
     if pilot.coded is None or pilot.coded.quantized is None:
         return {}
     training = next(record for _, record in pilot.stages if record.name == TrainingSet.name).summary
-    n_active = training["n_active"] / pilot.share
+    n_active = training.n_active / pilot.share
     n_patches = min(settings.training_splats, n_active)
     found = pilot.coded.quantized.summary
-    form = None if settings.coder == "paper" else AtomForm(found["atom_size"], found["n_turns"])
-    most = 2 ** index_bits(settings, form, pilot.n_splats) // found["n_turns"]
+    form = None if settings.coder == "paper" else AtomForm(found.atom_size, found.n_turns)
+    most = 2 ** index_bits(settings, form, pilot.n_splats) // found.n_turns
     n_atoms = max(1, min(most, int(n_patches) // PATCHES_AN_ATOM))
     return {
         "n_wanted": settings.training_splats,
         "n_active": int(n_active),
         "n_patches": int(n_patches),
-        "n_patches_pilot": training["n_patches"],
+        "n_patches_pilot": training.n_patches,
         "n_atoms": n_atoms,
         "n_atoms_pilot": pilot.coded.n_dictionary,
     }
@@ -338,7 +339,7 @@ def _sizes(pilot: _Pilot, learning: dict, taken: float) -> dict:
 
 
 def _psnr_db(pilot: _Pilot, loss: float) -> float | None:
-    found = pilot.coded.codes.summary["texture_psnr_db"] if pilot.coded else None
+    found = pilot.coded.codes.summary.texture_psnr_db if pilot.coded else None
     return None if found is None or not loss else found - 10 * math.log10(loss)
 
 
@@ -353,7 +354,7 @@ def _job_for_pilot(pilot: _Pilot, settings: Settings, learning: dict) -> tuple[f
     slope = Slope(None)
     if prices:
         slope = slope_at(price_for(prices, record.summary), prices, least_price(prices, record.summary))
-    census = np.array(work.summary(stage.colors)["census"]) / pilot.share
+    census = np.array(work.summary(stage.colors, AverageColors).census) / pilot.share
     a_patch = (learning["n_atoms"] / learning["n_patches"]) / (learning["n_atoms_pilot"] / learning["n_patches_pilot"])
     job = outcome_in_job(
         Sorts(octave[active], learned[active], error[active], n_atoms[active]),

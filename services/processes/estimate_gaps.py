@@ -19,6 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.summaries import Ladder
+
 CARRIES_OVER = (
     0.85  # of what the pilot's curve tells: part of its gain is that its patches, which are few, are learned by heart
 )
@@ -84,9 +86,9 @@ def outcome_in_job(
     return Outcome(fall * error, n_atoms * fall**slope.atoms_an_error)
 
 
-def slope_at(price: float, ladder: dict, least: float) -> Slope:
+def slope_at(price: float, ladder: Ladder, least: float) -> Slope:
     """Of the summary of `Prices`; `least` is the lowest price that any target makes it."""
-    prices, error, n_atoms = (np.array(ladder[k]) for k in ("price", "error", "n_atoms"))
+    prices, error, n_atoms = map(np.array, (ladder.price, ladder.error, ladder.n_atoms))
     if price <= least * 1.001 or min(error.min(), n_atoms.min()) <= 0:
         return Slope(None)
     order = np.argsort(prices)

@@ -171,12 +171,12 @@ def _figure_9(e: Evaluation) -> None:
     shares = [
         encode(
             e.run, sample.folder, sample.folder, coded.quantized, replace(settings, target_psnr_db=float(target))
-        ).summary["histogram"]
+        ).summary.histogram
         for target in FIGURE_9_TARGETS_DB
     ]
     e.figures["atoms"] = {
         "row": name,
-        "n_splats": sample.summary["n_splats"],
+        "n_splats": sample.summary.n_splats,
         "targets_db": list(FIGURE_9_TARGETS_DB),
         "histograms": shares,
     }
@@ -200,12 +200,12 @@ def _pictures(e: Evaluation, out: Path) -> None:
     passes = e.run.paint(
         time_passes, [v for v in variants if v.photos is None or v.name in ("photos LOD 0", "photos LOD 1")]
     )
-    e.run.progress.end(StageRecord("pictures", out, {}, time.perf_counter() - begun, 0, 2, 0, False))
+    e.run.progress.end(StageRecord("pictures", out, None, time.perf_counter() - begun, 0, 2, 0, False))
     e.figures |= {"close_ups": close_ups, "passes": passes, "close_ups_of": chosen}
 
 
 def _held_out_photos(scan: Path, prepared: Prepared, every: int) -> tuple[int, ...]:
-    n_photos = len(prepared.scan.summary["cameras"])
+    n_photos = len(prepared.scan.summary.cameras)
     chosen = tuple(range(0, n_photos, every))
     if len(chosen) == n_photos:
         raise InvalidScan(
@@ -232,7 +232,7 @@ def _held_out(e: Evaluation, out: Path, every: int, chosen: tuple[int, ...]) -> 
     views = compare_held_out(HeldOut(path, prepared.photos, chosen), out)
     e.figures["held_out"] = {
         "every": every,
-        "n_photos": len(e.prepared.scan.summary["cameras"]),
-        "n_uncoloured": prepared.splats.summary["n_without_camera"],
+        "n_photos": len(e.prepared.scan.summary.cameras),
+        "n_uncoloured": prepared.splats.summary.n_without_camera,
         "views": views,
     }

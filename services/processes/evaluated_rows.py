@@ -10,7 +10,8 @@ from pipeline.geometry.frame import directions_of
 from pipeline.planning.knobs import BY_NAME
 from pipeline.planning.settings import Settings
 from pipeline.stages.texture.photo_codecs import CODECS, texture_bytes
-from pipeline.stages.texture.photo_variants import PhotoVariant, VariantErrors
+from pipeline.stages.texture.photo_variants import PhotoVariant, VariantErrors, VariantMeasured
+from pipeline.summaries import CodesMade
 from renderer.evaluate.compare import not_measured
 from renderer.report.report import sizes_of
 from services.flow.code import code_prepared
@@ -55,7 +56,7 @@ class Evaluation:
 
     @property
     def n_splats(self) -> int:
-        return self.prepared.splats.summary["n_splats"]
+        return self.prepared.splats.summary.n_splats
 
 
 def coders() -> tuple[str, ...]:
@@ -93,7 +94,7 @@ def coded_row(e: Evaluation, key: str, coder: str, **changes) -> None:
     ) | {
         "kind": "ours",
         "n_dictionary": coded.n_dictionary,
-        "mean_atoms": quality["mean_atoms"],
+        "mean_atoms": quality.mean_atoms,
         "file_bytes": sizes["file_bytes"],
         "learning": coded.learning,
     }
@@ -113,12 +114,12 @@ def photo_row(e: Evaluation, key: str, lod: int, codec: str, bytes_per_pixel: fl
             e.prepared.splats.folder,
             e.patches.folder,
             e.prepared.radius,
-            *directions_of(e.prepared.scan.summary["cameras"]),
+            *directions_of(e.prepared.scan.summary.cameras),
         )
     )
     kind = CODECS[codec]
     name = kind.title if not kind.renderable else f"photos LOD {lod}" + (f" {kind.title}" if codec != "raw" else "")
-    e.rows[key] = _row(e, name, kind.encoder, variant.summary["bytes"], errors.summary, variant.made_seconds) | {
+    e.rows[key] = _row(e, name, kind.encoder, variant.summary.bytes, errors.summary, variant.made_seconds) | {
         "kind": "photos" if kind.renderable else "pictures"
     }
     if kind.renderable:
@@ -128,8 +129,8 @@ def photo_row(e: Evaluation, key: str, lod: int, codec: str, bytes_per_pixel: fl
 def picture_row(e: Evaluation, codec: str) -> None:
     """At the bytes of our textures: of the first coded row, or of BC1 at LOD 1 where there is none."""
     coded = next((row for row in e.rows.values() if row["kind"] == "ours" and row.get("n_dictionary")), None)
-    cameras = e.prepared.scan.summary["cameras"]
-    n_pixels = sum(c["width_px"] * c["height_px"] for c in cameras)
+    cameras = e.prepared.scan.summary.cameras
+    n_pixels = sum(c.width_px * c.height_px for c in cameras)
     photo_row(e, codec, 0, codec, coded["texture_bytes"] / n_pixels if coded else 1 / 6)
 
 
@@ -141,13 +142,19 @@ def per_splat_row(e: Evaluation) -> None:
         "one texture a splat",
         "none",
         n_bytes,
-        dict.fromkeys(("texture_psnr_db", "visible_psnr_db")),
+        VariantMeasured(None, None),
         e.patches.made_seconds,
     ) | {"kind": "atlas"}
 
 
 def _row(
-    e: Evaluation, name: str, coder: str, n_bytes: int, quality: dict, seconds: float, geometry: int | None = None
+    e: Evaluation,
+    name: str,
+    coder: str,
+    n_bytes: int,
+    quality: CodesMade | VariantMeasured,
+    seconds: float,
+    geometry: int | None = None,
 ) -> dict:
     geometry = geometry or e.rows["average"]["geometry_bytes"]
     return {
@@ -156,8 +163,8 @@ def _row(
         "texture_bytes": int(n_bytes),
         "geometry_bytes": int(geometry),
         "bytes_per_splat": (n_bytes + geometry) / e.n_splats,
-        "texture_psnr_db": quality["texture_psnr_db"],
-        "visible_psnr_db": quality["visible_psnr_db"],
+        "texture_psnr_db": quality.texture_psnr_db,
+        "visible_psnr_db": quality.visible_psnr_db,
         "seconds": seconds,
         "n_dictionary": None,
         "mean_atoms": None,
@@ -175,10 +182,10 @@ def document_of(e: Evaluation, wanted: list[str]) -> dict:
                 shown.append({"key": name} | row | _factors(raw, row))
     summary = e.prepared.scan.summary
     return {
-        "scan": {"name": e.scan.resolve().name, "format": summary["format"], "n_cameras": len(summary["cameras"])},
+        "scan": {"name": e.scan.resolve().name, "format": summary.format, "n_cameras": len(summary.cameras)},
         "splats": e.n_splats,
         "radius": e.prepared.radius,
-        "resampling_psnr_db": e.patches.summary["resampling_psnr_db"],
+        "resampling_psnr_db": e.patches.summary.resampling_psnr_db,
         "rows": shown,
         "target_psnr_db": e.settings.target_psnr_db,
         "n_workers": e.run.executor.n_workers,

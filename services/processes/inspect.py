@@ -66,4 +66,4 @@ def iso_values(path: Path, choice: Choice, executor: Executor, progress: Progres
         if work:
             work.mkdir(parents=True, exist_ok=True)
         voxels, values = iso_values_of(Run(work or Path(scratch), executor, progress), path, choice)
-        return {"volume": voxels.summary, **values.summary}
+        return {"volume": asdict(voxels.summary), **asdict(values.summary)}

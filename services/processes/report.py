@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 
 from pipeline.effects.exposure import exposed
@@ -32,7 +33,7 @@ def report(packed: Path, scan: Path, out: Path, executor: Executor, progress: Pr
         if not ingest_fits(ingest.folder, [c.name for c in header.cameras]):
             raise InvalidScan(
                 str(scan),
-                f"photographs {[c['name'] for c in ingest.summary['cameras']][:3]}...",
+                f"photographs {[c.name for c in ingest.summary.cameras][:3]}...",
                 f"those that {packed.name} was made from, {[c.name for c in header.cameras][:3]}...",
             )
         photos = ingest.folder
@@ -40,13 +41,13 @@ def report(packed: Path, scan: Path, out: Path, executor: Executor, progress: Pr
             photos = run.do(exposed(ingest.folder, header.effects["exposure"])).folder
         if header.cameras:
             measured = run.do(Measure(photos, packed.resolve(), fingerprint(packed))).summary
-            numerics = {"flagged_projections": measured["n_flagged"]}
-            quality = {k: measured[k] for k in ("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db")}
-        volume = {"volume": ingest.summary["volume"]} if "volume" in ingest.summary else {}
+            numerics = {"flagged_projections": measured.n_flagged}
+            quality = {k: getattr(measured, k) for k in ("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db")}
+        volume = {"volume": asdict(ingest.summary.volume)} if ingest.summary.volume else {}
         record = {
-            "scan": {"n_cameras": len(header.cameras), "warnings": ingest.summary["warnings"], **volume},
+            "scan": {"n_cameras": len(header.cameras), "warnings": list(ingest.summary.warnings), **volume},
             "quality": quality,
-            "numerics": numerics | {"dropped_points": ingest.summary["n_dropped"]},
+            "numerics": numerics | {"dropped_points": ingest.summary.n_dropped},
         }
         return write_outputs(run, packed, photos, record, out, render)
 

@@ -199,10 +199,10 @@ def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
         "knob": step.knob,
         "value": getattr(step.settings, step.knob) if step.knob else None,
         "command": step.command,
-        "splats": prepared.splats.summary["n_splats"],
-        "texture_psnr_db": _shown(quality["texture_psnr_db"]),
-        "visible_psnr_db": _shown(quality["visible_psnr_db"]),
-        "mean_atoms": quality["mean_atoms"],
+        "splats": prepared.splats.summary.n_splats,
+        "texture_psnr_db": _shown(quality.texture_psnr_db),
+        "visible_psnr_db": _shown(quality.visible_psnr_db),
+        "mean_atoms": quality.mean_atoms,
         "gpu_bytes": sizes["gpu_bytes"],
         "file_bytes": sizes["file_bytes"],
         "bytes_per_splat": sizes["bytes_per_splat"],
@@ -217,7 +217,7 @@ def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
         "device": None,
         "frame_px": None,
         "_packed": path,
-        "n_cameras": len(prepared.scan.summary["cameras"]),
+        "n_cameras": len(prepared.scan.summary.cameras),
     }, prepared.photos
 
 
@@ -237,7 +237,7 @@ def _pictures(run: Run, points: list[dict], photographs: Path, out: Path) -> lis
     for point, timed in zip(points, run.paint(time_passes, variants), strict=True):
         point["frame_seconds"] = sum(timed["seconds"].values())
         point["device"], point["frame_px"] = timed["device"], [timed["width_px"], timed["height_px"]]
-    run.progress.end(StageRecord(PICTURES, out, {}, time.perf_counter() - begun, 0, 2, 0, False))
+    run.progress.end(StageRecord(PICTURES, out, None, time.perf_counter() - begun, 0, 2, 0, False))
     return close_ups
 
 

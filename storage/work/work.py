@@ -14,24 +14,35 @@ name of its own is written aside (`*.partial*`) and given its name whole, or not
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import json
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
+import msgspec
 import numpy as np
 
 from storage import place
 from storage.whole import whole
 
-LAYOUT_VERSION = 13  # raised when a stage's output changes for equal inputs
+LAYOUT_VERSION = 14  # raised when a stage's output changes for equal inputs
+
+T = TypeVar("T")
+
+
+class _Kept(msgspec.Struct, Generic[T]):
+    """What stands in summary.json."""
+
+    seconds: float
+    summary: T
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Strict JSON under its name only when it is whole."""
+    """Strict JSON, dataclasses as objects, under its name only when it is whole."""
     with whole(path) as partial:
-        partial.write_text(json.dumps(data, allow_nan=False))
+        partial.write_text(json.dumps(data, allow_nan=False, default=dataclasses.asdict))
 
 
 def read_json(path: Path) -> Any:
@@ -130,13 +141,23 @@ def _result_path(folder: Path, index: int) -> Path:
     return folder / "results" / f"{index:06d}.json"
 
 
-def complete(folder: Path, summary: dict, seconds: float) -> None:
+def complete(folder: Path, summary: Any, seconds: float) -> None:
+    """Note that a stage is done: its summary, a dataclass or what JSON has, and how long it took."""
     write_json(folder / "summary.json", {"seconds": seconds, "summary": summary})
     place.remove_folder(parts(folder))
 
 
-def summary(folder: Path) -> dict:
-    return read_json(folder / "summary.json")["summary"]
+def summary(folder: Path, kind: type[T]) -> T:
+    """The summary of a stage that is done, as `kind`: a dataclass that its JSON has all the fields of.
+
+    Raises: msgspec.ValidationError, a mistake of ours, where it has not.
+    """
+    return _decoder(kind).decode(place.here(folder / "summary.json").read_bytes()).summary  # type: ignore[arg-type]
+
+
+@functools.cache
+def _decoder(kind: type) -> msgspec.json.Decoder:
+    return msgspec.json.Decoder(_Kept[kind])  # type: ignore[valid-type]
 
 
 def made_seconds(folder: Path) -> float:

@@ -27,6 +27,7 @@ from pipeline.execution.stage import run_stage
 from pipeline.stages.texture import dictionary as stages
 from pipeline.stages.texture.dictionary import DictionarySeed, KsvdUpdate
 from pipeline.stages.texture.training import TrainingPart
+from pipeline.summaries import InParts
 from storage.work import arrays
 from tests import reference
 from tests.pipeline.coding.search.test_certified import normalised
@@ -183,7 +184,7 @@ def staged(tmp_path, monkeypatch):
     monkeypatch.setattr(
         stages.work,
         "summary",
-        lambda folder, read=stages.work.summary: {"n_tasks": 2} if folder.name == "training" else read(folder),
+        lambda folder, kind, read=stages.work.summary: InParts(2) if folder.name == "training" else read(folder, kind),
     )
     return tmp_path, patches
 
@@ -197,10 +198,10 @@ def test_learning__the_stages_keep_the_best_dictionary_too(staged):
         record = run_stage(KsvdUpdate(training, learned, 2, 0.0, iteration), folder, SerialExecutor(), Heard())
         records.append(record.summary)
         learned = record.folder
-    curve = np.array([r["squared_error"] for r in records])
-    tried = np.array([r["measured_error"] for r in records])
+    curve = np.array([r.squared_error for r in records])
+    tried = np.array([r.measured_error for r in records])
     assert rises(curve).max() <= MONOTONE and (curve == np.minimum.accumulate(tried)).all()
-    assert any(not r["accepted"] for r in records)
+    assert any(not r.accepted for r in records)
     assert measured(patches, arrays.read(learned, "best"), 2).error == pytest.approx(curve[-1], rel=1e-6)
 
 

@@ -55,7 +55,7 @@ def off_own_color(prepared: Prepared, texel: np.ndarray) -> np.ndarray:
 def test_maps__one_station_has_no_light_to_solve_and_shows_its_own_colours(tmp_path):
     prepared, found, texel, _ = patches_of(tmp_path, scanned([0.2, 0.1, 0.0], STEP))
     assert prepared.maps.light is None and prepared.maps.log_gain == ((0.0, 0.0, 0.0),)
-    assert found["n_blind"] < 0.01 * len(texel)
+    assert found.n_blind < 0.01 * len(texel)
     assert np.quantile(off_own_color(prepared, texel), 0.9) < 40
 
 
@@ -64,8 +64,8 @@ def test_maps__stations_without_overlap_keep_their_own_light_and_colours(tmp_pat
     far = scanned([0.2, 0.1, 0.0], STEP, gain=0.5)
     far = Seen(far.centre + [100, 0, 0], far.position + [100, 0, 0], far.normal, far.color)
     prepared, found, texel, _ = patches_of(tmp_path, near, far)
-    assert prepared.maps.light["n_splats"] == 0 and prepared.maps.log_gain == ((0.0,) * 3,) * 2
-    assert found["n_other_station"] == 0
+    assert prepared.maps.light.n_splats == 0 and prepared.maps.log_gain == ((0.0,) * 3,) * 2
+    assert found.n_other_station == 0
     assert np.quantile(off_own_color(prepared, texel), 0.9) < 40
 
 
@@ -74,7 +74,7 @@ def test_maps__all_points_on_one_side_leave_the_rest_of_the_map_empty(tmp_path):
     prepared, found, texel, _ = patches_of(tmp_path, only(seen, seen.position[:, 0] > 2.5))
     alpha = read_map(prepared.maps.folder, 0).color[..., 3] > 0
     assert 0.05 < alpha.mean() < 0.3
-    assert found["n_blind"] < 0.01 * len(texel)
+    assert found.n_blind < 0.01 * len(texel)
 
 
 def test_maps__a_station_inside_an_object_is_counted_and_the_room_is_textured_where_it_is_seen(tmp_path):
@@ -91,7 +91,7 @@ def test_maps__a_station_inside_an_object_is_counted_and_the_room_is_textured_wh
     of_room = np.linalg.norm(position, axis=1) > 1
     above = of_room & (position[:, 2] > 0.2)
     is_flat = (texel == texel[:, :1]).all(axis=(1, 2))  # of those without a map: their one colour
-    assert is_flat[above].mean() < 0.02 and found["n_blind"] < 0.5 * len(texel)
+    assert is_flat[above].mean() < 0.02 and found.n_blind < 0.5 * len(texel)
     assert np.quantile(off_own_color(prepared, texel)[above], 0.9) < 50
 
 
@@ -140,7 +140,7 @@ def test_maps__splats_that_no_map_shows_have_their_own_colour(tmp_path):
         prepared.sources.up, prepared.sources.ahead, 0, len(texel),
     )  # fmt: skip
     assert block.n_stations == 1 and LEAST_SHARE < 0.1
-    assert behind.any() and (texel[behind] == 77).all() and found["n_blind"] >= behind.sum()
+    assert behind.any() and (texel[behind] == 77).all() and found.n_blind >= behind.sum()
 
 
 @pytest.mark.parametrize("levels", [255, 65535])

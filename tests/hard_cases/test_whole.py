@@ -387,7 +387,7 @@ def test_whole__real_hard_scans_pass_readers_and_geometry(tmp_path, name):
     run = Run(tmp_path, SerialExecutor(), Heard())
     discs = prepare(run, scan, None, "ellipsoids=off")
     made = discs.splats.summary
-    assert made["mean_position_error"] < 0.05 * discs.radius and made["mean_normal_error_degrees"] < 0.35
+    assert made.mean_position_error < 0.05 * discs.radius and made.mean_normal_error_degrees < 0.35
     # Against the scanned points, too: ellipsoids lie where a branch has its middle, not where the scanner met its bark.
     drawn = prepare(run, scan, None)
-    assert drawn.splats.summary["mean_position_error"] < 0.12 * drawn.radius
+    assert drawn.splats.summary.mean_position_error < 0.12 * drawn.radius

@@ -16,7 +16,7 @@ EVERY = 8  # splats of a block are measured
 
 
 def _survey(sources: Sources) -> NearestPoints | None:
-    return NearestPoints(sources) if sources.cameras or sources.scan["stations"] else None
+    return NearestPoints(sources) if sources.cameras or sources.scan.stations else None
 
 
 def _measure_block(block: Block) -> dict:

@@ -54,7 +54,7 @@ def eyes_of(sources: Sources) -> tuple[Eye, ...]:
     """The cameras of a scan, or without any its stations."""
     if sources.cameras:
         return tuple(_camera_eye(camera) for camera in sources.cameras)
-    return tuple(_station_eye(np.array(station)) for station in sources.scan["stations"])
+    return tuple(_station_eye(np.array(station)) for station in sources.scan.stations)
 
 
 def eye_of_splats(block: Block) -> np.ndarray:

@@ -15,10 +15,18 @@ from scipy.ndimage import distance_transform_edt
 from pipeline.effects.block import Sources
 from pipeline.effects.cliplines.eyes import cell_of, eyes_of, seen_by_eye
 from pipeline.execution.compiled import kernel
+from pipeline.summaries import Points
 from storage.work import arrays, work
 
 CELLS_A_RADIUS = 3.0
 UNKNOWN = np.float32(np.nan)
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Of the survey: the cells a unit of each eye's picture."""
+
+    scale: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -39,8 +47,8 @@ class NearestPoints:
         scale = eye.scale_for(self._median_distance(index), s.radius, CELLS_A_RADIUS)
         position = np.full((*eye.shape(scale), 3), UNKNOWN, np.float32)
         distance = np.full(eye.shape(scale), np.inf)
-        points = work.summary(s.partition)
-        low, high = np.array(points["block_low"]) + s.origin, np.array(points["block_high"]) + s.origin
+        points = work.summary(s.partition, Points)
+        low, high = np.array(points.block_low) + s.origin, np.array(points.block_high) + s.origin
         for block in (s.block(i) for i in range(arrays.n_blocks(s.n_splats)) if eye.may_see(low[i], high[i])):
             _keep_nearest(
                 position, distance, eye.numbers, eye.around, scale, block.position, s.origin, seen_by_eye(block, index)
@@ -51,13 +59,13 @@ class NearestPoints:
         arrays.store(folder, f"nearest_{index}", position, position.shape)
         return {"scale": scale}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return {"scale": [r["scale"] for r in results]}
+    def finalise(self, folder: Path, results: list[dict]) -> Scales:
+        return Scales(tuple(r["scale"] for r in results))
 
     def _median_distance(self, index: int) -> float:
         """Of the middles of the blocks that lie in the eye's picture; 1 where none does."""
-        points = work.summary(self.sources.partition)
-        middle = (np.array(points["block_low"]) + points["block_high"]) / 2 + self.sources.origin
+        points = work.summary(self.sources.partition, Points)
+        middle = (np.array(points.block_low) + points.block_high) / 2 + self.sources.origin
         distance = eyes_of(self.sources)[index].distances(middle)
         return float(np.nanmedian(distance)) if np.isfinite(distance).any() else 1.0
 

@@ -10,7 +10,9 @@ import numpy as np
 from pipeline.effects.block import Block, Sources
 from pipeline.effects.cliplines.eyes import Eye, cell_of, eye_of_splats, eyes_of
 from pipeline.effects.cliplines.lines import best_lines, disc_points
+from pipeline.effects.cliplines.nearest import Scales
 from pipeline.execution.compiled import kernel
+from pipeline.summaries import Clipped
 from storage.work import arrays, work
 
 ROWS = 2048  # splats at a time
@@ -45,8 +47,8 @@ class Cliplines:
         arrays.write(folder, "clipline", block.rows[0], code)
         return {"n_splats": len(has), "n_clipped": int(has.sum())}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return {"n_clipped": sum(r["n_clipped"] for r in results)}
+    def finalise(self, folder: Path, results: list[dict]) -> Clipped:
+        return Clipped(sum(r["n_clipped"] for r in results))
 
 
 def cliplines_of(
@@ -56,7 +58,7 @@ def cliplines_of(
     between."""
     code, has = np.zeros(len(block.centre), np.uint32), np.zeros(len(block.centre), bool)
     eye = np.where(np.arange(len(code)) % every, -1, eye_of_splats(block))
-    eyes, scales = eyes_of(block.sources), work.summary(nearest)["scale"]
+    eyes, scales = eyes_of(block.sources), work.summary(nearest, Scales).scale
     for i in np.unique(eye[eye >= 0]):
         position = np.asarray(arrays.mapped(nearest, f"nearest_{i}"))
         for rows in _pieces(np.flatnonzero(eye == i)):

@@ -13,7 +13,17 @@ from pipeline.effects.ellipsoids.fit import fit
 from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, distinct, thinned_of_distinct
 from pipeline.splats.coarser import first_finest
 from pipeline.splats.decoded import splat_radii
+from pipeline.summaries import Points
 from storage.work import arrays, work
+
+
+@dataclass(frozen=True)
+class EllipsoidsMade:
+    """How many splats became ellipsoids, and their share."""
+
+    n_splats: int
+    n_ellipsoids: int
+    share: float
 
 
 @dataclass(frozen=True)
@@ -28,7 +38,7 @@ class Ellipsoids:
     name = "ellipsoids"
 
     def init(self, folder: Path) -> int:
-        n = work.summary(self.partition)["n_splats"]
+        n = work.summary(self.partition, Points).n_splats
         for name, shape, dtype in (
             ("has_ellipsoid", (n,), "bool"),
             ("centre", (n, 3), "float64"),
@@ -38,7 +48,7 @@ class Ellipsoids:
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:
-        start, stop = arrays.block_range(index, work.summary(self.partition)["n_splats"])
+        start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
         position = arrays.read(self.partition, "position", start, stop)
         thin, centre = np.zeros(stop - start, bool), np.zeros((stop - start, 3))
         axes = np.zeros((stop - start, 3, 3), np.float32)
@@ -60,24 +70,24 @@ class Ellipsoids:
             arrays.write(folder, name, start, rows)
         return {"n_splats": stop - start, "n_ellipsoids": int(thin.sum())}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> EllipsoidsMade:
         n = sum(r["n_splats"] for r in results)
         n_ellipsoids = sum(r["n_ellipsoids"] for r in results)
-        return {"n_splats": n, "n_ellipsoids": n_ellipsoids, "share": n_ellipsoids / n}
+        return EllipsoidsMade(n, n_ellipsoids, n_ellipsoids / n)
 
     def _first_finest(self) -> int:
         """The first splat of the finest level."""
-        return first_finest(work.summary(self.partition))
+        return first_finest(work.summary(self.partition, Points))
 
     def _points_about(self, some: np.ndarray, reach: float) -> np.ndarray:
         """All points of the scan that can be neighbours of `some` (m, 3): those in their box, grown by `reach`."""
-        summary = work.summary(self.partition)
-        low, high = np.array(summary["block_low"]), np.array(summary["block_high"])
+        summary = work.summary(self.partition, Points)
+        low, high = np.array(summary.block_low), np.array(summary.block_high)
         from_, to = some.min(axis=0) - reach, some.max(axis=0) + reach
         found = []
         first = self._first_finest()
         for block in np.flatnonzero(((low <= to) & (high >= from_)).all(axis=1)):
-            start, stop = arrays.block_range(int(block), summary["n_splats"])
+            start, stop = arrays.block_range(int(block), summary.n_splats)
             if stop > first:
                 points = arrays.read(self.partition, "position", max(first, start), stop)
                 found.append(_about(points, some, reach))

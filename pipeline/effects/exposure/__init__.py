@@ -12,6 +12,7 @@ from pipeline.effects.exposure.light import N_TERMS
 from pipeline.effects.exposure.observe import observed
 from pipeline.effects.exposure.solve import Observations, solve_fields, spread
 from pipeline.effects.exposure.stage import Exposed
+from pipeline.summaries import Photographs
 from storage.errors import InvalidScan
 from storage.work import work
 
@@ -57,7 +58,7 @@ def exposed(ingest: Path, outcome: dict) -> Exposed:
 
     Raises: InvalidScan where the outcome, which a file may claim, is none of this scan.
     """
-    wanted = (len(work.summary(ingest)["cameras"]), 3, N_TERMS)
+    wanted = (len(work.summary(ingest, Photographs).cameras), 3, N_TERMS)
     try:
         fields = np.array(outcome["log_gain"], np.float64)
         if fields.shape != wanted or not np.isfinite(fields).all():

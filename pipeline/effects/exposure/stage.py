@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.effects.exposure.light import relit
+from pipeline.summaries import Photographs
 from storage.work import arrays, work
 
 TILE = 512
@@ -23,8 +24,8 @@ class Exposed:
     name = "exposure"
 
     def init(self, folder: Path) -> int:
-        for i, camera in enumerate(work.summary(self.ingest)["cameras"]):
-            arrays.create(folder, f"photo_{i}", (camera["height_px"], camera["width_px"], 3), "uint8", (TILE, TILE, 3))
+        for i, camera in enumerate(work.summary(self.ingest, Photographs).cameras):
+            arrays.create(folder, f"photo_{i}", (camera.height_px, camera.width_px, 3), "uint8", (TILE, TILE, 3))
         return len(self.log_gain)
 
     def run(self, folder: Path, index: int) -> dict:
@@ -32,5 +33,5 @@ class Exposed:
         arrays.write_picture(folder, f"photo_{index}", relit(photo, np.array(self.log_gain[index])))
         return {}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return {"cameras": work.summary(self.ingest)["cameras"]}
+    def finalise(self, folder: Path, results: list[dict]) -> Photographs:
+        return work.summary(self.ingest, Photographs)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from pipeline.maps.sample import Squares, sample_patches, seen_at_centre
 from pipeline.maps.station_map import StationMap
 from pipeline.numerics.srgb import LINEAR_OF_LEVEL
 from pipeline.stages.maps.resample_maps import MappedSplats
+from pipeline.summaries import Counted, MapsDrawn
 from pipeline.texture.resample import disc_weights
 from storage.packed.schema import PATCH_SIZE
 from storage.work import arrays, work
@@ -25,6 +26,17 @@ LEAST_SHARE = 0.9  # of a splat's square that a map must show
 # Levels of 255 by which the median spread of a splat's colours across stations must fall: less is what rounding makes of
 # equal ones.
 LEAST_FALL = 1.0
+
+
+@dataclass(frozen=True)
+class StationGains:
+    """What brings stations to one light. Spreads are medians over splats of their colours across stations, in levels
+    of 255; None where no splat is seen from two."""
+
+    log_gain: tuple[tuple[float, float, float], ...]  # by station and channel
+    n_splats: int
+    spread_before: float | None
+    spread_after: float | None
 
 
 @dataclass(frozen=True)
@@ -41,10 +53,10 @@ class StationLight:
     name = "station-light"
 
     def init(self, folder: Path) -> int:
-        return min(MOST_BLOCKS, arrays.n_blocks(work.summary(self.splats)["n_splats"]))
+        return min(MOST_BLOCKS, arrays.n_blocks(work.summary(self.splats, Counted).n_splats))
 
     def run(self, folder: Path, index: int) -> dict:
-        n = work.summary(self.splats)["n_splats"]
+        n = work.summary(self.splats, Counted).n_splats
         n_blocks = arrays.n_blocks(n)
         chosen = index * n_blocks // min(MOST_BLOCKS, n_blocks)
         start, stop = arrays.block_range(chosen, n)
@@ -61,8 +73,8 @@ class StationLight:
             seen["light"] += light.round(6).ravel().tolist()
         return seen | {"n_splats": stop - start}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        n_stations = len(work.summary(self.maps)["frames"])
+    def finalise(self, folder: Path, results: list[dict]) -> StationGains:
+        n_stations = len(work.summary(self.maps, MapsDrawn).frames)
         splat = np.concatenate([np.array(r["splat"], np.int64) + (i << 20) for i, r in enumerate(results)])
         station = np.concatenate([np.array(r["station"], np.int64) for r in results])
         light = np.concatenate([np.array(r["light"], float).reshape(-1, 3) for r in results])
@@ -72,19 +84,20 @@ class StationLight:
         return _gains(seen, n_stations)
 
 
-def _gains(seen: Observations, n_stations: int) -> dict:
-    none = {"log_gain": np.zeros((n_stations, 3)).tolist(), "n_splats": len(np.unique(seen.splat))}
+def _gains(seen: Observations, n_stations: int) -> StationGains:
+    none = StationGains(((0.0, 0.0, 0.0),) * n_stations, len(np.unique(seen.splat)), None, None)
     if not len(seen.splat):
-        return none | {"spread_before": None, "spread_after": None}
+        return none
     even = seen.splat % 2 == 0
     of_half = solve_fields(seen.only(even), n_stations)
     before, after = spread(seen.only(~even)), spread(seen.only(~even), of_half)
-    found = none | {"spread_before": before, "spread_after": after}
+    found = replace(none, spread_before=before, spread_after=after)
     if before - after < LEAST_FALL:
         return found
     most = np.log(MOST_GAIN)
     fields = solve_fields(seen, n_stations, of_half).reshape(n_stations, 3, N_TERMS)
-    return found | {"log_gain": np.clip(fields[:, :, 0], -most, most).round(5).tolist()}
+    gains = np.clip(fields[:, :, 0], -most, most).round(5).tolist()
+    return replace(found, log_gain=tuple(map(tuple, gains)))
 
 
 def _light_of(station_map: StationMap, squares: Squares) -> tuple[np.ndarray, np.ndarray]:

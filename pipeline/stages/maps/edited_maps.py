@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.maps.files import COLOR, has_map, name_of, read_edited
 from pipeline.stages.maps.panoramas import read_map
+from pipeline.summaries import MapsDrawn
 from storage.errors import InvalidScan
 from storage.work import arrays, work
 
@@ -25,7 +26,7 @@ class EditedMaps:
     location_fields = ("edited",)
 
     def init(self, folder: Path) -> int:
-        n_stations = len(work.summary(self.maps)["frames"])
+        n_stations = len(work.summary(self.maps, MapsDrawn).frames)
         if not any(has_map(Path(self.edited), i) for i in range(n_stations)):
             wanted = f"{name_of(0)}{COLOR}" + (f" to {name_of(n_stations - 1)}{COLOR}" if n_stations > 1 else "")
             raise InvalidScan(self.edited, "no map of any station", wanted, "`splatpress map` writes them")
@@ -42,5 +43,5 @@ class EditedMaps:
         arrays.store(folder, f"depth_{index}", made.depth, made.depth.shape)
         return {"edited": is_edited}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return work.summary(self.maps) | {"n_edited": sum(r["edited"] for r in results)}
+    def finalise(self, folder: Path, results: list[dict]) -> MapsDrawn:
+        return replace(work.summary(self.maps, MapsDrawn), n_edited=sum(r["edited"] for r in results))

@@ -18,6 +18,7 @@ from pipeline.maps.choice import NO_STATION, best_stations
 from pipeline.maps.sample import Squares, foreign_points
 from pipeline.maps.station_map import StationMap
 from pipeline.stages.maps.resample_maps import MappedSplats
+from pipeline.summaries import Clipped, Counted
 from storage.work import arrays, work
 
 ROWS = 2048  # splats at a time
@@ -36,13 +37,13 @@ class MapCliplines:
     name = "map-cliplines"
 
     def init(self, folder: Path) -> int:
-        n = work.summary(self.splats)["n_splats"]
+        n = work.summary(self.splats, Counted).n_splats
         arrays.create(folder, "has_clipline", (n,), "bool")
         arrays.create(folder, "clipline", (n,), "uint32")
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:
-        start, stop = arrays.block_range(index, work.summary(self.splats)["n_splats"])
+        start, stop = arrays.block_range(index, work.summary(self.splats, Counted).n_splats)
         splats = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
         best = best_stations(splats.map_of, splats.n_stations, splats.squares, splats.own)
         code, has = np.zeros(stop - start, np.uint32), np.zeros(stop - start, bool)
@@ -56,8 +57,8 @@ class MapCliplines:
         arrays.write(folder, "clipline", start, code)
         return {"n_splats": len(has), "n_clipped": int(has.sum())}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return {"n_clipped": sum(r["n_clipped"] for r in results)}
+    def finalise(self, folder: Path, results: list[dict]) -> Clipped:
+        return Clipped(sum(r["n_clipped"] for r in results))
 
 
 def _lines(station_map: StationMap, squares: Squares) -> tuple[np.ndarray, np.ndarray]:

@@ -14,6 +14,7 @@ from pipeline.maps.station_map import MapFrame, StationMap
 from pipeline.splats.colors import point_colors
 from pipeline.splats.normals import turned_to
 from pipeline.splats.sizes import needed_sizes
+from pipeline.summaries import MapsDrawn, Points, ScanRead
 from storage.work import arrays, work
 
 # Of a station's spacings, in radians: that of surfaces that face it. Slanted ones, and thin ones, have wider ones.
@@ -34,7 +35,7 @@ class Panoramas:
     name = "panoramas"
 
     def init(self, folder: Path) -> int:
-        return len(work.summary(self.ingest)["stations"])
+        return len(work.summary(self.ingest, ScanRead).stations)
 
     def run(self, folder: Path, index: int) -> dict:
         station = _Station(self, index)
@@ -57,21 +58,21 @@ class Panoramas:
             "covered": float((made.color[..., 3] > 0).mean()),
         }
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return {
-            "frames": [r["frame"] for r in results],
-            "n_left_out": sum(r["n_left_out"] for r in results),
-            "height_wanted": [r["height_wanted"] for r in results],
-        }
+    def finalise(self, folder: Path, results: list[dict]) -> MapsDrawn:
+        return MapsDrawn(
+            frames=tuple(None if r["frame"] is None else MapFrame.from_json(r["frame"]) for r in results),
+            n_left_out=sum(r["n_left_out"] for r in results),
+            height_wanted=tuple(r["height_wanted"] for r in results),
+        )
 
 
 def read_map(folder: Path, index: int) -> StationMap | None:
     """The map of a station, from a folder as that of `Panoramas`; its pictures are read where they are looked at."""
-    frame = work.summary(folder)["frames"][index]
+    frame = work.summary(folder, MapsDrawn).frames[index]
     if frame is None:
         return None
     color, depth = (arrays.mapped(folder, f"{name}_{index}") for name in ("color", "depth"))
-    return StationMap(MapFrame.from_json(frame), np.asarray(color), np.asarray(depth))
+    return StationMap(frame, np.asarray(color), np.asarray(depth))
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class _Station:
 
     @property
     def centre(self) -> np.ndarray:
-        return np.array(work.summary(self.sources.ingest)["stations"][self.index], np.float64)
+        return np.array(work.summary(self.sources.ingest, ScanRead).stations[self.index], np.float64)
 
     def step_and_count(self) -> tuple[float | None, int]:
         """The angle between neighbouring samples, in radians (None where that cannot be told), and their number."""
@@ -102,7 +103,7 @@ class _Station:
     def splats(self, height: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
         """Position against the station, normal, radius and colour of its points, for a map of this height."""
         step = np.pi / 2 / height
-        scan, s = work.summary(self.sources.ingest), self.sources
+        scan, s = work.summary(self.sources.ingest, ScanRead), self.sources
         for (start, stop, rows), local, spacing in self._blocks():
             normal = arrays.read(s.neighbours, "normal", start, stop)[rows].astype(np.float64)
             distance = np.linalg.norm(local, axis=1)
@@ -115,10 +116,10 @@ class _Station:
     def _blocks(self) -> Iterator[tuple[tuple[int, int, np.ndarray], np.ndarray, np.ndarray]]:
         """Of each block that has points of the station: its range and which of its points they are, their positions
         against the station, and their spacings."""
-        points, s = work.summary(self.sources.partition), self.sources
-        offset = np.array(points["origin"]) - self.centre
-        for block in range(arrays.n_blocks(points["n_splats"])):
-            start, stop = arrays.block_range(block, points["n_splats"])
+        points, s = work.summary(self.sources.partition, Points), self.sources
+        offset = np.array(points.origin) - self.centre
+        for block in range(arrays.n_blocks(points.n_splats)):
+            start, stop = arrays.block_range(block, points.n_splats)
             rows = np.arange(stop - start)
             if arrays.exists(s.partition, "station"):
                 rows = np.flatnonzero(arrays.read(s.partition, "station", start, stop) == self.index)

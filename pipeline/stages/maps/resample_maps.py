@@ -15,6 +15,7 @@ from pipeline.maps.sample import Squares, sample_patches
 from pipeline.maps.station_map import StationMap
 from pipeline.splats.decoded import decoded_squares
 from pipeline.stages.maps.panoramas import read_map
+from pipeline.summaries import Counted, MapsDrawn, PatchesMade, Points
 from pipeline.texture.patches import measured
 from pipeline.texture.resample import PATCH_DIM
 from storage.packed.schema import PATCH_SIZE
@@ -38,7 +39,7 @@ class ResampleMaps:
     name = "resample-maps"
 
     def init(self, folder: Path) -> int:
-        n = work.summary(self.splats)["n_splats"]
+        n = work.summary(self.splats, Counted).n_splats
         arrays.create(folder, "texel", (n, PATCH_DIM), "uint8")
         arrays.create(folder, "average", (n, 3), "float32")
         arrays.create(folder, "energy", (n,), "float32")
@@ -46,7 +47,7 @@ class ResampleMaps:
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:
-        start, stop = arrays.block_range(index, work.summary(self.partition)["n_splats"])
+        start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
         splats = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
         texel = np.empty((stop - start, PATCH_DIM), np.uint8)
         shown = np.zeros(stop - start)
@@ -71,9 +72,9 @@ class ResampleMaps:
             "energy": float(energy.sum(dtype=np.float64)),
         }
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> PatchesMade:
         sums = {k: sum(r[k] for r in results) for k in ("energy", "n_flagged", "n_blind", "n_other_station")}
-        return sums | {"resampling_psnr_db": None}
+        return PatchesMade(**sums)
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ class MappedSplats:
 
     @property
     def n_stations(self) -> int:
-        return len(work.summary(self.maps)["frames"])
+        return len(work.summary(self.maps, MapsDrawn).frames)
 
     @property
     def own(self) -> np.ndarray:  # (n,) int64
@@ -105,7 +106,7 @@ class MappedSplats:
     def squares(self, station_map: StationMap) -> Squares:
         """All of them, against the map's station."""
         centre, (u, v), radii = self._decoded
-        offset = np.array(work.summary(self.partition)["origin"]) - np.array(station_map.frame.centre)
+        offset = np.array(work.summary(self.partition, Points).origin) - np.array(station_map.frame.centre)
         return Squares(centre + offset, u, v, radii)
 
     @cached_property

@@ -16,12 +16,25 @@ from pipeline.geometry.frame import tangent_frames
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.splats.decoded import scene_normal_codes, scene_positions, scene_radii
 from pipeline.stages.texture.encode import ROWS, coding_quality
+from pipeline.summaries import Photographs
 from pipeline.texture.colors import ColorBoxes, decode_colors
 from pipeline.texture.patches import Block, Patches, make_patches, patch_errors
 from pipeline.texture.resample import PATCH_DIM
 from storage.packed.packed import PackedFile, PackedScene
 from storage.packed.schema import GROUP
 from storage.work import arrays, work
+
+
+@dataclass(frozen=True)
+class FileMeasured:
+    """What a packed file shows of its photographs."""
+
+    texture_psnr_db: float | None
+    visible_psnr_db: float | None
+    histogram: tuple[int, ...]
+    mean_atoms: float
+    resampling_psnr_db: float | None
+    n_flagged: int
 
 
 @dataclass(frozen=True)
@@ -64,12 +77,13 @@ class Measure:
             "n_flagged": patches.n_flagged,
         }
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> FileMeasured:
         error, n_probes = (sum(r[k] for r in results) for k in ("resampling_error", "n_probes"))
-        return coding_quality(results) | {
-            "resampling_psnr_db": psnr_db(error, n_probes),
-            "n_flagged": sum(r["n_flagged"] for r in results),
-        }
+        return FileMeasured(
+            **vars(coding_quality(results)),
+            resampling_psnr_db=psnr_db(error, n_probes),
+            n_flagged=sum(r["n_flagged"] for r in results),
+        )
 
     def _resample(self, scene: PackedScene, first_splat: int) -> Patches:
         header, a = scene.header, scene.arrays
@@ -159,4 +173,4 @@ def decode_patches(scene: PackedScene, rows: slice, atoms: np.ndarray, levels: n
 
 def ingest_fits(ingest: Path, packed_names: list[str]) -> bool:
     """Whether a scan's photographs are those a packed file was made from, by name and order."""
-    return [c["name"] for c in work.summary(ingest)["cameras"]] == packed_names
+    return [camera.name for camera in work.summary(ingest, Photographs).cameras] == packed_names

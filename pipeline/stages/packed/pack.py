@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.summaries import Packed
 from storage.packed.batches import count_batches, rows_of
 from storage.packed.bits import pack_bits
 from storage.packed.codes import pack_codes
@@ -55,7 +56,7 @@ class Pack:
             n_words[name] = [len(w) for w in words]
         return {"n_splats": stop - start, "n_words": n_words}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> Packed:
         root = reopen_packed(folder / "packed")
         tables = [(stream.name, stream.table) for stream in streams_of(self.header)]
         for name, table in [*tables, ("colors", "color_word")][: len(tables) + bool(self.header.color_step)]:
@@ -64,7 +65,7 @@ class Pack:
             for array in arrays_of(self.header):
                 if array.part == "dictionary":
                     root[array.name][:] = arrays.read(self.quantized, array.name)[: root[array.name].shape[0]]
-        return {"bytes": array_bytes(root, self.header)}
+        return Packed(array_bytes(root, self.header))
 
     def _codes(self, name: str, start: int, stop: int) -> np.ndarray:
         if self.codes is None:

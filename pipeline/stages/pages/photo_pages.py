@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.stages.pages.codecs import CODECS, DEFAULT_QUALITY
 from pipeline.stages.pages.cut import inner_size, pages_of
+from pipeline.summaries import Photographs
 from storage.packed.schema import Camera
 from storage.pages.file import PageHeader, scan_digest, write_pages
 from storage.pages.layout import PageLayout
@@ -19,6 +20,20 @@ from storage.work import arrays, work
 
 FILE = "photographs.pages"
 DEFAULT_PAGE_PX, DEFAULT_BORDER_PX = 128, 4
+
+
+@dataclass(frozen=True)
+class PagesMade:
+    """Of a page file: what it holds, and what its codec lost."""
+
+    n_photographs: int
+    n_pages: int
+    bytes: int
+    raw_bytes: int  # of the photographs, RGB8
+    psnr_db: float | None
+    codec: str
+    page_px: int
+    border_px: int
 
 
 @dataclass(frozen=True)
@@ -57,7 +72,7 @@ class PhotoPages:
         work.write_part(_lengths(folder, index), np.array(lengths, np.uint32))
         return {"n_pages": layout.n_pages, "bytes": sum(lengths), "squared_error": squared / 255**2, "n": n_texels}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> PagesMade:
         cameras = self._cameras()
         layout = self._layout(cameras)
         header = PageHeader(
@@ -65,16 +80,16 @@ class PhotoPages:
         )
         n_bytes = write_pages(folder / FILE, header, self._joined(folder, len(cameras)))
         squared, n = sum(r["squared_error"] for r in results), sum(r["n"] for r in results)
-        return {
-            "n_photographs": len(cameras),
-            "n_pages": layout.n_pages,
-            "bytes": n_bytes,
-            "raw_bytes": 3 * sum(w * h for w, h in layout.sizes_px),
-            "psnr_db": psnr_db(squared, n),
-            "codec": self.codec,
-            "page_px": self.page_px,
-            "border_px": self.border_px,
-        }
+        return PagesMade(
+            n_photographs=len(cameras),
+            n_pages=layout.n_pages,
+            bytes=n_bytes,
+            raw_bytes=3 * sum(w * h for w, h in layout.sizes_px),
+            psnr_db=psnr_db(squared, n),
+            codec=self.codec,
+            page_px=self.page_px,
+            border_px=self.border_px,
+        )
 
     @staticmethod
     def _joined(folder: Path, n_photos: int) -> Iterator[bytes]:
@@ -85,7 +100,7 @@ class PhotoPages:
                     yield stream.read(length)
 
     def _cameras(self) -> list[Camera]:
-        return [Camera.from_json(c) for c in work.summary(self.photos)["cameras"]]
+        return list(work.summary(self.photos, Photographs).cameras)
 
     def _layout(self, cameras: list[Camera]) -> PageLayout:
         return PageLayout(tuple((c.width_px, c.height_px) for c in cameras), self.page_px)

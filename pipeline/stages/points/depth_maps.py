@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.splats.decoded import splat_radii
 from pipeline.splats.visibility import draw_points, empty_map, map_scale
+from pipeline.summaries import Points, ScanRead
 from storage.packed.schema import Camera
 from storage.work import arrays, work
 
@@ -24,24 +25,24 @@ class DepthMaps:
     name = "depth-maps"
 
     def init(self, folder: Path) -> int:
-        return len(work.summary(self.ingest)["cameras"])
+        return len(work.summary(self.ingest, ScanRead).cameras)
 
     def run(self, folder: Path, index: int) -> dict:
-        points = work.summary(self.partition)
-        camera = Camera.from_json(work.summary(self.ingest)["cameras"][index])
+        points = work.summary(self.partition, Points)
+        camera = work.summary(self.ingest, ScanRead).cameras[index]
         depth_map = empty_map(camera, map_scale(camera, self._median_depth(points, camera), self.radius))
-        for block in range(arrays.n_blocks(points["n_splats"])):
-            rows = arrays.block_range(block, points["n_splats"])
+        for block in range(arrays.n_blocks(points.n_splats)):
+            rows = arrays.block_range(block, points.n_splats)
             position = arrays.read(self.partition, "position", *rows)
-            draw_points(depth_map, camera, position + points["origin"], splat_radii(self.sizes, self.radius, *rows))
+            draw_points(depth_map, camera, position + points.origin, splat_radii(self.sizes, self.radius, *rows))
         arrays.store(folder, f"depth_{index}", depth_map.astype(np.float32, copy=False), depth_map.shape)
         return {}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return {}
+    def finalise(self, folder: Path, results: list[dict]) -> None:
+        """Nothing is told but the arrays."""
 
-    def _median_depth(self, points: dict, camera: Camera) -> float:
+    def _median_depth(self, points: Points, camera: Camera) -> float:
         """Of the middles of the blocks in front of the camera."""
-        middle = (np.array(points["block_low"]) + points["block_high"]) / 2 + points["origin"]
+        middle = (np.array(points.block_low) + points.block_high) / 2 + points.origin
         depth = (middle - camera.centre) @ np.array(camera.rotation)[2]
         return float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0

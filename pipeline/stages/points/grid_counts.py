@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.geometry.cells import CellCounts, Grid, bits_for, count_cells, grid_of, merge_counts
 from pipeline.geometry.leaves import Leaves, grow_leaves
 from pipeline.stages.points.kept import check_kept, kept_pieces, n_rows, origin_of
+from pipeline.summaries import LeavesGrown, ScanRead
 from storage.work import arrays, work
 
 IN_MEMORY = 1 << 20  # points: 60 MB of records, and as much again twice while they are put in order
@@ -33,7 +34,7 @@ class GridCounts:
 
     def init(self, folder: Path) -> int:
         sample = arrays.read(self.ingest, "sample")
-        sample = sample[np.isfinite(sample).all(axis=1)] - origin_of(work.summary(self.ingest))
+        sample = sample[np.isfinite(sample).all(axis=1)] - origin_of(work.summary(self.ingest, ScanRead))
         arrays.store(folder, "edges", grid_of(sample, bits_for(self.density * n_rows(self.ingest) / IN_MEMORY)).edges)
         return n_parts(self.ingest)
 
@@ -45,12 +46,12 @@ class GridCounts:
         work.write_parts(_counts_of(folder, index), cell=counts.cell, count=counts.count)
         return {"n_splats": len(cell)}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> LeavesGrown:
         n = sum(r["n_splats"] for r in results)
         check_kept(self.ingest, self.density, n)
-        points, grid = work.summary(self.ingest), Grid(arrays.read(folder, "edges"))
+        points, grid = work.summary(self.ingest, ScanRead), Grid(arrays.read(folder, "edges"))
         parts = [_counts_of(folder, i) for i in range(len(results))]
-        low, high = np.array(points["low"]) - origin_of(points), np.array(points["high"]) - origin_of(points)
+        low, high = np.array(points.low) - origin_of(points), np.array(points.high) - origin_of(points)
         leaves = grow_leaves(_merged(parts), grid, low, high, IN_MEMORY)
         for name in ("cell", "begin", "leaf", "start"):
             arrays.store(folder, name, rows := getattr(leaves, name), rows.shape)
@@ -59,7 +60,7 @@ class GridCounts:
             for i, counts in enumerate(map(_read, parts[:-1])):
                 before[i + 1] = before[i] + _counts_in(counts, leaves.divided)
             arrays.store(folder, "n_before", before, (1, before.shape[1]))
-        return {"n_splats": n, "n_leaves": leaves.n_leaves}
+        return LeavesGrown(n, leaves.n_leaves)
 
 
 def part_rows(ingest: Path) -> int:

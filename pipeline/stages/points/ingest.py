@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from pipeline.readers.attributes.looks import Looks
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.scan import Piece, ScanSource
 from pipeline.splats.cameras import N_CANDIDATES, rank_candidates
+from pipeline.summaries import ScanRead
 from storage.errors import InvalidScan
 from storage.work import arrays
 
@@ -70,7 +71,7 @@ class Ingest:
             slices = iter([list(source.read_slice(first, stop, PIECE))])
         return _merged([_store_slice(source, folder, index + i, pieces) for i, pieces in enumerate(slices)])
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> ScanRead:
         source = self._source()
         points = _merged(results[: _n_point_tasks(source)])
         counts, looks = PointCounts.from_json(points["counts"]), Looks.from_text(points["looks"])
@@ -82,23 +83,23 @@ class Ingest:
             raise InvalidScan(source.path, found, "at least one point", "keep points with --marked-points NAME=keep")
         check_bounds(source.path, counts.low, counts.high)
         otherwise = source.settle is not None and looks.parts and source.settle(looks) is not None
-        return {
-            "format": source.format,
-            "unit": source.unit,
-            "n_points": n_kept,
-            "n_read": n_read,
-            "n_dropped": n_read - n_kept,
-            "low": counts.low.tolist(),
-            "high": counts.high.tolist(),
-            "intensity_range": points["intensity_range"],
-            "cameras": [asdict(c) for c in source.cameras],
-            "stations": source.stations,
-            "has_visibility": source.has_visibility,
-            "has_colors": source.has_colors or source.has_intensity,
-            "warnings": [*source.warnings, *counts.warnings(source)],
-            "unused": source.unused,
-            "seen": points["looks"] if otherwise else "",
-        }
+        return ScanRead(
+            format=source.format,
+            unit=source.unit,
+            n_points=n_kept,
+            n_read=n_read,
+            n_dropped=n_read - n_kept,
+            low=tuple(counts.low.tolist()),
+            high=tuple(counts.high.tolist()),
+            intensity_range=points["intensity_range"],
+            cameras=tuple(source.cameras),
+            stations=tuple(source.stations),
+            has_visibility=source.has_visibility,
+            has_colors=source.has_colors or source.has_intensity,
+            warnings=(*source.warnings, *counts.warnings(source)),
+            unused=tuple(source.unused),
+            seen=points["looks"] if otherwise else "",
+        )
 
     def _source(self) -> ScanSource:
         return _opened(self.scan_path, self.fingerprint, self.reading, self.seen)

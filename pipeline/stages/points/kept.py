@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.numerics.hashing import uniform_hash
+from pipeline.summaries import ScanRead, Vector
 from storage.errors import InvalidScan
 from storage.work import arrays, work
 
@@ -16,9 +17,10 @@ DENSITY_SEED = 1 << 63  # beyond every job's seed: which points are kept tells n
 COLUMNS = ("position", "normal", "color", "intensity", "station", "candidate", "point")
 
 
-def origin_of(points: dict) -> list[float]:
-    """The middle of the scan's bounds, of an ingest's summary."""
-    return [(a + b) / 2 for a, b in zip(points["low"], points["high"])]
+def origin_of(scan: ScanRead) -> Vector:
+    """The middle of the scan's bounds."""
+    x, y, z = ((a + b) / 2 for a, b in zip(scan.low, scan.high))
+    return x, y, z
 
 
 def columns_of(points: Path) -> dict[str, np.dtype]:
@@ -39,7 +41,7 @@ def record_of(ingest: Path) -> np.dtype:
 
 def n_rows(ingest: Path) -> int:
     """Points of the file, with those that are dropped."""
-    return work.summary(ingest)["n_read"]
+    return work.summary(ingest, ScanRead).n_read
 
 
 def kept_pieces(
@@ -47,7 +49,8 @@ def kept_pieces(
 ) -> Iterator[dict[str, np.ndarray]]:
     """The kept ones of rows start..stop by column, PIECE rows at a time: those of `names` that the ingest has, positions
     against the origin, and `point`, the place in the ingest."""
-    names, origin = [name for name in columns_of(ingest) if name in names], np.array(origin_of(work.summary(ingest)))  # type: ignore[assignment]
+    names = tuple(name for name in columns_of(ingest) if name in names)
+    origin = np.array(origin_of(work.summary(ingest, ScanRead)))
     for at in range(start, stop, PIECE):
         end = min(at + PIECE, stop)
         place, rows = np.arange(at, end), {name: arrays.read(ingest, name, at, end) for name in names}
@@ -62,12 +65,12 @@ def kept_pieces(
 def n_kept(ingest: Path, density: float) -> int:
     """How many points are kept."""
     if density >= 1:
-        return work.summary(ingest)["n_points"]
+        return work.summary(ingest, ScanRead).n_points
     return sum(len(piece["point"]) for piece in kept_pieces(ingest, density, 0, n_rows(ingest), ("position",)))
 
 
 def check_kept(ingest: Path, density: float, n: int) -> None:
     """Raises InvalidScan where no point is kept."""
     if not n:
-        n_points = work.summary(ingest)["n_points"]
+        n_points = work.summary(ingest, ScanRead).n_points
         raise InvalidScan("density", f"{density:g} keeps none of {n_points:,} points", f"{1 / n_points:.2g} and more")

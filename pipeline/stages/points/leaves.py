@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.geometry.cells import Grid
 from pipeline.stages.points.grid_counts import leaves_of, n_before_part, n_parts, part_range
 from pipeline.stages.points.kept import kept_pieces, record_of
+from pipeline.summaries import Counted, LeavesGrown
 from storage.work import arrays, work
 
 PART, BEGIN, COUNT = range(3)  # columns of `run`
@@ -53,7 +54,7 @@ class DealtLeaves:
         work.write_parts(_runs_of(folder, index), leaf=here, begin=begin, count=count[here])
         return {"n_splats": n}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> Counted:
         found = []
         for index in range(len(results)):
             with work.open_parts(_runs_of(folder, index)) as part:
@@ -61,11 +62,11 @@ class DealtLeaves:
                 found.append(np.stack(rows, axis=1).astype(np.int64))
         runs = np.concatenate(found)
         runs = runs[np.argsort(runs[:, 0], kind="stable")]
-        n_leaves = work.summary(self.counts)["n_leaves"]
+        n_leaves = work.summary(self.counts, LeavesGrown).n_leaves
         first = np.searchsorted(runs[:, 0], np.arange(n_leaves + 1))
         arrays.store(folder, "run", np.ascontiguousarray(runs[:, 1:]))
         arrays.store(folder, "first", first, first.shape)
-        return {"n_splats": sum(r["n_splats"] for r in results)}
+        return Counted(sum(r["n_splats"] for r in results))
 
 
 def records_of_leaf(dealt: Path, leaf: int, most: int) -> Iterator[np.ndarray]:

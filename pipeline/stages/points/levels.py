@@ -6,8 +6,9 @@ What comes after treats them as splats like others: they are quantised, textured
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from pipeline.splats.decoded import splat_radii
 from pipeline.splats.normals import usable_normals
 from pipeline.stages.points.kept import columns_of
 from pipeline.stages.points.sizes import create_sizes
+from pipeline.summaries import Counted, Points, SizesNeeded, Spacings
 from storage.packed.levels import n_coarser
 from storage.packed.schema import CHUNK, GROUP, ONE_SIZE
 from storage.work import arrays, work
@@ -41,7 +43,7 @@ class CoarserLevel:
     name = "coarser-level"
 
     def init(self, folder: Path) -> int:
-        n = n_coarser(work.summary(self.points)["n_splats"])
+        n = n_coarser(work.summary(self.points, Counted).n_splats)
         for name, dtype in columns_of(self.points).items():
             arrays.create(folder, name, (n, *dtype.shape), str(dtype.base), (GROUP, *dtype.shape))
         arrays.create(folder, "splat_normal", (n, 3), "float32", (GROUP, 3))
@@ -50,7 +52,7 @@ class CoarserLevel:
         return n // GROUP
 
     def run(self, folder: Path, index: int) -> dict:
-        start, stop = rows_of_group(index, work.summary(self.points)["n_splats"])
+        start, stop = rows_of_group(index, work.summary(self.points, Counted).n_splats)
         columns = {name: arrays.read(self.points, name, start, stop) for name in columns_of(self.points)}
         if self.level == 1:
             normal = arrays.read(self.neighbours, "normal", start, stop)
@@ -71,8 +73,8 @@ class CoarserLevel:
             arrays.write(folder, name, index * GROUP, rows)
         return {"n_splats": GROUP}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return {"n_splats": sum(r["n_splats"] for r in results)}
+    def finalise(self, folder: Path, results: list[dict]) -> Counted:
+        return Counted(sum(r["n_splats"] for r in results))
 
 
 @dataclass(frozen=True)
@@ -118,16 +120,28 @@ class Levels:
         low, high = bounds(columns["position"])
         return {"n_splats": stop - start, "block_low": low.tolist(), "block_high": high.tolist()}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        known = {} if self.part == SIZES and not arrays.exists(self.finest, "size_code") else work.summary(self.finest)
-        boxes = {name: [r[name] for r in results] for name in ("block_low", "block_high") if self.part == POINTS}
-        return known | boxes | {"n_splats": sum(r["n_splats"] for r in results), "levels": self._counts()}
+    def finalise(self, folder: Path, results: list[dict]) -> Points | Spacings | SizesNeeded:
+        if self.part == SIZES and not arrays.exists(self.finest, "size_code"):
+            return SizesNeeded(sum(r["n_splats"] for r in results))  # nothing told any
+        known: Any = work.summary(self.finest, self.summary_type)
+        if self.part == NEIGHBOURS:
+            return known
+        known = replace(known, n_splats=sum(r["n_splats"] for r in results))
+        if self.part == SIZES:
+            return known
+        low, high = (tuple(tuple(r[name]) for r in results) for name in ("block_low", "block_high"))
+        return replace(known, block_low=low, block_high=high, levels=tuple(self._counts()))
+
+    @property
+    def summary_type(self) -> type:
+        """That of the folder that it stands for."""
+        return {POINTS: Points, NEIGHBOURS: Spacings, SIZES: SizesNeeded}[self.part]
 
     def _counts(self) -> list[int]:
         """Splats of each level, the coarsest first."""
         named = next(n for n in ("position", "spacing", "size_code") if arrays.exists(self.finest, n))
         n_finest = arrays.layout_of(self.finest, named).shape[0]
-        return [work.summary(level)["n_splats"] for level in self.coarser] + [n_finest]
+        return [work.summary(level, Counted).n_splats for level in self.coarser] + [n_finest]
 
     def _columns(self) -> dict[str, np.dtype]:
         if self.part == POINTS:

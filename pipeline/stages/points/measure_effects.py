@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.effects.block import Sources
@@ -16,7 +16,7 @@ MOST_BLOCKS = 16  # 262,144 splats, evenly among all: a share of 1 % is then kno
 
 @dataclass(frozen=True)
 class MeasureEffects:
-    """A task a block, of at most MOST_BLOCKS blocks. The summary has, by effect, what `Measured` holds."""
+    """A task a block, of at most MOST_BLOCKS blocks. The summary has a `Measured` by effect."""
 
     sources: Sources
     names: tuple[str, ...]  # of the effects that are left to measure
@@ -38,16 +38,8 @@ class MeasureEffects:
         """Those of the finest level; the first may begin with a group of a coarser one."""
         return range(self.sources.first_finest // arrays.BLOCK, arrays.n_blocks(self.sources.n_splats))
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return {
-            name: asdict(effects()[name].conclude([r["sums"][name] for r in results], self.sources))
-            for name in self.names
-        }
-
-
-def measures_of(summary: dict) -> dict[str, Measured]:
-    """The measures of a summary of the stage."""
-    return {name: Measured(**found) for name, found in summary.items()}
+    def finalise(self, folder: Path, results: list[dict]) -> dict[str, Measured]:
+        return {name: effects()[name].conclude([r["sums"][name] for r in results], self.sources) for name in self.names}
 
 
 def known_rows(work_folder: Path) -> list[dict] | None:
@@ -57,4 +49,4 @@ def known_rows(work_folder: Path) -> list[dict] | None:
     if last is None:
         return None
     results = work.finished_tasks(last).values()
-    return plan_effects(measures_of(work.summary(last)), {}, sum(r["n_splats"] for r in results)).to_json()
+    return plan_effects(work.summary(last, dict[str, Measured]), {}, sum(r["n_splats"] for r in results)).to_json()

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.numerics.limits import check_radius
 from pipeline.splats.neighbours import find_neighbours
 from pipeline.splats.normals import NEIGHBOURS, estimate_normals, usable_normals
+from pipeline.summaries import Points, Spacings
 from storage.errors import InvalidScan
 from storage.work import arrays, work
 
@@ -26,15 +27,15 @@ class Neighbourhoods:
     name = "neighbours"
 
     def init(self, folder: Path) -> int:
-        n = work.summary(self.partition)["n_splats"]
+        n = work.summary(self.partition, Points).n_splats
         arrays.create(folder, "spacing", (n,), "float32")
         arrays.create(folder, "normal", (n, 3), "float32")
         arrays.create(folder, "degenerate", (n,), "bool")
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:
-        points = work.summary(self.partition)
-        n = points["n_splats"]
+        points = work.summary(self.partition, Points)
+        n = points.n_splats
         start, stop = arrays.block_range(index, n)
         normal, bad = np.zeros((stop - start, 3)), np.ones(stop - start, bool)
         if arrays.exists(self.partition, "normal"):
@@ -43,8 +44,8 @@ class Neighbourhoods:
             index,
             NEIGHBOURS if bad.any() else SPACING_RANK,
             lambda b: arrays.read(self.partition, "position", *arrays.block_range(b, n)),
-            np.array(points["block_low"]),
-            np.array(points["block_high"]),
+            np.array(points.block_low),
+            np.array(points.block_high),
         )
         missing = np.flatnonzero(bad)
         degenerate = np.zeros(stop - start, bool)
@@ -56,22 +57,20 @@ class Neighbourhoods:
         arrays.write(folder, "degenerate", start, degenerate)
         return {"n_splats": stop - start, "n_degenerate": int(degenerate.sum())}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> Spacings:
         n = arrays.layout_of(folder, "spacing").shape[0]
         stride = -(-n // MOST_SPACINGS)
         values = np.concatenate(
             [arrays.read(folder, "spacing", *arrays.block_range(i, n))[::stride] for i in range(arrays.n_blocks(n))]
         )
         finite = values[np.isfinite(values)]
-        return {
-            "median_spacing": float(np.median(finite)) if len(finite) else None,
-            "n_degenerate": sum(r["n_degenerate"] for r in results),
-        }
+        median = float(np.median(finite)) if len(finite) else None
+        return Spacings(median, sum(r["n_degenerate"] for r in results))
 
 
-def radius_of(neighbours: dict, asked: float | None, scan: str) -> float:
+def radius_of(neighbours: Spacings, asked: float | None, scan: str) -> float:
     """The splat radius: what was asked for, else the median spacing (about 4 splats then cover a surface point)."""
-    radius = neighbours["median_spacing"] if asked is None else asked
+    radius = neighbours.median_spacing if asked is None else asked
     if not radius:
         raise InvalidScan(
             scan,

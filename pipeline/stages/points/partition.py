@@ -21,6 +21,7 @@ from pipeline.stages.points.kept import (
 )
 from pipeline.stages.points.leaves import records_of_leaf
 from pipeline.stages.points.split_on_disk import PIECE, split_on_disk
+from pipeline.summaries import Points, ScanRead
 from storage import place
 from storage.work import arrays, work
 
@@ -68,15 +69,10 @@ class Partition:
         low, high = np.concatenate(boxes, axis=1)
         return {"n_splats": n, "block_low": low.tolist(), "block_high": high.tolist()}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        boxes = {name: [box for r in results for box in r[name]] for name in ("block_low", "block_high")}
+    def finalise(self, folder: Path, results: list[dict]) -> Points:
+        low, high = (tuple(tuple(box) for r in results for box in r[name]) for name in ("block_low", "block_high"))
         n = sum(r["n_splats"] for r in results)
-        return {
-            "n_splats": n,
-            "levels": [n],
-            "origin": origin_of(work.summary(self.ingest)),
-            **boxes,
-        }
+        return Points(n, origin_of(work.summary(self.ingest, ScanRead)), low, high, (n,))
 
     def _starts(self) -> list[int]:
         """The first row of each leaf, and the end."""

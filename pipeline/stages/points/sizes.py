@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pipeline.geometry.sizes import decode_sizes, encode_sizes, fit_scales
 from pipeline.splats.sizes import areas, needed_sizes
+from pipeline.summaries import Points, SizesNeeded
 from storage.packed.schema import CHUNK
 from storage.work import arrays, work
 
@@ -22,12 +23,12 @@ class Sizes:
     name = "sizes"
 
     def init(self, folder: Path) -> int:
-        n = work.summary(self.partition)["n_splats"]
+        n = work.summary(self.partition, Points).n_splats
         create_sizes(folder, n)
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:
-        start, stop = arrays.block_range(index, work.summary(self.partition)["n_splats"])
+        start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
         position = arrays.read(self.partition, "position", start, stop)
         size = needed_sizes(position, arrays.read(self.neighbours, "spacing", start, stop), self.radius)
         scales = fit_scales(size, self.radius)
@@ -44,11 +45,11 @@ class Sizes:
             "n_too_small": int((made < size * (1 - 1e-6)).sum()),
         }
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> SizesNeeded:
         n, area, large, made, n_too_small = (
             sum(r[k] for r in results) for k in ("n_splats", "area", "large_area", "made_area", "n_too_small")
         )
-        return {"n_splats": n, "large_share": large / area, "area_ratio": made / area, "n_too_small": n_too_small}
+        return SizesNeeded(n, large / area, made / area, n_too_small)
 
 
 def create_sizes(folder: Path, n_splats: int) -> None:

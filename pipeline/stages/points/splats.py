@@ -16,7 +16,8 @@ from pipeline.splats.colors import point_colors
 from pipeline.splats.decoded import seen_by_cameras, splat_radii
 from pipeline.splats.normals import turned_to, usable_normals
 from pipeline.stages.points.sizes import create_sizes
-from storage.packed.schema import CHUNK, ELLIPSOID_FIELDS, NO_CAMERA, Camera
+from pipeline.summaries import Points, ScanRead, SplatsMade
+from storage.packed.schema import CHUNK, ELLIPSOID_FIELDS, NO_CAMERA
 from storage.work import arrays, work
 
 
@@ -36,7 +37,7 @@ class Splats:
     name = "splats"
 
     def init(self, folder: Path) -> int:
-        n = work.summary(self.partition)["n_splats"]
+        n = work.summary(self.partition, Points).n_splats
         for name, shape, dtype in (
             ("position_code", (n,), "uint32"),
             ("normal_code", (n, 2), "int8"),
@@ -54,10 +55,10 @@ class Splats:
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:
-        scan, points = work.summary(self.ingest), work.summary(self.partition)
-        start, stop = arrays.block_range(index, points["n_splats"])
+        scan, points = work.summary(self.ingest, ScanRead), work.summary(self.partition, Points)
+        start, stop = arrays.block_range(index, points.n_splats)
         position = arrays.read(self.partition, "position", start, stop)
-        absolute = position + points["origin"]
+        absolute = position + points.origin
         normal = arrays.read(self.neighbours, "normal", start, stop).astype(np.float64)
         camera = self._cameras(scan, absolute, normal, start, stop)
         towards = self._towards_viewer(scan, absolute, normal, camera, start, stop)
@@ -84,14 +85,14 @@ class Splats:
             "normal_error": float(np.degrees(np.arccos(cosine)).sum()),
         }
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> SplatsMade:
         n = sum(r["n_splats"] for r in results)
-        return {
-            "n_splats": n,
-            "n_without_camera": sum(r["n_without_camera"] for r in results),
-            "mean_position_error": sum(r["position_error"] for r in results) / n,
-            "mean_normal_error_degrees": sum(r["normal_error"] for r in results) / n,
-        }
+        return SplatsMade(
+            n_splats=n,
+            n_without_camera=sum(r["n_without_camera"] for r in results),
+            mean_position_error=sum(r["position_error"] for r in results) / n,
+            mean_normal_error_degrees=sum(r["normal_error"] for r in results) / n,
+        )
 
     def _write(self, folder: Path, start: int, code, normal_code, camera, color, boxes: Boxes) -> None:
         for name, rows in (("position_code", code), ("normal_code", normal_code), ("camera", camera), ("color", color)):
@@ -114,18 +115,18 @@ class Splats:
         position[has] = arrays.read(self.ellipsoids, "centre", start, stop)[has]
         normal[has] = shortest / np.linalg.norm(shortest, axis=1, keepdims=True)
 
-    def _write_ellipsoids(self, folder: Path, scan: dict, normal_code: np.ndarray, start: int, stop: int) -> None:
+    def _write_ellipsoids(self, folder: Path, scan: ScanRead, normal_code: np.ndarray, start: int, stop: int) -> None:
         has = arrays.read(self.ellipsoids, "has_ellipsoid", start, stop)
         fields = np.zeros((stop - start, ELLIPSOID_FIELDS), np.uint8)
         axes = arrays.read(self.ellipsoids, "axes", start, stop)[has].astype(np.float64)
         fields[has] = encode_ellipsoids(
-            normal_code[has], *directions_of(scan["cameras"]), axes, self._radii(start, stop)[has]
+            normal_code[has], *directions_of(scan.cameras), axes, self._radii(start, stop)[has]
         )
         arrays.write(folder, "has_ellipsoid", start, has)
         arrays.write(folder, "ellipsoid", start, fields)
 
-    def _cameras(self, scan: dict, absolute: np.ndarray, normal: np.ndarray, start: int, stop: int) -> np.ndarray:
-        cameras = tuple(Camera.from_json(c) for c in scan["cameras"])
+    def _cameras(self, scan: ScanRead, absolute: np.ndarray, normal: np.ndarray, start: int, stop: int) -> np.ndarray:
+        cameras = scan.cameras
         if not cameras:
             return np.full(len(absolute), NO_CAMERA, np.uint16)
         radii = self._radii(start, stop)
@@ -134,22 +135,22 @@ class Splats:
         return best_cameras(cameras, absolute, normal, radii, seen)
 
     def _towards_viewer(
-        self, scan: dict, absolute: np.ndarray, normal: np.ndarray, camera: np.ndarray, start: int, stop: int
+        self, scan: ScanRead, absolute: np.ndarray, normal: np.ndarray, camera: np.ndarray, start: int, stop: int
     ) -> np.ndarray:
         """The directions (n, 3) that normals are turned to: the splat's camera; else the scan's own normal; else its
         station; else up (airborne scans), or away from the middle."""
-        if scan["format"] == "las":
+        if scan.format == "las":
             towards = np.tile([0.0, 0.0, 1.0], (len(absolute), 1))
         else:
-            towards = absolute - (np.array(scan["low"]) + scan["high"]) / 2
+            towards = absolute - (np.array(scan.low) + scan.high) / 2
         if arrays.exists(self.partition, "station"):
             station = arrays.read(self.partition, "station", start, stop)
             seen = station >= 0  # what was merged from several has none
-            towards[seen] = np.array(scan["stations"])[station[seen]] - absolute[seen]
+            towards[seen] = np.array(scan.stations)[station[seen]] - absolute[seen]
         if arrays.exists(self.partition, "normal"):
             missing = usable_normals(arrays.read(self.partition, "normal", start, stop))[1]
             towards[~missing] = normal[~missing]
-        if scan["cameras"]:
+        if scan.cameras:
             has = camera != NO_CAMERA
-            towards[has] = np.array([c["centre"] for c in scan["cameras"]])[camera[has]] - absolute[has]
+            towards[has] = np.array([c.centre for c in scan.cameras])[camera[has]] - absolute[has]
         return towards

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.stages.texture.resample import n_coarser_of
 from pipeline.stages.texture.strata import census
+from pipeline.summaries import AverageColors
 from pipeline.texture.colors import decode_colors, encode_colors, fit_color_boxes
 from pipeline.texture.resample import PATCH_DIM
 from storage.packed.schema import CHUNK
@@ -47,13 +48,10 @@ class Colors:
         arrays.write(folder, "energy", start, energy)
         return {"n_splats": stop - start, "lost": float(lost.sum()), "census": census(energy[finest:]).tolist()}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> AverageColors:
         n = sum(r["n_splats"] for r in results)
-        return {
-            "n_splats": n,
-            "color_psnr_db": psnr_db(sum(r["lost"] for r in results), n * PATCH_DIM),
-            "census": np.sum([r["census"] for r in results], axis=0).tolist(),
-        }
+        census = np.sum([r["census"] for r in results], axis=0).tolist()
+        return AverageColors(n, psnr_db(sum(r["lost"] for r in results), n * PATCH_DIM), tuple(census))
 
     def _in_boxes(self, folder: Path, start: int, exact: np.ndarray) -> np.ndarray:
         boxes = fit_color_boxes(exact, self.step)

@@ -21,6 +21,7 @@ from pipeline.coding.ksvd import (
 )
 from pipeline.stages.texture.atoms import load_atoms, store_atoms
 from pipeline.stages.texture.training import training_part
+from pipeline.summaries import InParts, Seeded, Updated
 from storage.work import arrays, work
 
 
@@ -38,7 +39,7 @@ class DictionarySeed:
         return 1
 
     def run(self, folder: Path, index: int) -> dict:
-        n_tasks = work.summary(self.training)["n_tasks"]
+        n_tasks = work.summary(self.training, InParts).n_tasks
         share = -(-2 * self.n_atoms // n_tasks)  # twice as many as needed: twins are passed over
         pool = []
         for task in range(n_tasks):
@@ -47,8 +48,8 @@ class DictionarySeed:
         store_atoms(folder, dictionary, self.form)
         return {"n_atoms": len(dictionary)}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return results[0]
+    def finalise(self, folder: Path, results: list[dict]) -> Seeded:
+        return Seeded(results[0]["n_atoms"])
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class KsvdUpdate:
     name = "ksvd-update"
 
     def init(self, folder: Path) -> int:
-        return work.summary(self.training)["n_tasks"]
+        return work.summary(self.training, InParts).n_tasks
 
     def run(self, folder: Path, index: int) -> dict:
         atoms = load_atoms(self.previous)
@@ -80,7 +81,7 @@ class KsvdUpdate:
         _store_sums(work.parts(folder), f"sums-{index}", sums)
         return {"n_splats": len(patches), "n_atoms_used": int(pursuit.codes.n_atoms.sum())}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> Updated:
         measured = arrays.read(self.previous, "dictionary")
         sums = _merged(work.parts(folder), len(results), measured.shape)
         best, accepted = judge(_best_of(self.previous), measured, sums)
@@ -90,15 +91,15 @@ class KsvdUpdate:
         arrays.store(folder, "before", measured, (4096, measured.shape[1]))
         arrays.store(folder, "best", best.dictionary.astype(np.float32, copy=False), (4096, best.dictionary.shape[1]))
         _store_sums(folder, "best-sums", best.sums)
-        return {
-            "squared_error": best.sums.error,
-            "measured_error": sums.error,
-            "accepted": accepted,
-            "step": best.step,
-            "n_patches": sums.n_patches,
-            "n_replaced": n_replaced,
-            "n_atoms_used": sum(r["n_atoms_used"] for r in results),
-        }
+        return Updated(
+            squared_error=best.sums.error,
+            measured_error=sums.error,
+            accepted=accepted,
+            step=best.step,
+            n_patches=sums.n_patches,
+            n_replaced=n_replaced,
+            n_atoms_used=sum(r["n_atoms_used"] for r in results),
+        )
 
 
 def _of_atoms(sums: Sums, form: AtomForm) -> Sums:
@@ -117,7 +118,7 @@ def _best_of(previous: Path) -> Best | None:
     return Best(
         arrays.read(previous, "best"),
         replace(sums, moment=_moment(previous, "best-sums")),
-        work.summary(previous)["step"],
+        work.summary(previous, Updated).step,
     )
 
 

@@ -14,6 +14,7 @@ from pipeline.numerics.accuracy import psnr_db
 from pipeline.stages.texture.atoms import load_atoms
 from pipeline.stages.texture.resample import n_coarser_of
 from pipeline.stages.texture.texels import texel_pieces
+from pipeline.summaries import CodesMade
 from pipeline.texture.patches import centred, patch_errors
 from pipeline.texture.resample import PATCH_DIM, disc_weights
 from storage.work import arrays
@@ -81,7 +82,7 @@ class Encode:
             "histogram": np.bincount(n_atoms, minlength=self._n_ranks + 1).tolist(),
         }
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> CodesMade:
         return coding_quality(results)
 
     @property
@@ -109,17 +110,17 @@ class Encode:
         return encode
 
 
-def coding_quality(results: list[dict]) -> dict:
+def coding_quality(results: list[dict]) -> CodesMade:
     """Texture PSNR and visible PSNR of all blocks, and how many splats have how many atoms."""
     n, n_measured = (sum(r[k] for r in results) for k in ("n_splats", "n_measured"))
     squared, weighted = (sum(r[k] for r in results) for k in ("squared_error", "weighted_error"))
     histogram = np.sum([r["histogram"] for r in results], axis=0)
-    return {
-        "texture_psnr_db": psnr_db(squared, n_measured * PATCH_DIM),
-        "visible_psnr_db": psnr_db(weighted, n_measured * disc_weights().sum()),
-        "histogram": histogram.tolist(),
-        "mean_atoms": float(histogram @ np.arange(len(histogram)) / n),
-    }
+    return CodesMade(
+        texture_psnr_db=psnr_db(squared, n_measured * PATCH_DIM),
+        visible_psnr_db=psnr_db(weighted, n_measured * disc_weights().sum()),
+        histogram=tuple(histogram.tolist()),
+        mean_atoms=float(histogram @ np.arange(len(histogram)) / n),
+    )
 
 
 def _no_codes(patches: np.ndarray) -> Pursuit:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.numerics.hashing import uniform_hash
+from pipeline.summaries import Counted
 from storage.work import arrays
 
 SEED = 9  # another choice than the training set's, whatever its seed
@@ -40,5 +41,5 @@ class PatchSample:
             arrays.store(folder, name, joined)
         return {"n_splats": sum(map(len, kept["energy"]))}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return {"n_splats": results[0]["n_splats"]}
+    def finalise(self, folder: Path, results: list[dict]) -> Counted:
+        return Counted(results[0]["n_splats"])

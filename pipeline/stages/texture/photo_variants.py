@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +11,29 @@ from pipeline.geometry.frame import Direction
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.stages.texture.photo_codecs import CODECS, halved
 from pipeline.stages.texture.resample import resampled_block
+from pipeline.summaries import Photographs
 from pipeline.texture.patches import texel_errors
 from pipeline.texture.resample import PATCH_DIM, disc_weights
 from storage.packed.schema import Camera
 from storage.work import arrays, work
 
 TILE = 512
+
+
+@dataclass(frozen=True)
+class VariantMade:
+    """What photographs take in a codec, and their cameras at the size they then have."""
+
+    bytes: int
+    cameras: tuple[Camera, ...]
+
+
+@dataclass(frozen=True)
+class VariantMeasured:
+    """What a codec costs the patches; None where it costs nothing."""
+
+    texture_psnr_db: float | None
+    visible_psnr_db: float | None
 
 
 @dataclass(frozen=True)
@@ -43,11 +60,11 @@ class PhotoVariant:
         arrays.write_picture(folder, f"photo_{index}", decoded)
         return {"bytes": n_bytes}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return {"bytes": sum(r["bytes"] for r in results), "cameras": [asdict(c) for c in self._cameras()]}
+    def finalise(self, folder: Path, results: list[dict]) -> VariantMade:
+        return VariantMade(sum(r["bytes"] for r in results), tuple(self._cameras()))
 
     def _cameras(self) -> list[Camera]:
-        return [camera_at(Camera.from_json(c), self.lod) for c in work.summary(self.ingest)["cameras"]]
+        return [camera_at(c, self.lod) for c in work.summary(self.ingest, Photographs).cameras]
 
 
 def camera_at(camera: Camera, lod: int) -> Camera:
@@ -89,11 +106,9 @@ class VariantErrors:
         squared, weighted = texel_errors(arrays.read(self.patches, "texel", start, stop), found.texel)
         return {"n_splats": stop - start, "squared_error": squared, "weighted_error": weighted}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> VariantMeasured:
         n, squared, weighted = (sum(r[k] for r in results) for k in ("n_splats", "squared_error", "weighted_error"))
         if not squared:  # the photographs as they are: there is nothing to state
-            return dict.fromkeys(("texture_psnr_db", "visible_psnr_db"))
-        return {
-            "texture_psnr_db": psnr_db(squared, n * PATCH_DIM),
-            "visible_psnr_db": psnr_db(weighted, n * float(np.sum(disc_weights()))),
-        }
+            return VariantMeasured(None, None)
+        visible = psnr_db(weighted, n * float(np.sum(disc_weights())))
+        return VariantMeasured(psnr_db(squared, n * PATCH_DIM), visible)

@@ -20,6 +20,7 @@ from pipeline.coding.omp_kernels import squared_norms
 from pipeline.stages.texture.atoms import load_atoms
 from pipeline.stages.texture.strata import octave_of
 from pipeline.stages.texture.training import training_part
+from pipeline.summaries import InParts, Ladder, Training
 from storage.work import arrays, work
 
 # Prices as shares of the squared error that a patch has at the target: where they lie on fountain_p11 and monstree
@@ -53,14 +54,14 @@ class Prices:
     most_patches = SAMPLE
 
     def init(self, folder: Path) -> int:
-        return work.summary(self.training)["n_tasks"]
+        return work.summary(self.training, InParts).n_tasks
 
     def run(self, folder: Path, index: int) -> dict:
         patches, rest = training_part(self.training, index)
         # Those of the highest hashes, for the first atoms are patches of the lowest: on these fountain_p11 lost 0.3 dB
         # more.
         rows = arrays.read(self.chosen, f"luck_{index}") >= 1 - SAMPLE / max(
-            SAMPLE, work.summary(self.chosen)["n_patches"]
+            SAMPLE, work.summary(self.chosen, Training).n_patches
         )
         patches, rest = patches[rows], rest[rows]
         share = np.array(work.read_json(self.chosen / "share.json")["share"])
@@ -75,34 +76,31 @@ class Prices:
             n_atoms.append(float(weight @ taken))
         return {"n_splats": len(patches), "weight": float(weight.sum()), "error": error, "n_atoms": n_atoms}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> Ladder:
         weight = sum(r["weight"] for r in results) or 1.0
         error, n_atoms = (np.sum([r[k] for r in results], axis=0) / weight for k in ("error", "n_atoms"))
-        return {
-            "price": [share * self.tolerance for share in LADDER],
-            "error": error.tolist(),
-            "n_atoms": n_atoms.tolist(),
-        }
+        price = tuple(share * self.tolerance for share in LADDER)
+        return Ladder(price, tuple(error.tolist()), tuple(n_atoms.tolist()))
 
 
-def price_for(ladder: dict, training: dict) -> float:
+def price_for(ladder: Ladder, training: Training) -> float:
     """The price at which all patches together have the error that a cut-off promises; both are summaries.
 
     The least of the ladder that is worth its atoms where none is low enough: what a decibel then costs is out of
     proportion.
     """
-    patch_error = training["cutoff_error"] / training["n_splats"]
-    log_error, log_price = np.log(np.maximum(_error_of_all(ladder, training), 1e-30)), np.log(ladder["price"])
+    patch_error = training.cutoff_error / training.n_splats
+    log_error, log_price = np.log(np.maximum(_error_of_all(ladder, training), 1e-30)), np.log(ladder.price)
     order = np.argsort(log_error)
     found = np.exp(np.interp(np.log(patch_error), log_error[order], log_price[order]))
     return max(float(found), least_price(ladder, training))
 
 
-def least_price(ladder: dict, training: dict) -> float:
+def least_price(ladder: Ladder, training: Training) -> float:
     """The price, found between the middles of the ladder's steps, down to which an atom more gains LEAST_GAIN_DB."""
-    n_atoms = np.array(ladder["n_atoms"]) * training["n_active"] / training["n_splats"]
+    n_atoms = np.array(ladder.n_atoms) * training.n_active / training.n_splats
     fall_db = -10 * np.diff(np.log10(np.maximum(_error_of_all(ladder, training), 1e-30)))
-    gain_db, log_price = fall_db / np.maximum(np.diff(n_atoms), 1e-9), np.log(ladder["price"])
+    gain_db, log_price = fall_db / np.maximum(np.diff(n_atoms), 1e-9), np.log(ladder.price)
     middle = (log_price[1:] + log_price[:-1]) / 2
     bad = np.flatnonzero(gain_db < LEAST_GAIN_DB)
     if not len(bad):
@@ -111,6 +109,6 @@ def least_price(ladder: dict, training: dict) -> float:
     return float(np.exp(middle[0] if i == 0 else np.interp(LEAST_GAIN_DB, gain_db[[i, i - 1]], middle[[i, i - 1]])))
 
 
-def _error_of_all(ladder: dict, training: dict) -> np.ndarray:
+def _error_of_all(ladder: Ladder, training: Training) -> np.ndarray:
     """The error of a patch of the scan at each price, those that their average settles among them."""
-    return (np.array(ladder["error"]) * training["n_active"] + training["settled_energy"]) / training["n_splats"]
+    return (np.array(ladder.error) * training.n_active + training.settled_energy) / training.n_splats

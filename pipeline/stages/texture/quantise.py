@@ -18,6 +18,7 @@ from pipeline.coding.quantize import (
 from pipeline.coding.subspace import lift
 from pipeline.stages.texture.atoms import load_atoms, store_atoms
 from pipeline.stages.texture.training import training_part
+from pipeline.summaries import InParts, Quantised
 from storage.packed.schema import MIP_SIZES, PATCH_SIZE
 from storage.work import arrays, work
 
@@ -55,7 +56,7 @@ class Quantization:
         contents |= {f"atoms_{s}": level for s, level in zip(sizes, mip_levels(texels))}
         for name, rows in contents.items():
             arrays.store(folder, name, rows, (4096, *rows.shape[1:]))
-        return work.summary(self.training)["n_tasks"]
+        return work.summary(self.training, InParts).n_tasks
 
     def _of_components(self, folder: Path, learned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         basis = arrays.read(self.training, "basis")
@@ -81,7 +82,7 @@ class Quantization:
         work.write_parts(work.parts(folder) / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
         return {"n_splats": len(codes.n_atoms), "squared_error": float((found.residual + rest).sum())}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> Quantised:
         samples: list[list[np.ndarray]] = [[] for _ in range(self.max_atoms)]
         for i in range(len(results)):
             with work.open_parts(work.parts(folder) / f"weights-{i}.npz") as stored:
@@ -91,9 +92,9 @@ class Quantization:
         train = uniform_weight_levels if self.form is None else train_weight_levels
         levels = train(ranks, 2**self.weight_bits)
         arrays.store(folder, "weight_levels", levels.astype(np.float32, copy=False))
-        return {
-            "n_atoms": arrays.layout_of(folder, "atom_scale").shape[0],
-            "atom_size": self.form.size if self.form else PATCH_SIZE,
-            "n_turns": self.form.n_turns if self.form else 1,
-            "squared_error": sum(r["squared_error"] for r in results),
-        }
+        return Quantised(
+            n_atoms=arrays.layout_of(folder, "atom_scale").shape[0],
+            atom_size=self.form.size if self.form else PATCH_SIZE,
+            n_turns=self.form.n_turns if self.form else 1,
+            squared_error=sum(r["squared_error"] for r in results),
+        )

@@ -12,9 +12,9 @@ from pipeline.geometry.frame import Direction
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.splats.coarser import first_finest
 from pipeline.splats.decoded import decoded_squares
+from pipeline.summaries import CoarserFirst, Counted, PatchesMade, Photographs, Points
 from pipeline.texture.patches import Block, Patches, make_patches, patches_again
 from pipeline.texture.resample import PATCH_DIM
-from storage.packed.schema import Camera
 from storage.work import arrays, work
 
 AGAIN = "again.json"
@@ -40,7 +40,7 @@ class Resample:
     name = "resample"
 
     def init(self, folder: Path) -> int:
-        n = work.summary(self.splats)["n_splats"]
+        n = work.summary(self.splats, Counted).n_splats
         if self.kept:
             arrays.create(folder, "texel", (n, PATCH_DIM), "uint8")
         else:
@@ -51,7 +51,7 @@ class Resample:
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> dict:
-        start, stop = arrays.block_range(index, work.summary(self.partition)["n_splats"])
+        start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
         sources = (self.ingest, self.partition, self.splats, self.radius, self.up, self.ahead, index)
         patches = resampled_block(*sources, self.antialiased, None if self.kept else block_memory())
         if self.kept:
@@ -67,14 +67,14 @@ class Resample:
             "energy": float(patches.energy.sum(dtype=np.float64)),
         }
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> PatchesMade:
         error, n_probes = (sum(r[k] for r in results) for k in ("resampling_error", "n_probes"))
-        return {
-            "resampling_psnr_db": psnr_db(error, n_probes),
-            "energy": sum(r["energy"] for r in results),
-            "n_flagged": sum(r["n_flagged"] for r in results),
-            "n_coarser": first_finest(work.summary(self.partition)),
-        }
+        return PatchesMade(
+            energy=sum(r["energy"] for r in results),
+            n_flagged=sum(r["n_flagged"] for r in results),
+            resampling_psnr_db=psnr_db(error, n_probes),
+            n_coarser=first_finest(work.summary(self.partition, Points)),
+        )
 
     def again(self, index: int, wanted: np.ndarray) -> np.ndarray:
         """Texels (m, PATCH_DIM) uint8 of the splats `wanted` (m,), ascending rows of block `index`; the process's memory, good
@@ -96,7 +96,7 @@ class Resample:
 
 def n_coarser_of(patches: Path) -> int:
     """How many of the patches, the first, are of coarser levels: whole groups. Nothing is learned or said of them."""
-    return work.summary(patches).get("n_coarser", 0)
+    return work.summary(patches, CoarserFirst).n_coarser
 
 
 def resampled_block(
@@ -119,17 +119,17 @@ def resampled_block(
 def _block(
     photos: Path, partition: Path, splats: Path, radius: float, up: Direction, ahead: Direction, index: int
 ) -> Block:
-    points = work.summary(partition)
-    start, stop = arrays.block_range(index, points["n_splats"])
+    points = work.summary(partition, Points)
+    start, stop = arrays.block_range(index, points.n_splats)
     centre, tangents, radii = decoded_squares(splats, up, ahead, radius, start, stop)
 
     def read_window(camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
         return arrays.read_window(photos, f"photo_{camera}", top, bottom, left, right)
 
     return Block(
-        tuple(Camera.from_json(c) for c in work.summary(photos)["cameras"]),
+        work.summary(photos, Photographs).cameras,
         read_window,
-        tuple(points["origin"]),
+        points.origin,
         centre,
         tangents,
         radii,

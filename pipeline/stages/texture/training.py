@@ -18,6 +18,7 @@ from pipeline.numerics.hashing import uniform_hash
 from pipeline.stages.texture.resample import n_coarser_of
 from pipeline.stages.texture.strata import octave_of, shares
 from pipeline.stages.texture.texels import texel_rows
+from pipeline.summaries import AverageColors, CoefficientsFound, InParts, SubspaceFound, Training
 from pipeline.texture.patches import centred
 from storage.packed.schema import ATOM_SIZES, PATCH_SIZE
 from storage.work import arrays, work
@@ -52,7 +53,7 @@ class TrainingSet:
     name = "training-set"
 
     def init(self, folder: Path) -> int:
-        counts = np.array(work.summary(self.colors)["census"])
+        counts = np.array(work.summary(self.colors, AverageColors).census)
         share = shares(counts, self.tolerance, self.n_wanted)
         work.write_json(folder / "share.json", {"n_splats": int(counts.sum()), "share": share.tolist()})
         return max(1, min(arrays.n_blocks(int(counts.sum())), -(-int(counts @ share) // TASK_SPLATS)))
@@ -91,16 +92,16 @@ class TrainingSet:
             "settled_energy": float(energy[~active].sum(dtype=np.float64)),
         }
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return {
-            "n_tasks": len(results),
-            "n_patches": sum(r["n_splats"] for r in results),
-            "n_splats": work.read_json(folder / "share.json")["n_splats"],
-            "n_active": sum(r["n_active"] for r in results),
-            "cutoff_error": sum(r["cutoff_error"] for r in results),
-            "settled_energy": sum(r["settled_energy"] for r in results),
-            "beyond": self._beyond(results),
-        }
+    def finalise(self, folder: Path, results: list[dict]) -> Training:
+        return Training(
+            n_tasks=len(results),
+            n_patches=sum(r["n_splats"] for r in results),
+            n_splats=work.read_json(folder / "share.json")["n_splats"],
+            n_active=sum(r["n_active"] for r in results),
+            cutoff_error=sum(r["cutoff_error"] for r in results),
+            settled_energy=sum(r["settled_energy"] for r in results),
+            beyond=self._beyond(results),
+        )
 
     @staticmethod
     def _beyond(results: list[dict]) -> dict[str, float]:
@@ -123,7 +124,7 @@ class Components:
     name = "components"
 
     def init(self, folder: Path) -> int:
-        n_tasks = work.summary(self.training)["n_tasks"]
+        n_tasks = work.summary(self.training, InParts).n_tasks
         share = -(-2 * HALF // n_tasks)
         sample = np.concatenate([self._patches(task, slice(share)) for task in range(n_tasks)])
         basis, left = find_components(sample, self.floor)
@@ -143,17 +144,11 @@ class Components:
             arrays.store(folder, f"{name}_{index}", values, values.shape)
         return {"n_splats": n, "rest": float(rest.sum())}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> SubspaceFound:
         found = work.read_json(folder / "components.json")
         n = sum(r["n_splats"] for r in results)
         floor = psnr_db(sum(r["rest"] for r in results), n * arrays.layout_of(folder, "basis").shape[0])
-        return {
-            "n_tasks": len(results),
-            "n_patches": n,
-            "n_components": found["n_components"],
-            "dtype": found["dtype"],
-            "floor_psnr_db": floor,
-        }
+        return SubspaceFound(len(results), n, found["n_components"], found["dtype"], floor)
 
     def _patches(self, index: int, rows: slice) -> np.ndarray:
         return _patches(self.training, index, rows)
@@ -169,7 +164,7 @@ class Coefficients:
     name = "coefficients"
 
     def init(self, folder: Path) -> int:
-        return work.summary(self.training)["n_tasks"]
+        return work.summary(self.training, InParts).n_tasks
 
     def run(self, folder: Path, index: int) -> dict:
         n = arrays.layout_of(self.training, f"average_{index}").shape[0]
@@ -183,9 +178,9 @@ class Coefficients:
             arrays.store(folder, f"{name}_{index}", stored, stored.shape)
         return {"n_splats": n, "rest": float(rest.sum(dtype=np.float64))}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> CoefficientsFound:
         n, rest = (sum(r[k] for r in results) for k in ("n_splats", "rest"))
-        return {"n_tasks": len(results), "n_patches": n, "rest": rest}
+        return CoefficientsFound(len(results), n, rest)
 
 
 def membership(stage: TrainingSet, folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.geometry.chunks import bounds
 from pipeline.numerics.limits import check_bounds
 from pipeline.stages.volumes.voxels import slab
+from pipeline.summaries import ScanRead, SurfaceFound, VolumeRead, VolumeSurfaces
 from pipeline.volumes.field import SUPPORT
 from pipeline.volumes.lattice import HALO, Lattice, auto_size, lattice_of
 from pipeline.volumes.request import CLOSED, Iso
@@ -17,6 +18,7 @@ from pipeline.volumes.surface import sampled, surface_in
 from storage.errors import InvalidScan
 from storage.work import arrays, work
 
+OF_VOLUME = ("shape", "dtype", "spacing", "origin", "directions", "frame", "unit", "low", "high")
 SAMPLE = 1 << 18  # positions of the sample, as the ingest's
 CLOSE_CELLS = 0.01  # off a surface by more than so much of a cell: counted as left away from it
 
@@ -75,71 +77,70 @@ class IsoSurface:
             "off": [float(o[o <= CLOSE_CELLS].sum()) for o in off],
         }
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        volume = work.summary(self.voxels)
+    def finalise(self, folder: Path, results: list[dict]) -> ScanRead:
+        volume = work.summary(self.voxels, VolumeRead)
         _, lattice = self._lattice()
         n_points = sum(r["n_splats"] for r in results)
         if not n_points:
             asked = ", ".join(f"{iso.value:g}" for iso in self.isos)
             raise InvalidScan(
                 f"iso {asked}",
-                f"no surface in {volume['path']}",
-                f"values pass from {volume['low']:g} to {volume['high']:g}",
+                f"no surface in {volume.path}",
+                f"values pass from {volume.low:g} to {volume.high:g}",
             )
         self._gather(folder, len(results), n_points)
         some = [r for r in results if r["n_splats"]]
         low, high = np.min([r["low"] for r in some], axis=0), np.max([r["high"] for r in some], axis=0)
-        check_bounds(volume["path"], low, high)
+        check_bounds(volume.path, low, high)
         surfaces = [self._surface(i, results) for i in range(len(self.isos))]
-        warnings = [*volume["warnings"], *self._warnings(surfaces, volume)]
+        warnings = [*volume.warnings, *self._warnings(surfaces, volume)]
         if self.is_proposed:
             warnings.append(f"no iso value was given: {self.isos[0].value:g} is what the volume proposes first")
-        return {
-            "format": volume["format"],
-            "unit": volume["unit"],
-            "n_points": n_points,
-            "n_read": n_points,
-            "n_dropped": 0,
-            "low": low.tolist(),
-            "high": high.tolist(),
-            "intensity_range": None,
-            "cameras": [],
-            "stations": [],
-            "has_visibility": False,
-            "has_colors": True,
-            "is_albedo": True,  # colours have no light in them: they look like something under a lamp only
-            "warnings": warnings,
-            "volume": {
-                name: volume[name]
-                for name in ("shape", "dtype", "spacing", "origin", "directions", "frame", "unit", "low", "high")
-            }
-            | {"cell": lattice.size, "method": self.method, "border": self.border, "surfaces": surfaces},
-        }
+        surfaces_of = VolumeSurfaces(
+            **{name: getattr(volume, name) for name in OF_VOLUME},
+            cell=lattice.size,
+            method=self.method,
+            border=self.border,
+            surfaces=tuple(surfaces),
+        )
+        return ScanRead(
+            format=volume.format,
+            unit=volume.unit,
+            n_points=n_points,
+            n_read=n_points,
+            n_dropped=0,
+            low=tuple(low.tolist()),
+            high=tuple(high.tolist()),
+            intensity_range=None,
+            cameras=(),
+            stations=(),
+            has_visibility=False,
+            has_colors=True,
+            warnings=tuple(warnings),
+            is_albedo=True,
+            volume=surfaces_of,
+        )
 
-    def _surface(self, i: int, results: list[dict]) -> dict:
+    def _surface(self, i: int, results: list[dict]) -> SurfaceFound:
         total = {name: sum(r[name][i] for r in results) for name in ("n_points", "n_added", "n_off", "n_flat", "off")}
         n_on = total["n_points"] - total["n_off"]
         mean = total.pop("off") / n_on if n_on else None
-        return {"iso": self.isos[i].value, "color": list(self.isos[i].color), **total, "mean_off_cells": mean}
+        return SurfaceFound(self.isos[i].value, self.isos[i].color, **total, mean_off_cells=mean)
 
-    def _warnings(self, surfaces: list[dict], volume: dict) -> list[str]:
+    def _warnings(self, surfaces: list[SurfaceFound], volume: VolumeRead) -> list[str]:
         found = []
         for surface in surfaces:
-            value, n = surface["iso"], surface["n_points"]
+            value, n = surface.iso, surface.n_points
             if not n:
-                found.append(
-                    f"iso {value:g}: no voxel passes it; values go from {volume['low']:g} to {volume['high']:g}"
-                )
+                found.append(f"iso {value:g}: no voxel passes it; values go from {volume.low:g} to {volume.high:g}")
                 continue
-            if surface["n_off"]:
+            if surface.n_off:
                 found.append(
-                    f"iso {value:g}: {surface['n_off']:,} of {n:,} points lie more than {CLOSE_CELLS:g} of a cell off it, "
+                    f"iso {value:g}: {surface.n_off:,} of {n:,} points lie more than {CLOSE_CELLS:g} of a cell off it, "
                     "where it is thinner than a cell or the volume is flat"
                 )
-            if surface["n_added"]:
-                found.append(
-                    f"iso {value:g}: {surface['n_added']:,} of {n:,} points stand for parts thinner than a cell"
-                )
+            if surface.n_added:
+                found.append(f"iso {value:g}: {surface.n_added:,} of {n:,} points stand for parts thinner than a cell")
         return found
 
     def _gather(self, folder: Path, n_tasks: int, n_points: int) -> None:
@@ -162,13 +163,14 @@ class IsoSurface:
 
     def _lattice(self) -> tuple[float | None, Lattice]:
         """The grid; and the value outside the volume, where surfaces are to be closed there."""
-        volume = work.summary(self.voxels)
-        shape, directions, origin = volume["shape"], np.array(volume["directions"]), np.array(volume["origin"])
-        size = self.cell or auto_size(tuple(volume["spacing"]))
+        volume = work.summary(self.voxels, VolumeRead)
+        shape, directions, origin = volume.shape, np.array(volume.directions), np.array(volume.origin)
+        size = self.cell or auto_size(volume.spacing)
         if self.border != CLOSED:
-            return None, lattice_of(tuple(shape), directions, origin, size)
-        return volume["low"], lattice_of(tuple(n + 2 for n in shape), directions, origin - directions.sum(axis=1), size)
+            return None, lattice_of(shape, directions, origin, size)
+        wider = (shape[0] + 2, shape[1] + 2, shape[2] + 2)
+        return volume.low, lattice_of(wider, directions, origin - directions.sum(axis=1), size)
 
     def _slices(self, lattice: Lattice) -> int:
-        n_i, n_j, _ = work.summary(self.voxels)["shape"]
+        n_i, n_j, _ = work.summary(self.voxels, VolumeRead).shape
         return lattice.slices_a_task(n_i * n_j)

@@ -2,27 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.volumes.proposals import BINS, Spectrum, bin_edges, labels_in, propose, spectrum_of
+from pipeline.summaries import VolumeRead
+from pipeline.volumes.proposals import BINS, Proposal, Spectrum, bin_edges, labels_in, propose, spectrum_of
 from storage.work import arrays, work
 
 SLICES = 32  # a task
 
 
 @dataclass(frozen=True)
+class IsoProposed:
+    """The histogram of a volume by bins of values, and what it proposes, best first."""
+
+    edges: tuple[float, ...]  # (BINS + 1,)
+    voxels: tuple[int, ...]
+    pairs: tuple[int, ...]  # of neighbours that pass the bin
+    steepness: tuple[float, ...]  # mean difference of these
+    is_labels: bool  # values look like names of regions
+    proposals: tuple[Proposal, ...]
+
+
+@dataclass(frozen=True)
 class IsoValues:
-    """A task SLICES slices, and the first one of the next. The summary has `edges` (BINS + 1), and by bin `voxels`, `pairs` and
-    `steepness`; `proposals`, best first; and whether values look like labels."""
+    """A task SLICES slices, and the first one of the next."""
 
     voxels: Path
     name = "iso-values"
 
     def init(self, folder: Path) -> int:
-        return -(-work.summary(self.voxels)["shape"][2] // SLICES)
+        return -(-work.summary(self.voxels, VolumeRead).shape[2] // SLICES)
 
     def run(self, folder: Path, index: int) -> dict:
         first = index * SLICES
@@ -30,22 +42,22 @@ class IsoValues:
         found = spectrum_of(voxels, SLICES, self._edges())
         return {name: getattr(found, name).tolist() for name in ("voxels", "pairs", "steps")}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        volume = work.summary(self.voxels)
+    def finalise(self, folder: Path, results: list[dict]) -> IsoProposed:
+        volume = work.summary(self.voxels, VolumeRead)
         total = {name: np.sum([r[name] for r in results], axis=0) for name in ("voxels", "pairs", "steps")}
         spectrum = Spectrum(self._edges(), **total)
-        is_whole = np.dtype(volume["dtype"]).kind in "ui"
-        is_labels = volume["is_labels"] or labels_in(spectrum, is_whole) is not None
+        is_whole = np.dtype(volume.dtype).kind in "ui"
+        is_labels = volume.is_labels or labels_in(spectrum, is_whole) is not None
         steepness = np.divide(total["steps"], total["pairs"], out=np.zeros(BINS), where=total["pairs"] > 0)
-        return {
-            "edges": spectrum.edges.tolist(),
-            "voxels": spectrum.voxels.tolist(),
-            "pairs": spectrum.pairs.tolist(),
-            "steepness": steepness.tolist(),
-            "is_labels": bool(is_labels),
-            "proposals": [asdict(proposal) for proposal in propose(spectrum, is_labels)],
-        }
+        return IsoProposed(
+            edges=tuple(spectrum.edges.tolist()),
+            voxels=tuple(spectrum.voxels.tolist()),
+            pairs=tuple(spectrum.pairs.tolist()),
+            steepness=tuple(steepness.tolist()),
+            is_labels=bool(is_labels),
+            proposals=tuple(propose(spectrum, is_labels)),
+        )
 
     def _edges(self) -> np.ndarray:
-        volume = work.summary(self.voxels)
-        return bin_edges(volume["low"], volume["high"], np.dtype(volume["dtype"]).kind in "ui")
+        volume = work.summary(self.voxels, VolumeRead)
+        return bin_edges(volume.low, volume.high, np.dtype(volume.dtype).kind in "ui")

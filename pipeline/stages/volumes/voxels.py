@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.summaries import VolumeRead
 from pipeline.volumes.open import open_volume
 from pipeline.volumes.volume import LARGEST_EXACT, Choice
 from storage.errors import InvalidScan
@@ -63,20 +64,25 @@ class Voxels:
             warnings.append(f"values reach {max(abs(low), abs(high)):,.0f} and are taken to 24 bits")
         return {"low": low, "high": high, "n_unknown": n_unknown, "warnings": [*volume.warnings, *warnings]}
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[dict]) -> VolumeRead:
         volume = open_volume(self.volume_path, self.choice)
-        return results[0] | {
-            "path": Path(volume.path).name,
-            "format": volume.format,
-            "shape": list(volume.shape),
-            "dtype": str(volume.dtype),
-            "directions": [list(row) for row in volume.directions],
-            "origin": list(volume.origin),
-            "spacing": list(volume.spacing),
-            "frame": volume.frame,
-            "unit": volume.unit,
-            "is_labels": volume.is_labels,
-        }
+        found = results[0]
+        return VolumeRead(
+            path=Path(volume.path).name,
+            format=volume.format,
+            shape=volume.shape,
+            dtype=str(volume.dtype),
+            directions=volume.directions,
+            origin=volume.origin,
+            spacing=volume.spacing,
+            frame=volume.frame,
+            unit=volume.unit,
+            is_labels=volume.is_labels,
+            low=found["low"],
+            high=found["high"],
+            n_unknown=found["n_unknown"],
+            warnings=tuple(found["warnings"]),
+        )
 
 
 def slab(voxels: Path, first: int, end: int, pad: float | None = None) -> np.ndarray:

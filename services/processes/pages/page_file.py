@@ -6,12 +6,13 @@ import os
 import re
 import shutil
 import tempfile
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pipeline.execution.stage import Executor, Progress
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.stages.pages.photo_pages import FILE, PhotoPages
+from pipeline.summaries import Photographs
 from services.flow.prepare import ingest_of
 from services.flow.run import Run
 from storage.errors import InvalidScan
@@ -53,13 +54,13 @@ def make_pages(
         of_work = _is_work_folder(source)
         run = Run(source if of_work else work or aside, executor, progress)
         photos = _photos_of(source) if of_work else ingest_of(run, source, reading).folder
-        if not work_folder.summary(photos)["cameras"]:
+        if not work_folder.summary(photos, Photographs).cameras:
             raise InvalidScan(str(source), "no photograph", "a scan with photographs: pages are pieces of them")
         made = run.do(PhotoPages(photos, form.codec, form.page_px, form.border_px, form.quality))
         place_pages(made.folder, out)
     finally:
         shutil.rmtree(aside, ignore_errors=True)
-    return made.summary | {"path": str(out), "seconds": made.made_seconds}
+    return asdict(made.summary) | {"path": str(out), "seconds": made.made_seconds}
 
 
 def place_pages(made: Path, out: Path) -> None:

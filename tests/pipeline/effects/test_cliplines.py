@@ -1,6 +1,7 @@
 """Cliplines: which splats get one, and where it runs."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -107,7 +108,7 @@ def test_cliplines__points_that_nothing_saw_from_anywhere_have_none():
     from pipeline.effects.cliplines import EFFECT
 
     class Sources:
-        cameras, scan = (), {"stations": []}
+        cameras, scan = (), SimpleNamespace(stations=())
 
     assert EFFECT.survey(Sources()) is None and eyes_of(Sources()) == ()
     assert EFFECT.conclude([], Sources()).value == 0

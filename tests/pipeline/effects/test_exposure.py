@@ -11,6 +11,7 @@ from pipeline.effects.exposure.solve import Observations, _by_splat, _medians, s
 from pipeline.execution.executors import SerialExecutor
 from pipeline.numerics.srgb import linear_of, srgb_of
 from pipeline.planning.settings import settings_for
+from pipeline.summaries import Photographs
 from renderer.evaluate.held_out import matched
 from services.flow.prepare import prepare
 from services.flow.run import Run
@@ -108,7 +109,10 @@ def test_exposure__is_found_from_the_splats_of_a_scan(unlike):
     assert outcome(prepared)["spread_after"] < 0.2 * outcome(prepared)["spread_before"]
     photos = [arrays.read(prepared.photos, f"photo_{i}").astype(float) for i in range(3)]
     splats = arrays.read(prepared.splats.folder, "camera")
-    assert len(np.unique(splats)) > 1 and work.summary(prepared.photos)["cameras"] == prepared.scan.summary["cameras"]
+    assert (
+        len(np.unique(splats)) > 1
+        and work.summary(prepared.photos, Photographs).cameras == prepared.scan.summary.cameras
+    )
     assert all(photo.mean() == pytest.approx(photos[1].mean(), rel=0.15) for photo in photos)
 
 

@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -85,7 +87,7 @@ def looking(rng, n, roll_degrees=0.0):
     upright = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
     yaw = Rotation.from_euler("zy", rng.uniform(-30, 30, (n, 2)) * [1, 0.4], degrees=True).as_matrix()
     roll = Rotation.from_euler("z", roll_degrees, degrees=True).as_matrix()
-    return [{"rotation": roll @ upright @ turn.T} for turn in yaw]
+    return [SimpleNamespace(rotation=roll @ upright @ turn.T) for turn in yaw]
 
 
 def test_directions__of_upright_photographs_are_up_and_ahead():
@@ -103,7 +105,7 @@ def test_directions__turn_with_the_scan():
     cameras = looking(rng, 9)
     still = [unit(d) for d in directions_of(cameras)]
     for turn in Rotation.random(50, random_state=rng).as_matrix():
-        turned = directions_of([{"rotation": c["rotation"] @ turn.T} for c in cameras])
+        turned = directions_of([SimpleNamespace(rotation=c.rotation @ turn.T) for c in cameras])
         assert all(np.linalg.norm(d) <= LONGEST_DIRECTION for d in turned)
         for a, b in zip(still, turned, strict=True):
             assert np.degrees(np.arccos(min(1.0, turn @ a @ unit(b)))) < 3.6  # 1.2 each, and ahead also leans with up
@@ -120,7 +122,7 @@ def test_directions__turn_with_the_scan():
     ids=["down", "to and fro", "one direction", "all around"],
 )
 def test_directions__exist_for_every_arrangement_and_are_apart(rotations):
-    up, ahead = directions_of([{"rotation": r} for r in rotations])
+    up, ahead = directions_of([SimpleNamespace(rotation=r) for r in rotations])
     assert abs(unit(up) @ unit(ahead)) < 0.5
 
 
@@ -144,5 +146,5 @@ def test_directions__ahead_is_level_where_photographs_look_down_and_up_alike():
     upright = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
     for tilt in (-50, 20, 60):
         turn = Rotation.from_euler("y", tilt, degrees=True).as_matrix()
-        up, ahead = directions_of([{"rotation": upright @ turn.T}, {"rotation": upright}])
+        up, ahead = directions_of([SimpleNamespace(rotation=upright @ turn.T), SimpleNamespace(rotation=upright)])
         assert abs(unit(up) @ unit(ahead)) < np.sin(np.radians(2.4))  # 1.2 degrees each

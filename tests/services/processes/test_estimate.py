@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +14,7 @@ from pipeline.execution.executors import SerialExecutor
 from pipeline.execution.stage import StageRecord
 from pipeline.planning.settings import settings_for
 from pipeline.stages.points.sampled import Sampled
+from pipeline.summaries import Counted, Points
 from services.cli.main import main
 from services.flow.estimate_cache import against, known_estimate
 from services.flow.prepare import splats_of
@@ -99,9 +100,10 @@ def test_sampled__takes_whole_chunks_from_everywhere(scan, tmp_path, n_wanted):
     prepared = splats_of(Run(tmp_path / "work", SerialExecutor(), Heard()), scan, None)
     splats, partition = prepared.splats.folder, prepared.partition.folder
     sample = Run(tmp_path / "work", SerialExecutor(), Heard()).do(Sampled(splats, partition, n_wanted))
-    n = sample.summary["n_splats"]
+    n = sample.summary.n_splats
     assert n == {3 * CHUNK: 3 * CHUNK, 10**9: 10_000, 100: CHUNK}[n_wanted]
-    assert sample.summary["origin"] == work.summary(partition)["origin"]
+    points = Run(tmp_path / "work", SerialExecutor(), Heard()).do(Sampled(partition, partition, n_wanted)).summary
+    assert points == replace(work.summary(partition, Points), n_splats=n, levels=(n,))
     whole, taken = (
         np.concatenate([arrays.read(f, "position_code")[:, None], arrays.read(f, "normal_code")], axis=1)
         for f in (splats, sample.folder)
@@ -147,7 +149,7 @@ def seconds_of(
             {"seconds": seconds, "processor_seconds": seconds / 2, "compile_seconds": compiling, "n_splats": n},
         )
     record = StageRecord(stage.name, folder, {}, made, 0, len(tasks), sum(n for _, n in tasks), False, made)
-    prepared = SimpleNamespace(splats=SimpleNamespace(summary={"n_splats": 2000}))
+    prepared = SimpleNamespace(splats=SimpleNamespace(summary=Counted(2000)))
     pilot = module._Pilot(prepared, None, SETTINGS, {}, 200, [], [], n_workers)
     learning = {"n_patches": 900, "n_patches_pilot": 300, "n_atoms": 16, "n_atoms_pilot": 16}
     seconds, processor_seconds = module._stage_seconds(pilot, stage, record, SETTINGS, learning)

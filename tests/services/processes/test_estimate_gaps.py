@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.summaries import Ladder
 from services.processes.estimate_gaps import (
     CARRIES_OVER,
     LEAST_COMPARED,
@@ -18,11 +19,7 @@ from services.processes.estimate_gaps import (
 
 N = 1000
 FLAT = Slope(None)
-LADDER = {
-    "price": [8.0, 4.0, 2.0],
-    "error": [4.0, 2.0, 1.0],
-    "n_atoms": [1.0, 2.0, 4.0],
-}  # half the error for twice the atoms
+LADDER = Ladder((8.0, 4.0, 2.0), (4.0, 2.0, 1.0), (1.0, 2.0, 4.0))  # half the error for twice the atoms
 
 
 def sorts(n_learned: int = 500, inside: float = 0.9, outside: float = 1.1) -> Sorts:

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from pipeline.effects.exposure.stations import StationGains
 from pipeline.execution.executors import DaskExecutor, SerialExecutor
 from pipeline.planning.settings import settings_for
 from pipeline.readers.attributes.options import ReadOptions
+from pipeline.summaries import Points
 from renderer.evaluate.compare import psnr_of_error
 from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
@@ -97,9 +99,9 @@ def test_maps__the_plan_says_whether_and_why(made):
 def test_maps__stations_are_brought_to_one_light(made):
     _, _, folder = made(SETTINGS)
     (light,) = folder.glob("station-light-*")
-    found = work.summary(light)
-    assert found["spread_after"] < found["spread_before"] / 2
-    gain = np.array(found["log_gain"])
+    found = work.summary(light, StationGains)
+    assert found.spread_after < found.spread_before / 2
+    gain = np.array(found.log_gain)
     # 0.8 of a level is about 0.8^2.2 of linear light
     np.testing.assert_allclose(gain[1] - gain[0], np.log(0.8**-2.2), atol=0.12)
 
@@ -187,7 +189,7 @@ def test_maps__cliplines_come_from_their_silhouettes(made):
     lines = max(folder.glob("map-cliplines-*"), key=lambda p: p.stat().st_mtime_ns)
     (partition,) = (p for p in folder.glob("partition-*") if is_thinned(p))
     has = arrays.read(lines, "has_clipline")
-    position = arrays.read(partition, "position") + work.summary(partition)["origin"]
+    position = arrays.read(partition, "position") + np.array(work.summary(partition, Points).origin)
     with PackedFile(path) as packed:
         scene = packed.load()
     assert sum(batch.clipline for batch in scene.header.batches) and 0 < has.mean() < 0.5
@@ -198,4 +200,4 @@ def test_maps__cliplines_come_from_their_silhouettes(made):
 
 
 def is_thinned(partition: Path) -> bool:
-    return work.summary(partition)["n_splats"] < 20_000
+    return work.summary(partition, Points).n_splats < 20_000

@@ -91,7 +91,7 @@ def test_place__arrays_of_a_bucket_are_those_of_a_folder_for_another_process_too
     assert work.finished_task(bucket, 3) == {"n_splats": 4} and work.finished_task(bucket, 4) is None
     assert not work.is_complete(bucket)
     work.complete(bucket, {"n": 1}, 2.0)
-    assert work.is_complete(bucket) and work.summary(bucket) == {"n": 1}
+    assert work.is_complete(bucket) and work.summary(bucket, dict) == {"n": 1}
     assert not [name for name in place.sizes(bucket) if name.startswith("parts/")]
     assert work.last_complete(bucket.parent, bucket.name.partition("-")[0] or "x") in (None, bucket)
     work.discard(bucket)

@@ -9,8 +9,8 @@ from pipeline.stages.pages.codecs import CODECS, decoded
 from pipeline.stages.pages.cut import inner_size, pages_of
 from pipeline.stages.pages.photo_pages import FILE, PhotoPages
 from pipeline.stages.texture.photo_codecs import halved
+from pipeline.summaries import Photographs
 from storage.errors import InvalidPackedFile
-from storage.packed.schema import Camera
 from storage.pages.file import PageFile, scan_digest
 from storage.pages.layout import PageLayout
 from storage.work import arrays, work
@@ -84,9 +84,9 @@ def photos(tmp_path_factory):
 def test_photo_pages__hold_the_photographs_and_name_their_scan(photos, tmp_path):
     stage = PhotoPages(photos, "png", 64, 4)
     made = run_stage(stage, tmp_path, SerialExecutor(), Heard())
-    assert made.summary["n_photographs"] == 2 and made.summary["psnr_db"] == 100.0
+    assert made.summary.n_photographs == 2 and made.summary.psnr_db == 100.0
     assert not list(made.folder.glob("parts/*"))
-    cameras = [Camera.from_json(c) for c in work.summary(photos)["cameras"]]
+    cameras = work.summary(photos, Photographs).cameras
     with PageFile(made.folder / FILE) as file:
         assert file.header.scan == scan_digest(cameras) and file.header.names == ("0.jpg", "1.jpg")
         first = int(file.layout.grids[file.layout.first_grid[1], 2])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from pipeline.execution.stage import run_stage
 from pipeline.readers import open_scan
 from pipeline.stages.points import ingest
 from pipeline.stages.points.ingest import Ingest, slice_rows
+from pipeline.summaries import ScanRead
 from storage.errors import InvalidScan
 from storage.work import arrays, work
 from tests.pipeline.readers import test_ply
@@ -69,10 +71,8 @@ def small(monkeypatch):
     ingest._opened.cache_clear()
 
 
-def assert_same(one: tuple[Path, dict], other: tuple[Path, dict]) -> None:
-    assert {k: v for k, v in one[1].items() if k != "warnings"} == {
-        k: v for k, v in other[1].items() if k != "warnings"
-    }
+def assert_same(one: tuple[Path, ScanRead], other: tuple[Path, ScanRead]) -> None:
+    assert replace(one[1], warnings=()) == replace(other[1], warnings=())
     names = [path.stem for path in sorted(one[0].glob("*.zarr"))]
     assert names == [path.stem for path in sorted(other[0].glob("*.zarr"))]
     for name in names:
@@ -86,11 +86,11 @@ def test_ingest__slices_are_what_one_reading_from_the_start_gives(tmp_path, smal
     found = [made(path, tmp_path / path.stem) for path in (binary, text)]
     assert_same(*found)
     summary = found[0][1]
-    assert summary["n_read"] == 1003 and summary["n_dropped"] == np.isnan(rows["x"]).sum()
+    assert summary.n_read == 1003 and summary.n_dropped == np.isnan(rows["x"]).sum()
     position = arrays.read(found[0][0], "position")
     np.testing.assert_array_equal(np.isnan(position).any(axis=1), np.isnan(rows["x"]))
-    np.testing.assert_array_equal(summary["low"], np.nanmin(position, axis=0))
-    assert any(f"{(np.isnan(rows['red']) & ~np.isnan(rows['x'])).sum()} of" in w for w in summary["warnings"])
+    np.testing.assert_array_equal(summary.low, np.nanmin(position, axis=0))
+    assert any(f"{(np.isnan(rows['red']) & ~np.isnan(rows['x'])).sum()} of" in w for w in summary.warnings)
 
 
 def test_ingest__a_workspace_and_its_archive_are_the_same(tmp_path, small):

@@ -12,6 +12,7 @@ from pipeline.splats.coarser import level_sizes
 from pipeline.splats.decoded import splat_radii
 from pipeline.stages.points.levels import LEVEL_SHIFT, NEIGHBOURS, PARTS, POINTS, SIZES, CoarserLevel, Levels
 from pipeline.stages.points.sizes import Sizes
+from pipeline.summaries import Points, Spacings
 from storage.packed.schema import GROUP
 from storage.work import arrays, work
 from tests.pipeline.stages.points.test_partition import done
@@ -40,15 +41,17 @@ def scan(tmp_path_factory) -> tuple[Path, Path, Path]:
         arrays.store(points, name, rows)
     boxes = [position[at : at + arrays.BLOCK] for at in range(0, N, arrays.BLOCK)]
     low, high = [b.min(axis=0).tolist() for b in boxes], [b.max(axis=0).tolist() for b in boxes]
-    work.complete(
-        points, {"n_splats": N, "levels": [N], "origin": [1, 2, 3], "block_low": low, "block_high": high}, 0.0
-    )
+    work.complete(points, Points(N, (1, 2, 3), tuple(map(tuple, low)), tuple(map(tuple, high)), (N,)), 0.0)
     spacing = np.float32(RADIUS * (1 + (position[:, 0] > 0.5)))
     for name, rows in (("spacing", spacing), ("degenerate", rng.random(N) < 0.1)):
         arrays.store(neighbours, name, rows)
     arrays.store(neighbours, "normal", np.tile(np.float32([0, 0, 1]), (N, 1)))
-    work.complete(neighbours, {"median_spacing": RADIUS, "n_degenerate": 5}, 0.0)
+    work.complete(neighbours, Spacings(RADIUS, 5), 0.0)
     return points, neighbours, done(Sizes(points, neighbours, RADIUS), folder / "sizes")
+
+
+def kept(folder: Path) -> dict:
+    return work.read_json(folder / "summary.json")["summary"]
 
 
 def joined(scan, folder: Path, sized: bool, order=lambda n: range(n)) -> dict[str, Path]:
@@ -69,7 +72,7 @@ def joined(scan, folder: Path, sized: bool, order=lambda n: range(n)) -> dict[st
 def test_levels__the_finest_is_as_it_was_and_coarser_ones_stand_before(scan, sized, tmp_path):
     made = joined(scan, tmp_path, sized)
     counts = level_sizes(N, 2)[::-1]
-    assert work.summary(made[POINTS])["levels"] == list(counts) and len(counts) == 3
+    assert work.summary(made[POINTS], Points).levels == counts and len(counts) == 3
     total = sum(counts)
     for part, source in zip(PARTS[:2], scan):
         for path in source.glob("*.zarr"):
@@ -88,7 +91,7 @@ def test_levels__the_finest_is_as_it_was_and_coarser_ones_stand_before(scan, siz
 
 def test_levels__points_are_named_apart_and_have_what_the_finest_have(scan, tmp_path):
     made = joined(scan, tmp_path, True)
-    counts = work.summary(made[POINTS])["levels"]
+    counts = work.summary(made[POINTS], Points).levels
     point = arrays.read(made[POINTS], "point")
     assert len(np.unique(point)) == len(point)
     assert (point >> LEVEL_SHIFT == np.repeat([2, 1, 0], counts)).all()
@@ -100,18 +103,18 @@ def test_levels__points_are_named_apart_and_have_what_the_finest_have(scan, tmp_
 
 def test_levels__blocks_have_the_boxes_of_their_points(scan, tmp_path):
     made = joined(scan, tmp_path, True)[POINTS]
-    summary = work.summary(made)
-    for i in range(arrays.n_blocks(summary["n_splats"])):
-        block = arrays.read(made, "position", *arrays.block_range(i, summary["n_splats"]))
-        np.testing.assert_array_equal(summary["block_low"][i], block.min(axis=0))
-        np.testing.assert_array_equal(summary["block_high"][i], block.max(axis=0))
+    summary = work.summary(made, Points)
+    for i in range(arrays.n_blocks(summary.n_splats)):
+        block = arrays.read(made, "position", *arrays.block_range(i, summary.n_splats))
+        np.testing.assert_array_equal(summary.block_low[i], block.min(axis=0))
+        np.testing.assert_array_equal(summary.block_high[i], block.max(axis=0))
 
 
 def test_levels__order_of_tasks_and_repeats_change_nothing(scan, tmp_path):
     once = joined(scan, tmp_path / "once", True)
     again = joined(scan, tmp_path / "again", True, lambda n: [*range(n)[::-1], n // 2])
     for part in PARTS:
-        assert work.summary(once[part]) == work.summary(again[part])
+        assert kept(once[part]) == kept(again[part])
         for path in once[part].glob("*.zarr"):
             found = [arrays.read(made[part], path.stem) for made in (once, again)]
             np.testing.assert_array_equal(*found, err_msg=path.stem)

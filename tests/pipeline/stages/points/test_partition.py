@@ -15,11 +15,27 @@ from pipeline.stages.points.grid_counts import GridCounts
 from pipeline.stages.points.kept import n_kept
 from pipeline.stages.points.leaves import DealtLeaves
 from pipeline.stages.points.partition import Partition
+from pipeline.summaries import Points, ScanRead
 from storage.errors import InvalidScan
 from storage.packed.schema import GROUP
 from storage.work import arrays, work
 
 N = 20 * GROUP + 77
+
+
+def scan_read(**figures) -> ScanRead:
+    """The summary of an ingest of points alone."""
+    nothing = dict.fromkeys(("cameras", "stations", "warnings"), ())
+    return ScanRead(
+        format="ply",
+        unit="m",
+        n_dropped=0,
+        intensity_range=None,
+        has_visibility=False,
+        **nothing,
+        has_colors=True,
+        **figures,
+    )
 
 
 def ingested(folder: Path, position: np.ndarray) -> Path:
@@ -31,7 +47,7 @@ def ingested(folder: Path, position: np.ndarray) -> Path:
     for name, rows in (("position", position), ("color", color), ("sample", finite[::7])):
         arrays.store(folder, name, rows)
     low, high = finite.min(axis=0).tolist(), finite.max(axis=0).tolist()
-    work.complete(folder, {"n_points": len(finite), "n_read": len(position), "low": low, "high": high}, 0.0)
+    work.complete(folder, scan_read(n_points=len(finite), n_read=len(position), low=low, high=high), 0.0)
     return folder
 
 
@@ -84,8 +100,8 @@ def small(monkeypatch):
 def test_partition__out_of_core_is_the_same_order_as_in_memory(kind, tmp_path, small):
     position = clouds()[kind]
     folder = done(Partition(ingested(tmp_path / "ingest", position)), tmp_path / "partition")
-    summary = work.summary(folder)
-    origin = np.array(summary["origin"])
+    summary = work.summary(folder, Points)
+    origin = np.array(summary.origin)
     kept = np.flatnonzero(np.isfinite(position).all(axis=1))
     order = kept[median_split(position[kept] - origin)]
     assert (place_of(folder) == order).all()
@@ -94,8 +110,8 @@ def test_partition__out_of_core_is_the_same_order_as_in_memory(kind, tmp_path, s
     assert not list(folder.rglob("*.partial"))
     for i in range(arrays.n_blocks(len(kept))):
         block = arrays.read(folder, "position", *arrays.block_range(i, len(kept)))
-        np.testing.assert_array_equal(summary["block_low"][i], block.min(axis=0))
-        np.testing.assert_array_equal(summary["block_high"][i], block.max(axis=0))
+        np.testing.assert_array_equal(summary.block_low[i], block.min(axis=0))
+        np.testing.assert_array_equal(summary.block_high[i], block.max(axis=0))
 
 
 @pytest.mark.parametrize("kind", clouds())
@@ -105,12 +121,12 @@ def test_partition__leaves_hold_every_point_once_with_all_that_it_has(kind, tmp_
     place = place_of(folder)
     assert np.sort(place).tolist() == np.flatnonzero(np.isfinite(position).all(axis=1)).tolist()
     assert (arrays.read(folder, "point") == place).all()
-    summary = work.summary(folder)
-    np.testing.assert_array_equal(arrays.read(folder, "position"), position[place] - summary["origin"])
-    assert len(summary["block_low"]) == arrays.n_blocks(len(place)) == len(summary["block_high"])
+    summary = work.summary(folder, Points)
+    np.testing.assert_array_equal(arrays.read(folder, "position"), position[place] - summary.origin)
+    assert len(summary.block_low) == arrays.n_blocks(len(place)) == len(summary.block_high)
     for start, stop in zip(starts := arrays.read(tmp_path / "counts", "start"), starts[1:]):
         inside = np.sort(place[start:stop])  # a leaf, in file order, is split as it would be alone
-        expected = inside[median_split(position[inside] - summary["origin"])]
+        expected = inside[median_split(position[inside] - summary.origin)]
         assert (place[start:stop] == expected).all()
 
 
@@ -135,7 +151,7 @@ def test_partition__order_of_tasks_and_repeats_change_nothing(density, tmp_path,
     again = through_leaves(ingest, tmp_path / "again", density, lambda n: [*range(n)[::-1], 0, n // 2])
     for name in ("position", "color", "point"):
         assert (arrays.read(once, name) == arrays.read(again, name)).all()
-    assert work.summary(once) == work.summary(again)
+    assert work.summary(once, Points) == work.summary(again, Points)
 
 
 def test_partition__a_stage_cut_off_between_tasks_goes_on(tmp_path, small):
@@ -153,20 +169,20 @@ def test_partition__a_stage_cut_off_between_tasks_goes_on(tmp_path, small):
     shutil.rmtree(folder)
 
 
-def kept_by(density: float, position: np.ndarray, folder: Path) -> tuple[np.ndarray, dict]:
+def kept_by(density: float, position: np.ndarray, folder: Path) -> tuple[np.ndarray, Points]:
     """Places in the file of the points that are kept, in chunk order, and the summary."""
     made = done(Partition(ingested(folder / "ingest", position), density), folder / "partition")
-    return arrays.read(made, "point"), work.summary(made)
+    return arrays.read(made, "point"), work.summary(made, Points)
 
 
 @pytest.mark.parametrize("density", [0.5, 0.1])
 def test_partition__density_keeps_that_share_from_everywhere(density, tmp_path):
     position = clouds()["cloud"]
     point, summary = kept_by(density, position, tmp_path)
-    assert len(point) == summary["n_splats"] == pytest.approx(density * len(position), rel=0.05)
+    assert len(point) == summary.n_splats == pytest.approx(density * len(position), rel=0.05)
     assert len(np.unique(point)) == len(point)
     assert np.histogram(point, 8, (0, len(position)))[0] == pytest.approx(density * len(position) / 8, rel=0.15)
-    np.testing.assert_allclose(arrays.read(tmp_path / "partition", "position"), position[point] - summary["origin"])
+    np.testing.assert_allclose(arrays.read(tmp_path / "partition", "position"), position[point] - summary.origin)
     assert (place_of(tmp_path / "partition") == point).all()
 
 

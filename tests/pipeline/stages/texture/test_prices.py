@@ -1,5 +1,7 @@
 """One price for all splats: what it does to a pursuit, and how it is found."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from pipeline.coding.quantize import uniform_weight_levels
 from pipeline.stages.texture.atoms import store_atoms
 from pipeline.stages.texture.prices import Prices, price_for
 from pipeline.stages.texture.strata import N_OCTAVES, octave_of
+from pipeline.summaries import InParts, Ladder, Training
 from storage.work import arrays, work
 
 
@@ -60,12 +63,12 @@ def test_price__spends_the_same_atoms_better_than_a_cut_off():
     assert priced.residual.sum() < cut.residual.sum()
 
 
-LADDER = {"price": [2.0, 1.0, 0.5], "error": [8.0, 4.0, 2.0], "n_atoms": [1.0, 2.0, 3.0]}
-WHOLE = {"n_active": 10, "n_splats": 10, "settled_energy": 0.0}
+LADDER = Ladder(price=(2.0, 1.0, 0.5), error=(8.0, 4.0, 2.0), n_atoms=(1.0, 2.0, 3.0))
+WHOLE = Training(1, 10, n_splats=10, n_active=10, cutoff_error=0.0, settled_energy=0.0, beyond={})
 
 
-def price_at(ladder: dict, training: dict, patch_error: float) -> float:
-    return price_for(ladder, training | {"cutoff_error": patch_error * training["n_splats"]})
+def price_at(ladder: Ladder, training: Training, patch_error: float) -> float:
+    return price_for(ladder, replace(training, cutoff_error=patch_error * training.n_splats))
 
 
 def test_price__is_found_between_those_of_the_ladder():
@@ -74,7 +77,7 @@ def test_price__is_found_between_those_of_the_ladder():
 
 
 def test_price__settled_splats_leave_more_to_the_others():
-    half = {"n_active": 5, "n_splats": 10, "settled_energy": 5.0}
+    half = replace(WHOLE, n_active=5, settled_energy=5.0)
     assert price_at(LADDER, half, 2.5) == pytest.approx(1.0)
 
 
@@ -88,16 +91,16 @@ def test_price__beyond_the_ladder_is_its_end(wanted, found):
 )
 def test_price__ends_where_splats_have_run_out_of_atoms(last, lowest, highest):
     """An atom more from the second price to the third: 0.3 dB are 4.0 to 3.733."""
-    ladder = LADDER | {"error": [8.0, 4.0, last]}
+    ladder = replace(LADDER, error=(8.0, 4.0, last))
     assert lowest * 0.999 <= price_at(ladder, WHOLE, 0.1) <= highest * 1.001
 
 
 def test_price__ends_at_one_price_whatever_the_target_that_is_missed():
     """Ladders of other targets have other prices; what an atom gains at a price is the scan's own."""
 
-    def ladder(first: float) -> dict:
+    def ladder(first: float) -> Ladder:
         price = first * 2.0 ** -np.arange(8)
-        return {"price": price.tolist(), "error": (1 + price).tolist(), "n_atoms": (6 - np.log(price) / 2).tolist()}
+        return Ladder(*(tuple(x.tolist()) for x in (price, 1 + price, 6 - np.log(price) / 2)))
 
     ends = [price_at(ladder(first), WHOLE, 1e-6) for first in (1.0, 1.3, 1.7, 2.5)]
     assert max(ends) < 1.05 * min(ends) and min(ends) > 0.02
@@ -105,7 +108,7 @@ def test_price__ends_at_one_price_whatever_the_target_that_is_missed():
 
 def test_price__is_no_cliff_at_its_end():
     """As the target goes on beyond what atoms can show, the price stays where it is."""
-    ladder = {"price": [2.0, 1.0, 0.5, 0.25], "error": [8.0, 4.0, 3.5, 3.4], "n_atoms": [1.0, 2.0, 3.0, 5.0]}
+    ladder = Ladder((2.0, 1.0, 0.5, 0.25), (8.0, 4.0, 3.5, 3.4), (1.0, 2.0, 3.0, 5.0))
     prices = [price_at(ladder, WHOLE, wanted) for wanted in np.geomspace(8, 0.01, 60)]
     assert all(b <= a for a, b in zip(prices, prices[1:])) and 0.4 < prices[-1] < 1
     assert max(a / b for a, b in zip(prices, prices[1:])) < 2
@@ -125,7 +128,9 @@ def test_weights__even_levels_are_the_same_for_every_rank_and_as_wide_as_pays():
     assert error(levels[0]) <= min(error(levels[0] * factor) for factor in (0.8, 1.25))
 
 
-def ladder_of(folder, patches: np.ndarray, share: np.ndarray, luck: np.ndarray | None = None, n_tasks: int = 1) -> dict:
+def ladder_of(
+    folder, patches: np.ndarray, share: np.ndarray, luck: np.ndarray | None = None, n_tasks: int = 1
+) -> Ladder:
     """What a training set of these patches, which is such a share of each octave, finds with 16 atoms."""
     space, chosen, quantized = (folder / name for name in ("space", "chosen", "quantized"))
     luck = np.linspace(0, 1, len(patches), endpoint=False) if luck is None else luck
@@ -135,9 +140,9 @@ def ladder_of(folder, patches: np.ndarray, share: np.ndarray, luck: np.ndarray |
         arrays.store(space, f"coefficient_{i}", patches[rows])
         arrays.store(space, f"rest_{i}", np.zeros(len(rows), np.float32))
         arrays.store(chosen, f"luck_{i}", luck[rows])
-    work.complete(space, {"n_tasks": n_tasks}, 0.0)
+    work.complete(space, InParts(n_tasks), 0.0)
     work.write_json(chosen / "share.json", {"share": share.tolist()})
-    work.complete(chosen, {"n_patches": len(patches)}, 0.0)
+    work.complete(chosen, replace(WHOLE, n_patches=len(patches)), 0.0)
     work.begin(quantized)
     atoms = np.random.default_rng(9).standard_normal((16, patches.shape[1]))
     store_atoms(quantized, atoms / np.linalg.norm(atoms, axis=1, keepdims=True))
@@ -155,7 +160,7 @@ def test_prices__are_those_of_the_same_splats_wherever_tasks_part_them(tmp_path)
     still = ladder_of(tmp_path / "still", patches, share, luck)
     moved = ladder_of(tmp_path / "turned", patches[turned], share, luck[turned], n_tasks=3)
     for figure in ("error", "n_atoms"):
-        assert moved[figure] == pytest.approx(still[figure], rel=0.002)
+        assert getattr(moved, figure) == pytest.approx(getattr(still, figure), rel=0.002)
 
 
 def test_prices__what_is_rare_counts_as_rare_though_it_was_learned_from_whole(tmp_path):
@@ -170,4 +175,4 @@ def test_prices__what_is_rare_counts_as_rare_though_it_was_learned_from_whole(tm
     whole = ladder_of(tmp_path / "whole", np.concatenate([calm, busy]), np.ones(N_OCTAVES))
     part = ladder_of(tmp_path / "part", np.concatenate([calm[::10], busy]), share)
     for figure in ("error", "n_atoms"):
-        assert part[figure] == pytest.approx(whole[figure], rel=0.03)
+        assert getattr(part, figure) == pytest.approx(getattr(whole, figure), rel=0.03)

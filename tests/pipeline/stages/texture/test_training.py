@@ -9,6 +9,7 @@ from pipeline.execution.executors import SerialExecutor
 from pipeline.execution.stage import run_stage
 from pipeline.stages.texture.strata import FEWEST, N_OCTAVES, census, octave_of, shares
 from pipeline.stages.texture.training import TrainingSet
+from pipeline.summaries import AverageColors
 from storage.work import arrays, work
 from tests.pipeline.execution.test_stage import Heard
 
@@ -67,7 +68,7 @@ def test_training__neither_the_choice_nor_its_order_turns_with_the_chunks(tmp_pa
             work.begin(patches)
             for name, values in rows.items():
                 arrays.store(patches, name, values[order])
-            work.complete(patches, {"census": census(rows["energy"]).tolist()}, 0.0)
+            work.complete(patches, AverageColors(n, None, tuple(census(rows["energy"]).tolist())), 0.0)
         return arrays.read(
             run_stage(TrainingSet(patches, patches, 8.0, 700, seed, 1.0), tmp_path, SerialExecutor(), Heard()).folder,
             "texel_0",
