@@ -10,6 +10,7 @@ from pathlib import Path
 from storage.place import is_remote
 
 PREFIX = "SPLATPRESS_"
+FROM_FILE = "_FILE"
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 DAY_S = 86_400
 
@@ -22,12 +23,13 @@ class ServiceSettings:
     state: Path = Path("splatpress-state")  # where data is a bucket: uploads and whatever else this machine keeps
     objects: str = ""  # the bucket's address, once `data` is this machine's folder beside it
     database: str = ""  # SQLAlchemy's URL; empty: SQLite in the data folder
+    database_password: str = ""  # of a database whose URL has none; most often by SPLATPRESS_DATABASE_PASSWORD_FILE
     host: str = "127.0.0.1"
     port: int = 8000
     require_tokens: bool = False  # on loopback too, as behind a proxy; a request that came by one needs a token anyway
     scheduler: str = ""  # of Dask; empty: the runner starts workers of its own
     workers: int = 0  # that it starts; 0: one a core
-    dashboard_url: str = ""  # shown on the job page
+    dashboard_url: str = ""  # where the API reaches Dask's pages, which it passes on; empty: where the runner says
     jobs_at_once: int = 2  # run side by side; the others wait in order
     max_upload_bytes: int = 50 << 30
     max_uploads_at_once: int = 20  # that are not whole yet, of one owner
@@ -50,7 +52,8 @@ class ServiceSettings:
     performance_from_s: float = (
         5.0  # shorter jobs get no page of Dask's: it takes the scheduler 0.8 s, all jobs waiting
     )
-    webhook_private: bool = False  # whether webhooks may go to private addresses
+    webhook_private: bool = False  # whether webhooks may go to private addresses, and scans come from them
+    fetch_from: str = ""  # s3://BUCKET/PREFIX,...: what scans may be fetched from with the service's own keys
 
     @property
     def place(self) -> Path:
@@ -59,7 +62,13 @@ class ServiceSettings:
 
     @property
     def database_url(self) -> str:
-        return self.database or f"sqlite:///{self.data / 'splatpress.sqlite'}"
+        if not self.database:
+            return f"sqlite:///{self.data / 'splatpress.sqlite'}"
+        if not self.database_password:
+            return self.database
+        from sqlalchemy import make_url
+
+        return make_url(self.database).set(password=self.database_password).render_as_string(hide_password=False)
 
     @property
     def needs_tokens(self) -> bool:
@@ -80,16 +89,20 @@ class ServiceSettings:
 
 
 def settings_from(environment: Mapping[str, str] | None = None, **changes) -> ServiceSettings:
-    """Settings from the environment, with changes; a change of None leaves what is there.
+    """Settings from the environment, with changes; a change of None leaves what is there. A variable whose name goes on
+    with _FILE names a file that holds the value.
 
-    Raises: ValueError naming the variable and what it allows.
+    Raises: ValueError naming the variable and what it allows; OSError for a file that cannot be read.
     """
     environment = os.environ if environment is None else environment
     found = {}
     for field in fields(ServiceSettings):
-        text = environment.get(PREFIX + field.name.upper())
+        name = PREFIX + field.name.upper()
+        text = environment.get(name)
+        if not text and environment.get(name + FROM_FILE):
+            text = Path(environment[name + FROM_FILE]).read_text().strip()
         if text:
-            found[field.name] = _parsed(PREFIX + field.name.upper(), text, type(field.default))
+            found[field.name] = _parsed(name, text, type(field.default))
     return ServiceSettings(**found | {name: value for name, value in changes.items() if value is not None})
 
 

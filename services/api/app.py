@@ -11,7 +11,7 @@ from sqlalchemy.exc import InterfaceError, OperationalError
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 
-from services.api import artifacts, estimates, events, health, jobs, ogc, owners, page, scans, uploads, words
+from services.api import artifacts, dashboard, estimates, events, health, jobs, ogc, owners, page, scans, uploads, words
 from services.api.context import owner_of
 from services.api.door.body import CHANGING, MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyGuard, Guard, cap, first_look, room
 from services.api.door.head import Head
@@ -66,6 +66,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         app.include_router(module.router, prefix="/v1")
     app.include_router(health.router)
     app.include_router(page.router)
+    app.include_router(dashboard.router)
     app.add_exception_handler(Problem, _problem)  # type: ignore[arg-type]
     app.add_exception_handler(RequestValidationError, _invalid)  # type: ignore[arg-type]
     app.add_exception_handler(HTTPException, _http)  # type: ignore[arg-type]

@@ -6,6 +6,7 @@ import ipaddress
 from typing import Annotated
 
 from fastapi import Depends, Path, Request
+from starlette.requests import HTTPConnection
 
 from services.problems import Problem
 from services.settings import LOOPBACK, ServiceSettings
@@ -30,21 +31,27 @@ def owner_of(request: Request) -> str:
     Without a token the Host must name loopback, else any web page could have a browser send requests here under a name
     of its own that it lets point to 127.0.0.1.
     """
-    scheme, _, token = request.headers.get("authorization", "").partition(" ")
+    owner = owner_of_connection(request)
+    site = request.headers.get("sec-fetch-site", "none")
+    has_token = bool(request.headers.get("authorization", "").partition(" ")[2])
+    if not has_token and request.method not in ("GET", "HEAD", "OPTIONS") and site not in ("none", "same-origin"):
+        raise Problem(403, "foreign-site", "without a token, only this service's own page may change anything")
+    request.state.owner = owner
+    return owner
+
+
+def owner_of_connection(connection: HTTPConnection, cookie: str = "") -> str:
+    """As `owner_of`, of what changes nothing; a token may also have come as the value of a `cookie`."""
+    scheme, _, token = connection.headers.get("authorization", f"Bearer {cookie}").partition(" ")
     if token:
-        owner = store_of(request).owner_of(token.strip()) if scheme.lower() == "bearer" else None
+        owner = connection.app.state.store.owner_of(token.strip()) if scheme.lower() == "bearer" else None
         if owner is None:
             raise _unauthorised("the token is not known, or no longer good")
-        request.state.owner = owner
         return owner
-    if settings_of(request).needs_tokens or _FORWARDED & set(request.headers.keys()):
+    if connection.app.state.settings.needs_tokens or _FORWARDED & set(connection.headers.keys()):
         raise _unauthorised("no token")
-    if not _is_loopback(request.url.hostname or ""):
+    if not _is_loopback(connection.url.hostname or ""):
         raise Problem(403, "foreign-host", "without a token, only requests to a loopback name are answered")
-    site = request.headers.get("sec-fetch-site", "none")
-    if request.method not in ("GET", "HEAD", "OPTIONS") and site not in ("none", "same-origin"):
-        raise Problem(403, "foreign-site", "without a token, only this service's own page may change anything")
-    request.state.owner = LOCAL_OWNER
     return LOCAL_OWNER
 
 

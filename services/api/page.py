@@ -14,7 +14,7 @@ from services.web.viewer_page import PAGE, POLICY, viewer_file
 
 router = APIRouter(include_in_schema=False)
 _FOLDER = Path(__file__).parent.parent / "web"
-_FILES = ("page.js", "ask.js", "job.js", "uploads.js", "page.css", "docs.html", "docs.js")
+_FILES = ("page.js", "ask.js", "job.js", "uploads.js", "page.css", "docs.html", "docs.js", "account.js")
 
 
 @router.get("/")
@@ -52,4 +52,4 @@ def get_file(name: str) -> FileResponse:
 @router.get("/web-state")
 def get_state(owner: Owner, settings: Settings) -> dict:
     """What the page shows beside the API's own answers."""
-    return {"owner": owner, "dashboard": settings.dashboard_url or dashboard(settings.place)}
+    return {"owner": owner, "dashboard": bool(settings.dashboard_url or dashboard(settings.place))}

@@ -7,11 +7,13 @@ from typing import Annotated
 
 from fastapi import APIRouter, File, Query, Response, UploadFile
 from fastapi.concurrency import run_in_threadpool
+from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.stages.points.measure_effects import known_rows
 from services.api.context import Database, Hash, Owner, Settings
 from services.jobs.documents import scan_document
 from services.problems import Problem
+from services.uploads.by_url import fetch_scan
 from services.uploads.scans import (
     BLOCK_BYTES,
     accept_scan,
@@ -33,6 +35,26 @@ async def post_scan(
     response.status_code = 201 if new else 200
     response.headers["Location"] = f"/v1/scans/{scan['id']}"
     return scan_document(scan, settings)
+
+
+class ScanAddress(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    url: str = Field(max_length=2000, pattern=r"^(https?|s3)://[\x21-\x7e]+$")
+    name: str = Field("", max_length=200, description="of the file; else the address's last part")
+
+
+@router.post("/scans/by-url", status_code=201)
+def post_scan_by_url(
+    request: ScanAddress, response: Response, owner: Owner, settings: Settings, store: Database
+) -> dict:
+    """Fetch a scan from a public https address, or from a bucket that the operator allows; the answer comes when it is
+    there and valid. Redirects are not followed."""
+    before = store.scans(owner, 1, 0)[1]
+    id = fetch_scan(request.url, request.name, owner, settings, store)
+    response.status_code = 201 if store.scans(owner, 1, 0)[1] > before else 200
+    response.headers["Location"] = f"/v1/scans/{id}"
+    return scan_document(store.scan(id, owner), settings)
 
 
 def _take_in(file: UploadFile, owner: str, settings, store) -> tuple[dict, bool]:

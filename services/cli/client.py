@@ -56,6 +56,10 @@ class Client:
             changed = max((p.stat().st_mtime for p in scan.rglob("*") if p.is_file()), default=0.0)
             return self._upload_file(packed, packed.name, changed, on_progress)
 
+    def fetch_scan(self, url: str) -> dict:
+        """Have the service fetch a scan from an https or s3 address. Returns the scan, once it is there."""
+        return document(self._ask("POST", "/v1/scans/by-url", json={"url": url}, timeout=None))
+
     def _upload_file(self, path: Path, name: str, changed: float, on_progress: Callable[[int, int], None]) -> dict:
         scan = Uploading(self._once, self.url, path, name, changed, self._memory).run(on_progress)
         return self._get(f"/v1/scans/{scan}")

@@ -36,6 +36,7 @@ def run_api(settings: ServiceSettings) -> None:
         timeout_graceful_shutdown=3,
         server_header=False,
         http=protocol(settings.headers_s),
+        ws="websockets-sansio",  # Dask's pages
     )
 
 
@@ -82,7 +83,7 @@ def _announce(settings: ServiceSettings, stop: threading.Event) -> None:
         ("job page", base + "/"),
         ("API", base + "/v1/openapi.json"),
         ("API docs", base + "/docs"),
-        ("Dask dashboard", dashboard(settings.place)),
+        ("Dask dashboard", base + "/dashboard" if dashboard(settings.place) else ""),
         ("data", settings.objects or str(settings.data)),
     ):
         print(f"{what:<15} {url}", flush=True)

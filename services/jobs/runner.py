@@ -82,8 +82,8 @@ def run_forever(settings: ServiceSettings, stop: threading.Event | None = None) 
 
 
 def dbos_config(settings: ServiceSettings) -> dict:
-    url = settings.database
-    if not url:
+    url = settings.database_url
+    if not settings.database:
         url = f"sqlite:///{settings.data / 'workflows.sqlite'}"
     return {
         "name": "splatpress",

@@ -75,7 +75,7 @@ async def write(
         await run_in_threadpool(store.change_upload, upload["id"], expires=expires)
         upload = upload | {"expires": expires}
         length = settings.max_upload_bytes if upload["length"] == LATER else upload["length"]
-        looking = _Looking(path, length, upload, settings)
+        looking = Looking(path, length, upload, settings)
         try:
             await append(path, request, offset, length, checksum, looking, settings.reserve_bytes)
         except Problem as problem:
@@ -135,7 +135,7 @@ def state(upload: dict, settings: ServiceSettings) -> dict[str, str]:
     }
 
 
-class _Looking:
+class Looking:
     """What has been seen of an upload by services/uploads/first_bytes.py, kept beside it from one piece to the next. A
     part of another begins in its middle, and is not looked at."""
 

@@ -1,5 +1,6 @@
 // The job page. It uses the same API as everyone else: tus uploads, jobs, server-sent events, artifacts.
 import { $, ask, bytes, element, get, guard, hasToken, seconds, send, setToken, tell } from "./ask.js";
+import { accountControls } from "./account.js";
 import { hide, jobControls, show, shownJob } from "./job.js";
 import { listUnfinished, upload, uploadControls } from "./uploads.js";
 
@@ -129,11 +130,10 @@ const follow = guard(async () => {
 
 // --- start
 
-function showDashboard(address) {
-  const local = ["127.0.0.1", "localhost", "[::1]"];
-  const reachable = address && (!local.includes(new URL(address).hostname) || local.includes(location.hostname));
-  $("dashboard").hidden = !reachable; // one that listens on the service's own machine leads nowhere from another
-  if (reachable) $("dashboard").href = address;
+// A link carries no token: the page trades it for a cookie first.
+async function showDashboard(known) {
+  if (known && hasToken()) await ask("/v1/dashboard", { method: "POST" });
+  $("dashboard").hidden = !known;
 }
 
 const start = guard(async () => {
@@ -141,7 +141,7 @@ const start = guard(async () => {
   $("login").hidden = true;
   $("sign-out").hidden = !hasToken();
   $("owner").textContent = hasToken() ? state.owner : "";
-  showDashboard(state.dashboard);
+  await showDashboard(state.dashboard);
   await Promise.all([listOptions(), listScans(), listJobs(), listUnfinished()]);
   if (location.hash) await follow();
 });
@@ -151,11 +151,12 @@ $("login").onsubmit = guard(async () => {
   $("token").value = "";
   await start();
 });
-$("sign-out").onclick = () => {
+$("sign-out").onclick = guard(async () => {
+  await ask("/v1/dashboard", { method: "DELETE" }).catch(() => {}); // a token that is no longer good opens nothing there either
   setToken("");
   location.hash = "";
   location.reload();
-};
+});
 $("file").onchange = guard(async () => { const file = $("file").files[0]; $("file").value = ""; if (file) await take(file); });
 $("drop").ondragover = (event) => { event.preventDefault(); $("drop").classList.add("over"); };
 $("drop").ondragleave = () => $("drop").classList.remove("over");
@@ -170,6 +171,7 @@ $("older").onclick = turn(PAGE_OF_JOBS);
 $("newer").onclick = turn(-PAGE_OF_JOBS);
 uploadControls(guard(take));
 jobControls(listJobs);
+accountControls();
 window.addEventListener("hashchange", follow);
 setInterval(() => { if (!document.hidden && $("login").hidden) listJobs().catch(() => {}); }, 5000); // also those begun elsewhere
 tell("");

@@ -1,7 +1,8 @@
 """Objects of an S3 bucket: put whole or not at all, fetched, listed, removed; tried again where the server stumbles.
 
-Where the server is and who asks stand in the environment as for every S3 program: AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID,
-AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ALLOW_HTTP. A server must know `If-None-Match` and `If-Match` of PUT.
+Where the server is and who asks stand in the environment as for every S3 program: AWS_ENDPOINT_URL, AWS_REGION,
+AWS_ALLOW_HTTP, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY; the last two may end in _FILE and name a file. A server must know
+`If-None-Match` and `If-Match` of PUT.
 """
 
 from __future__ import annotations
@@ -91,6 +92,16 @@ def download(path: Path, target: Path, make_room: Callable[[int], None]) -> int:
     return _again(path, fetched)
 
 
+def blocks(path: Path) -> Iterator[bytes]:
+    """An object's bytes as they arrive. Raises OSError where they break off: what came before is lost to the caller."""
+    store, key = _place(path)
+    found = _again(path, lambda: store.get(key))
+    try:
+        yield from map(bytes, found)
+    except Exception as error:
+        raise OSError(errno.EIO, f"the object store: {str(error).splitlines()[0][:300]}", str(path)) from error
+
+
 def head(path: Path) -> Found | None:
     """None where there is no such object."""
     store, key = _place(path)
@@ -133,7 +144,15 @@ def opened(bucket: str, prefix: str | None):
     retries: Any = {"max_retries": 3, "retry_timeout": timedelta(seconds=30)}
     plain = os.environ.get("AWS_ALLOW_HTTP", "").lower() in ("1", "true")
     client: Any = {"timeout": "60s", "connect_timeout": "5s", "allow_http": plain}
-    return S3Store(bucket, prefix=prefix, retry_config=retries, client_options=client)
+    keys: Any = {name.removeprefix("AWS_").lower(): Path(file).read_text().strip() for name, file in _key_files()}
+    return S3Store(bucket, prefix=prefix, retry_config=retries, client_options=client, **keys)
+
+
+def _key_files() -> Iterator[tuple[str, str]]:
+    """The keys that a file holds, as an orchestrator hands secrets over."""
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        if file := os.environ.get(name + "_FILE"):
+            yield name, file
 
 
 def _again(path: Path, do: Callable[[], T]) -> T:

@@ -32,6 +32,8 @@ class Composed:
         self.data.mkdir()
         self._tmp, self._stopping = folder / "tmp", False
         self._tmp.mkdir()
+        self.password = folder / "password"
+        self.password.write_text("not looked at by a server that trusts its own machine\n")
         self.logs = {name: folder / f"{name}.log" for name in OURS}
         self.running: dict[str, subprocess.Popen] = {}
         scaled = [f"worker.{i}" for i in range(1, n_workers)]
@@ -41,6 +43,10 @@ class Composed:
     def here(self, text: str) -> str:
         if text.startswith("postgresql://"):
             return self._database
+        if text == "/run/secrets/postgres_password":
+            return str(self.password)
+        if text == "http://scheduler:8787":
+            return ""
         text = text.replace("tcp://scheduler", "tcp://127.0.0.1").replace(":8787", ":0")
         text = re.sub(r"\b(8000|8786)\b", lambda m: self.ports[m[0]], text)
         return re.sub(r"/(data|tmp|scratch)\b", lambda m: str(self.data if m[1] == "data" else self._tmp), text)

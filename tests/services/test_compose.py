@@ -23,13 +23,13 @@ OPTIONS = {"target_psnr_db": 32.0, "training_splats": 2000, "iterations": 40, "l
 
 def test_compose__only_the_api_is_published_and_every_service_has_a_health_check_and_restarts():
     services = COMPOSE["services"]
-    assert set(services) == {*OURS, "postgres", "proxy"}
+    assert set(services) == {*OURS, "render-worker-gpu", "postgres", "proxy"}
     assert [name for name, s in services.items() if "ports" in s and "profiles" not in s] == ["api"]
     for name in ("scheduler", "worker", "render-worker", "postgres"):
         assert services[name]["networks"] == ["inside"]
     assert COMPOSE["networks"]["inside"]["internal"] is True
     assert all(s["restart"] == "unless-stopped" and s["healthcheck"]["test"] for s in services.values())
-    assert all(services[name]["user"] == "10001:10001" for name in OURS)
+    assert all(services[name]["user"] == "10001:10001" for name in (*OURS, "render-worker-gpu"))
 
 
 def test_compose__every_service_has_limits_rotated_logs_and_a_pinned_image():
@@ -37,7 +37,7 @@ def test_compose__every_service_has_limits_rotated_logs_and_a_pinned_image():
         assert (
             found["mem_limit"] and found["cpus"] and found["pids_limit"] and found["logging"]["options"]["max-size"]
         ), name
-        assert name in OURS or re.search(r":\d+\.\d+", found["image"]), name
+        assert found["image"] == "splatpress" or re.search(r":\d+\.\d+", found["image"]), name
 
 
 def test_compose__tls_is_a_profile_whose_proxy_reaches_the_api_alone():

@@ -164,3 +164,57 @@ def test_image__its_default_command_starts_and_a_job_goes_through(tmp_path):
             paths = other.fetch(job, tmp_path / "out")
             texts = [path.read_text() for path in paths if path.suffix in (".json", ".html")]
             assert texts and not [text for text in texts if re.search(r"\bplane(\.zip|\.splatpress|\")", text)]
+
+
+IMAGE = os.environ.get("SPLATPRESS_TEST_IMAGE", "")
+
+
+@pytest.mark.skipif(not IMAGE or shutil.which("buildah") is None, reason="SPLATPRESS_TEST_IMAGE names no image")
+def test_image__one_that_was_built_starts_by_its_default_command_and_a_job_goes_through(tmp_path):
+    """`SPLATPRESS_TEST_IMAGE=splatpress`, after `deploy/build-image.sh`; as root, for want of a container runtime in a
+    folder of its own with this machine's network."""
+    container = _buildah("from", IMAGE)
+    port = free_port()
+    try:
+        command = json.loads(_buildah("inspect", container))["OCIv1"]["config"]["Cmd"]
+        assert command == COMMAND
+        run = [
+            "buildah",
+            "run",
+            "--isolation",
+            "chroot",
+            "--env",
+            f"SPLATPRESS_PORT={port}",
+            "--env",
+            "SPLATPRESS_WORKERS=1",
+        ]
+        process = subprocess.Popen([*run, container, "--", *command], start_new_session=True)
+        try:
+            until(lambda: process.poll() is not None or _is_ready(port), 180)
+            token = subprocess.check_output(
+                [*run, container, "--", "splatpress", "token", "ann", "--data", "/data"], text=True
+            )
+            with Client(f"http://127.0.0.1:{port}", token.strip()) as client:
+                scan = client.upload(photo_scan(tmp_path / "plane", n_side=24))["id"]
+                job = client.submit(scan, preset="draft", options={"iterations": 1, "training_splats": 500})["jobID"]
+                ended = client.watch(job, lambda event: None)
+                assert ended["status"] == "successful", ended["problem"]
+                assert {"plane.splatpress", "report.html", "previews/0000.packed.png"} <= {
+                    a["name"] for a in client.artifacts(job)
+                }
+        finally:
+            os.killpg(process.pid, signal.SIGTERM)
+            process.wait(30)
+    finally:
+        _buildah("rm", container)
+
+
+def _is_ready(port: int) -> bool:
+    try:
+        return httpx.get(f"http://127.0.0.1:{port}/readyz").status_code == 200
+    except httpx.TransportError:
+        return False
+
+
+def _buildah(*arguments: str) -> str:
+    return subprocess.check_output(["buildah", *arguments], text=True).strip()

@@ -193,6 +193,23 @@ def test_page__signs_in_and_out(tmp_path, page):
             f"document.getElementById('token').value = '{api.token('ann')}'; document.querySelector('#login button').click()"
         )
         page.until("document.getElementById('login').hidden && document.getElementById('owner').textContent === 'ann'")
+        page.look("document.getElementById('account').open = true")
+        page.until("document.querySelectorAll('#tokens li').length === 1")
+        page.look(
+            "document.getElementById('token-label').value = 'laptop'; document.getElementById('token-days').value = 2;"
+            "document.querySelector('#new-token button').click()"
+        )
+        page.until(
+            "document.querySelectorAll('#tokens li').length === 2 && /good until/.test(document.getElementById('tokens').textContent)"
+        )
+        made = page.until("document.querySelector('#made-token code')?.textContent")
+        with httpx.Client(base_url=api.url, headers={"Authorization": f"Bearer {made}"}) as laptop:
+            assert laptop.get("/web-state").json()["owner"] == "ann"
+            is_without_serious_findings(page)
+            page.look("window.confirm = () => true; document.querySelector('[aria-label=\"Revoke laptop\"]').click()")
+            page.until("document.querySelectorAll('#tokens li').length === 1")
+            page.until("/DELETE tokens/.test(document.getElementById('audit').textContent)")
+            assert laptop.get("/web-state").status_code == 401
         page.look("document.getElementById('sign-out').click()")
         page.until("!document.getElementById('login').hidden && document.getElementById('sign-out').hidden")
         assert page.look("sessionStorage.getItem('token')") is None

@@ -347,6 +347,9 @@ def test_service__the_page_uploads_runs_and_shows_a_job(served, scan, tmp_path):
         assert page.look("document.getElementById('problem').textContent") == "" and page.complaints == []
         page.open(served.url + "/docs")
         page.until("/POST \\/v1\\/jobs/.test(document.body.innerText)")
+        page.open(served.url + "/dashboard/status")  # Dask's, passed on with its live messages
+        page.until("Bokeh.documents[0].roots().length > 0 && document.querySelectorAll('.bk-Figure').length > 0")
+        assert page.complaints == []
     finally:
         page.close()
 

@@ -143,7 +143,11 @@ def _upload(options: argparse.Namespace) -> int:
 def _submit(options: argparse.Namespace) -> int:
     with _client(options) as client:
         is_id = len(options.scan) == 64 and not Path(options.scan).exists()
-        scan = options.scan if is_id else _upload_path(client, Path(options.scan))["id"]
+        is_url = options.scan.startswith(("https://", "http://", "s3://"))
+        found = (
+            client.fetch_scan(options.scan) if is_url else None if is_id else _upload_path(client, Path(options.scan))
+        )
+        scan = found["id"] if found else options.scan
         request = {
             "preset": options.preset,
             "options": _pairs(options.option),

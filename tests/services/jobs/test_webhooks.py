@@ -10,6 +10,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import pytest
 from standardwebhooks import Webhook
 
+from services import addresses
 from services.jobs import webhooks
 from services.jobs.webhooks import RefusedAddress, check_url, deliver_due, owner_secret
 from services.settings import settings_from
@@ -91,7 +92,7 @@ def test_webhooks__are_signed_and_tried_again_until_they_arrive(tmp_path, receiv
 def test_webhooks__a_name_that_leads_to_a_private_address_is_refused_at_delivery(tmp_path, receiver, monkeypatch):
     url, heard = receiver
     settings, store, id = ended_job(tmp_path, url.replace("localhost", "hooks.example.org"))
-    monkeypatch.setattr(webhooks.socket, "getaddrinfo", lambda host, port, **_: [(0, 0, 0, "", ("10.1.2.3", port))])
+    monkeypatch.setattr(addresses.socket, "getaddrinfo", lambda host, port, **_: [(0, 0, 0, "", ("10.1.2.3", port))])
     deliver_due(settings, store, lambda job: {})
     assert not heard and not store.due_webhooks(5, 5)
     assert "10.1.2.3 is a private address" in store.logs(id, 0, 9)[0]["data"]["message"]
