@@ -13,8 +13,8 @@ import numpy as np
 from pipeline.effects.block import Block, Sources
 from pipeline.effects.effect import Effect, Measured, Worth
 from pipeline.effects.ellipsoids.classes import radius_classes
-from pipeline.effects.ellipsoids.decision import REACH_RADII, thin_splats
-from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, gather, thinned
+from pipeline.effects.ellipsoids.decision import CELLS_RADII, REACH_RADII, thin_splats
+from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, Around, gather, thinned
 from pipeline.effects.ellipsoids.noise import BINS, histogram_of, noise_radii, thirds_of
 from pipeline.effects.ellipsoids.stage import Ellipsoids
 from pipeline.execution.stage import Stage
@@ -26,7 +26,10 @@ def _measure_block(block: Block) -> dict:
     """Neighbourhoods here end at the block's own splats: those at its rim, a few per cent, seem a little thinner."""
     histogram, found = np.zeros(BINS, np.int64), []
     for radius, rows in radius_classes(block.radius[::EVERY], block.sources.radius):
-        point, around = block.position[::EVERY][rows], thinned(block.position, CELL_RADII * radius)
+        point, around = (
+            block.position[::EVERY][rows],
+            Around(thinned(block.position, CELL_RADII * radius), CELLS_RADII * radius),
+        )
         near = gather(point, around, REACH_RADII * radius)
         histogram += histogram_of(thirds_of(near) / radius)
         found.append((point, around, radius, near))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.effects.ellipsoids.neighbourhoods import gather
+from pipeline.effects.ellipsoids.neighbourhoods import Around, gather
+from pipeline.execution.compiled import kernel
 
 # Set by how well outlines match the true ones (intersection over union, thin things of the room of tests/thin_scene.py
 # from four new viewpoints, seeds 1 and 2): discs 0.51; the paper's three deviations 0.51, as they reach far beyond
@@ -25,7 +26,7 @@ def fit(point: np.ndarray, around: np.ndarray, radius: float) -> tuple[np.ndarra
     right angles, right-handed, LEAST_RADII or more, across the longest no more than the disc's radius; a point that has
     no neighbourhood is a ball of LEAST_RADII.
     """
-    members = gather(point, around, REACH_RADII * radius)
+    members = gather(point, Around(around, REACH_RADII * radius / 2), REACH_RADII * radius)
     count = members.count
     deviation, _ = principal_axes(moments(members.offset, count)[1])
     near = (np.linalg.norm(members.offset, axis=2) <= REACH_RADII * radius) & (
@@ -44,12 +45,28 @@ def fit(point: np.ndarray, around: np.ndarray, radius: float) -> tuple[np.ndarra
 def moments(offset: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Means (n, 3) and covariances (n, 3, 3), over one less than their number, of the first `count` (n,) of `offset`
     (n, k, 3); zeros for fewer than 2."""
-    member = np.arange(offset.shape[1]) < count[:, None]
-    number = np.maximum(count, 1)[:, None]
-    mean = (offset * member[..., None]).sum(axis=1) / number
-    centred = np.where(member[..., None], offset - mean[:, None], 0)
-    covariance = centred.transpose(0, 2, 1) @ centred / np.maximum(number - 1, 1)[..., None]
+    mean, covariance = np.zeros((len(offset), 3)), np.zeros((len(offset), 3, 3))
+    _moments(np.ascontiguousarray(offset), count, mean, covariance)
     return mean, covariance
+
+
+@kernel()
+def _moments(offset, count, mean, covariance):
+    for i in range(len(offset)):
+        n = count[i]
+        for j in range(n):
+            for k in range(3):
+                mean[i, k] += offset[i, j, k]
+        for k in range(3):
+            mean[i, k] /= max(n, 1)
+        for j in range(n):
+            for k in range(3):
+                for m in range(k, 3):
+                    covariance[i, k, m] += (offset[i, j, k] - mean[i, k]) * (offset[i, j, m] - mean[i, m])
+        for k in range(3):
+            for m in range(k, 3):
+                covariance[i, k, m] /= max(n - 1, 1)
+                covariance[i, m, k] = covariance[i, k, m]
 
 
 def principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

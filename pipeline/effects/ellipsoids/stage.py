@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.effects.ellipsoids.classes import radius_classes
-from pipeline.effects.ellipsoids.decision import WIDEST_RADII, thin_splats
+from pipeline.effects.ellipsoids.decision import CELLS_RADII, WIDEST_RADII, thin_splats
 from pipeline.effects.ellipsoids.fit import fit
-from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, distinct, thinned_of_distinct
+from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, Around, distinct, thinned_of_distinct
 from pipeline.splats.coarser import first_finest
 from pipeline.splats.decoded import splat_radii
 from pipeline.summaries import Points
@@ -59,7 +59,7 @@ class Ellipsoids:
         there = distinct(self._points_about(position[finest:], WIDEST_RADII * widest)) if classes else position[:0]
         for radius, rows in classes:
             points = _about(there, position[rows], WIDEST_RADII * radius)
-            around = thinned_of_distinct(points, CELL_RADII * radius)
+            around = Around(thinned_of_distinct(points, CELL_RADII * radius), CELLS_RADII * radius)
             found = thin_splats(position[rows], around, radius, self.noise_radii * radius)
             rows = rows[found]
             if len(rows):

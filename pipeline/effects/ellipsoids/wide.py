@@ -10,58 +10,34 @@ import math
 
 import numpy as np
 
-from pipeline.effects.ellipsoids.neighbourhoods import LEAST, MOST
+from pipeline.effects.ellipsoids.neighbourhoods import LEAST, MOST, Around, rows_of_cells
 from pipeline.execution.compiled import kernel
 
 
-def are_wide(point: np.ndarray, around: np.ndarray, reach: float, second: float) -> np.ndarray:
-    """Which neighbourhoods have a second deviation above `second`, (n,) bool; `point` (n, 3), `around` (m, 3) as `gather` takes
-    them.
+def are_wide(point: np.ndarray, around: Around, reach: float, second: float) -> np.ndarray:
+    """Which neighbourhoods have a second deviation above `second`, (n,) bool; `point` (n, 3), `around` as `gather` takes them.
 
     Guarantees: false where the members within the reach are fewer than LEAST or more than MOST, where `gather` takes others.
     """
-    if not len(around) or not len(point):
-        return np.zeros(len(point), bool)
-    low = np.minimum(around.min(axis=0), point.min(axis=0)) - 2 * reach
-    size = ((np.maximum(around.max(axis=0), point.max(axis=0)) - low) / reach).astype(np.int64) + 3
-    if float(size[0]) * float(size[1]) * float(size[2]) > 2.0**62:
-        return np.zeros(len(point), bool)  # nothing is near anything
-    of_around, of_point = (_keys(p, low, reach, size) for p in (around, point))
-    around_order, point_order = np.argsort(of_around, kind="stable"), np.argsort(of_point, kind="stable")
-    found = np.zeros(len(point), bool)
-    _decide(
-        point[point_order],
-        of_point[point_order],
-        around[around_order],
-        of_around[around_order],
-        size,
-        reach,
-        second,
-        found,
-    )
-    wide = np.empty_like(found)
-    wide[point_order] = found
+    wide = np.zeros(len(point), bool)
+    if not around.is_grid or not len(point):
+        return wide
+    cell = around.cells(point)
+    order = np.argsort(cell, kind="stable")
+    steps = math.ceil(reach / around.edge * (1 - 1e-9))
+    _decide(point, cell, order, around.position, around.cell, around.size, steps, reach, second, wide)
     return wide
 
 
-def _keys(position: np.ndarray, low: np.ndarray, edge: float, size: np.ndarray) -> np.ndarray:  # (n,) int64
-    cell = np.floor((position - low) / edge).astype(np.int64)
-    return (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]
-
-
 @kernel()
-def _decide(point, of_point, around, of_around, size, reach, second, wide):
-    """`point` and `around` in the order of their cells."""
-    first, last = np.empty(9, np.int64), np.empty(9, np.int64)
+def _decide(point, of_point, order, around, of_around, size, steps, reach, second, wide):
+    n_rows = (2 * steps + 1) ** 2
+    first, last = np.empty(n_rows, np.int64), np.empty(n_rows, np.int64)
     known = np.int64(-1)
-    for i in range(len(point)):
+    for i in order:
         if of_point[i] != known:
             known = of_point[i]
-            for a in range(3):
-                for b in range(3):
-                    middle = known + ((a - 1) * size[1] + (b - 1)) * size[2]
-                    first[3 * a + b] = np.searchsorted(of_around, middle - 1)
-                    last[3 * a + b] = np.searchsorted(of_around, middle + 1, "right")
+            rows_of_cells(known, of_around, size, steps, first, last)
         wide[i] = _second_above(point[i], around, first, last, reach, second)
 
 
@@ -69,7 +45,7 @@ def _decide(point, of_point, around, of_around, size, reach, second, wide):
 def _second_above(point, around, first, last, reach, second):
     n, at_itself = 0, False
     x = y = z = xx = xy = xz = yy = yz = zz = 0.0
-    for r in range(9):
+    for r in range(len(first)):
         for j in range(first[r], last[r]):
             dx, dy, dz = around[j, 0] - point[0], around[j, 1] - point[1], around[j, 2] - point[2]
             away = dx * dx + dy * dy + dz * dz

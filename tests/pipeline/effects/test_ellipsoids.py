@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from pipeline.effects.ellipsoids.decision import REACH_RADII, decide, thin_splats
+from pipeline.effects.ellipsoids.arcs import RING_RADII, _longest_run, reach_arc
+from pipeline.effects.ellipsoids.decision import CELLS_RADII, REACH_RADII, are_ellipsoids, thin_splats
 from pipeline.effects.ellipsoids.fit import LEAST_RADII, fit, moments, principal_axes
-from pipeline.effects.ellipsoids.neighbourhoods import LEAST, MOST, gather, thinned
+from pipeline.effects.ellipsoids.hypotheses import HYPOTHESES, three_members
+from pipeline.effects.ellipsoids.neighbourhoods import LEAST, MOST, Around, gather, thinned
 from pipeline.effects.ellipsoids.noise import histogram_of, noise_radii, thirds_of
 from tests.thin_scene import BALL, FLAT, ROPE, THICK, THIN, joined, room, scan
 
@@ -16,7 +18,7 @@ SCANNERS = ((2.6, -1.6, 1.6), (-2.4, -2.0, 1.2))
 def verdicts(position, radius=None):
     """Which points become ellipsoids, and the noise that was found, in radii."""
     radius = radius or np.median(cKDTree(position).query(position, k=5)[0][:, 4])
-    around = thinned(position, 0.5 * radius)
+    around = Around(thinned(position, 0.5 * radius), CELLS_RADII * radius)
     noise = noise_radii(histogram_of(thirds_of(gather(position, around, REACH_RADII * radius)) / radius))
     return thin_splats(position, around, radius, noise * radius), noise
 
@@ -118,10 +120,10 @@ def test_decide__turning_scaling_and_moving_a_scan_changes_next_to_nothing():
 def test_decide__points_without_neighbours_and_equal_points_are_discs():
     apart = np.arange(12.0)[:, None] * [1000.0, 0, 0]
     assert not verdicts(apart, radius=1.0)[0].any()
-    around = gather(np.zeros((5, 3)), np.zeros((1, 3)), 1.0)
-    assert not decide(around, principal_axes(moments(around.offset, around.count)[1])[0], 1.0, 0.0).ellipsoid.any()
-    nothing = gather(np.zeros((0, 3)), np.zeros((0, 3)), 1.0)
-    assert decide(nothing, np.zeros((0, 3)), 1.0, 0.0).ellipsoid.shape == (0,)
+    around = gather(np.zeros((5, 3)), Around(np.zeros((1, 3)), 0.5), 1.0)
+    assert not are_ellipsoids(around, principal_axes(moments(around.offset, around.count)[1])[0], 1.0, 0.0).any()
+    nothing = gather(np.zeros((0, 3)), Around(np.zeros((0, 3)), 0.5), 1.0)
+    assert are_ellipsoids(nothing, np.zeros((0, 3)), 1.0, 0.0).shape == (0,)
 
 
 # --- neighbourhoods, section 3.1 ------------------------------------------------------------------------------------
@@ -129,17 +131,17 @@ def test_decide__points_without_neighbours_and_equal_points_are_discs():
 
 def test_gather__takes_all_within_reach_or_the_nearest_without_outliers_or_none():
     many = np.column_stack([np.linspace(0, 1, 9), np.zeros(9), np.zeros(9)])
-    assert gather(np.zeros((1, 3)), many, 1.0).count.tolist() == [9]
+    assert gather(np.zeros((1, 3)), Around(many, 0.5), 1.0).count.tolist() == [9]
     few = np.array([[0, 0, 0], [0.5, 0, 0], [2.0, 0, 0], [2.5, 0, 0], [2.9, 0, 0], [3.5, 0, 0], [9, 0, 0]])
-    assert gather(np.zeros((1, 3)), few, 1.0).count.tolist() == [5]
-    assert gather(np.zeros((1, 3)), few, 1.2).count.tolist() == [LEAST]
-    assert gather(np.zeros((1, 3)), few[[0, 1, 5, 6]], 1.0).count.tolist() == [0]
+    assert gather(np.zeros((1, 3)), Around(few, 0.5), 1.0).count.tolist() == [5]
+    assert gather(np.zeros((1, 3)), Around(few, 0.5), 1.2).count.tolist() == [LEAST]
+    assert gather(np.zeros((1, 3)), Around(few[[0, 1, 5, 6]], 0.5), 1.0).count.tolist() == [0]
 
 
 def test_gather__agrees_with_brute_force():
     rng = np.random.default_rng(4)
     points = rng.normal(size=(300, 3))
-    found = gather(points, points, 0.6)
+    found = gather(points, Around(points, 0.3), 0.6)
     distance = np.linalg.norm(points[:, None] - points, axis=2)
     for i in range(300):
         near = np.sort(distance[i][distance[i] <= 0.6])
@@ -147,6 +149,55 @@ def test_gather__agrees_with_brute_force():
         wanted = wanted[:MOST] if len(wanted) >= 3 else wanted[:0]
         np.testing.assert_allclose(np.linalg.norm(found.offset[i, : found.count[i]], axis=1), wanted, atol=1e-12)
         assert not found.offset[i, found.count[i] :].any() or found.count[i] < LEAST or (near <= 0.6).all()
+
+
+@pytest.mark.parametrize("edge", [0.3, 0.1, 0.05])
+def test_gather__takes_the_nearest_of_many_whatever_the_cells_and_puts_back_what_thinning_took(edge):
+    rng = np.random.default_rng(6)
+    points, apart = np.unique(rng.integers(-9, 10, (3000, 3)) / 50, axis=0), np.array([[0.011, 0.003, 0.007]])
+    found = gather(np.concatenate([points[::40], apart]), Around(points, edge), 0.3)
+    whole = gather(np.concatenate([points[::40], apart]), Around(points, 0.15), 0.3)
+    assert (found.offset == whole.offset).all() and (found.count == MOST).all()
+    away = np.linalg.norm(found.offset, axis=2)
+    for i, point in enumerate(np.concatenate([points[::40], apart])):
+        wanted = np.sort(np.append(np.linalg.norm(points - point, axis=1), [0.0] * (i == len(away) - 1)))[:MOST]
+        np.testing.assert_allclose(away[i], wanted, atol=1e-12)
+
+
+def _longest_arc(offset: np.ndarray, tolerance: float) -> float:
+    """By all planes and lines of `reach_arc`, each from nothing."""
+    best = 0.0
+    for h in range(HYPOTHESES):
+        a, b, c = (offset[m] for m in three_members(h, len(offset)))
+        normal = np.cross(b - a, c - a)
+        if np.linalg.norm(normal) <= 0.2 * np.linalg.norm(b - a) * np.linalg.norm(c - a):
+            continue
+        normal /= np.linalg.norm(normal)
+        u = (b - a) / np.linalg.norm(b - a)
+        x, y = offset @ u, offset @ np.cross(normal, u)
+        for height in ((offset - a) @ normal, -(offset - a) @ normal):
+            if abs(height[0]) > tolerance:
+                continue
+            for angle in 2 * np.pi * np.arange(16) / 16:
+                along = np.cos(angle) * x + np.sin(angle) * y
+                cut = along[height > tolerance].max(initial=-np.inf)
+                kept = (abs(height) <= tolerance) & (np.hypot(x, y) >= RING_RADII) & (along >= cut)
+                if cut < 0 and kept.any():
+                    best = max(best, _longest_run(np.sort(np.arctan2(y[kept], x[kept]))))
+    return best
+
+
+def test_reach_arc__agrees_with_every_plane_and_line_tried():
+    rng = np.random.default_rng(3)
+    offset, count = np.zeros((60, MOST, 3)), np.full(60, 40)
+    for i in range(60):
+        flat, turned = np.array([1, 1, rng.choice([0.05, 0.3, 1])]), np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        offset[i, 1:40] = (rng.normal(size=(39, 3)) * flat * rng.uniform(0.5, 1.5)) @ turned
+        offset[i, 1:40][rng.random(39) < rng.choice([0, 0.5])] *= rng.choice([1, -1])
+    arcs = np.array([_longest_arc(o[:40], 0.3) for o in offset])
+    for enough in np.radians([60, 110, 200, 270]):
+        found = reach_arc(offset, count, 0.3, enough)
+        assert (found == (arcs >= enough)).all() and 0 < found.sum() < 60
 
 
 def test_thinned__leaves_one_point_a_cell_whatever_the_order():

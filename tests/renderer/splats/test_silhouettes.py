@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from pipeline.effects.ellipsoids.decision import REACH_RADII, thin_splats
+from pipeline.effects.ellipsoids.decision import CELLS_RADII, REACH_RADII, thin_splats
 from pipeline.effects.ellipsoids.fit import fit
-from pipeline.effects.ellipsoids.neighbourhoods import gather, thinned
+from pipeline.effects.ellipsoids.neighbourhoods import Around, gather, thinned
 from pipeline.effects.ellipsoids.noise import histogram_of, noise_radii, thirds_of
 from pipeline.splats.normals import NEIGHBOURS, estimate_normals
 from tests.renderer.splats.test_renderer import drawn
@@ -36,7 +36,7 @@ def overlap(found, truth):
 def splats_of_thin_things(seen):
     """Discs of the points on ropes and balls; the same with ellipsoids where the decision says so; and the radius."""
     radius = np.median(cKDTree(seen.position).query(seen.position, k=5)[0][:, 4])
-    around = thinned(seen.position, 0.5 * radius)
+    around = Around(thinned(seen.position, 0.5 * radius), CELLS_RADII * radius)
     noise = radius * noise_radii(histogram_of(thirds_of(gather(seen.position, around, REACH_RADII * radius)) / radius))
     point = seen.position[np.isin(seen.kind, THIN)]
     index = cKDTree(seen.position).query(point, k=NEIGHBOURS + 1)[1][:, 1:]
