@@ -60,6 +60,19 @@ class Packed:
             root = zarr.open_group(store, mode="r")
             self.header = dict(root.attrs)
             self.arrays = {name: np.asarray(root[name][:]) for name in root.array_keys()}
+        several = (
+            "run_base",
+            "run_first",
+            "run_start",
+            "run_normal",
+            "run_step",
+            "colors",
+            "codes",
+            "cliplines",
+            "ellipsoids",
+        )
+        several = [name for name in several if name in self.arrays]  # in the order of the page
+        self.rows_of = dict(zip(several, self.arrays["group_rows"].T)) if several else {}
         self.batches = self.header["batches"]
         counts = self.arrays["batch_count"].astype(int)
         self.batch = np.repeat(np.tile(np.arange(len(self.batches)), len(counts)), counts.ravel())
@@ -76,25 +89,29 @@ class Packed:
         earlier = (batch < self.batch[i]) | ((batch == self.batch[i]) & (np.arange(len(batch)) < i - first))
         return int(of[batch[earlier]].sum())
 
-    def field(self, stream: str, table: str, at: int, first_bit: int, width: int) -> int:
-        bit = 32 * int(self.arrays[table][at]) + first_bit
-        two = self.arrays[stream][bit // 32 : bit // 32 + 2].astype("<u4").tobytes()
+    def field(self, stream: str, group: int, bit: int, width: int) -> int:
+        two = self.arrays[stream][group, bit // 32 : bit // 32 + 2].astype("<u4").tobytes()
         return int.from_bytes(two, "little") >> bit % 32 & (1 << width) - 1
 
     def run_cell(self, i: int) -> tuple[np.ndarray, tuple[int, int]]:
         """Position against the origin and octahedral normal of a splat of runs."""
-        a, first = self.arrays, i // 128 * 128
+        a, first, group = self.arrays, i // 128 * 128, i // 8192
         cell = i
         if "run_batch" in a:
             cell = first + int(np.argsort(a["run_batch"][first : first + 128], kind="stable")[i - first])
-        length = (a["run_start"] >> 27).astype(int) + 1
+        base, run_first, run_start, run_normal, run_step = (
+            a[name][group, : self.rows_of[name][group]]
+            for name in ("run_base", "run_first", "run_start", "run_normal", "run_step")
+        )
+        cell -= 8192 * group
+        length = (run_start >> 27).astype(int) + 1
         end = np.cumsum(length)
         run = int(np.searchsorted(end, cell, side="right"))
-        steps = a["run_step"][end[run] - length[run] - run :][: cell - (end[run] - length[run])].astype(int)
-        section = int(np.searchsorted(a["run_first"], run, side="right")) - 1
-        start = int(a["run_start"][run])
-        c, r, s = (a["run_base"][section] + [start & 2047, start >> 11 & 2047, start >> 22 & 31]).tolist()
-        (x, y), k = a["run_normal"][run].tolist(), 0
+        steps = run_step[end[run] - length[run] - run :][: cell - (end[run] - length[run])].astype(int)
+        section = int(np.searchsorted(run_first, run, side="right")) - 1
+        start = int(run_start[run])
+        c, r, s = (base[section] + [start & 2047, start >> 11 & 2047, start >> 22 & 31]).tolist()
+        (x, y), k = run_normal[run].tolist(), 0
         for step in steps.tolist():
             k, q = (k + (step & 7)) % 6, (r + s) % 2
             c += (1, q, q - 1, -1, q - 1, q)[k]
@@ -147,7 +164,9 @@ class Packed:
             return self.arrays["color"][i] / 255
         size = self.arrays["color_size"][chunk].astype(int)
         bits = np.maximum(0, np.ceil((size - step) / 16).astype(int)).tolist()
-        number = self.field("colors", "color_word", chunk, i % 128 * sum(bits), sum(bits)) if sum(bits) else 0
+        before = np.maximum(0, np.ceil((self.arrays["color_size"][chunk // 64 * 64 : chunk].astype(int) - step) / 16))
+        first_bit = 128 * int(before.sum()) + i % 128 * sum(bits)
+        number = self.field("colors", i // 8192, first_bit, sum(bits)) if sum(bits) else 0
         cell = np.array([number % 2 ** bits[0], (number >> bits[0]) % 2 ** bits[1], number >> (bits[0] + bits[1])])
         on_axes = self.arrays["color_low"][chunk] / 32 + (cell + 0.5) * 2.0 ** (size / 16 - 6) / 2.0 ** np.array(bits)
         axes = np.array([[1, 1, 1] / np.sqrt(3), [1, 0, -1] / np.sqrt(2), [1, -2, 1] / np.sqrt(6)])
@@ -158,7 +177,7 @@ class Packed:
         width, first = bits + self.header["weight_bits"], self.before(i, "n_atoms")
         found = []
         for rank in range(self.batches[self.batch[i]]["n_atoms"]):
-            entry = self.field("codes", "group_word", i // 8192, (first + rank) * width, width)
+            entry = self.field("codes", i // 8192, (first + rank) * width, width)
             atom, turn = divmod(entry % 2**bits, self.header["n_turns"])
             found.append(
                 (
@@ -172,10 +191,10 @@ class Packed:
     def splat(self, i: int) -> Decoded:
         frame, batch, line, axes = self.frame(i), self.batches[self.batch[i]], None, None
         if batch["clipline"]:
-            q = self.field("cliplines", "clipline_word", i // 8192, 12 * self.before(i, "clipline"), 12)
+            q = self.field("cliplines", i // 8192, 12 * self.before(i, "clipline"), 12)
             line = np.array([q & 15, q >> 4 & 15, q >> 8]) / 7 - 1
         if batch.get("ellipsoid"):
-            word = self.field("ellipsoids", "ellipsoid_word", i // 8192, 32 * self.before(i, "ellipsoid"), 32)
+            word = self.field("ellipsoids", i // 8192, 32 * self.before(i, "ellipsoid"), 32)
             t = (word & 255) * np.pi / 256
             lengths = self.radius(i) * 2.0 ** ((np.array([word >> 8 & 255, word >> 16 & 255, word >> 24]) - 191) / 32)
             u, v, normal = frame

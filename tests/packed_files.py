@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from storage.packed.batches import group_batch_counts
-from storage.packed.packed import begin_packed, create_array, seal_packed
+from storage.packed.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.packed.scene import streams_of
-from storage.packed.schema import BOXES, BY_NAME, CHUNK, FORMS, GROUP, NO_CAMERA, RUNS, Batch, Camera, Header, RunGrid
+from storage.packed.schema import BOXES, CHUNK, FORMS, GROUP, NO_CAMERA, RUNS, Batch, Camera, Header, RunGrid, arrays_of
+from storage.packed.writer import begin_packed, seal_packed, write_array, write_group, write_table
 
 LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 
@@ -126,12 +126,49 @@ def write_arrays(header: Header, arrays: dict[str, np.ndarray], path: Path) -> P
     return path
 
 
-def fill_folder(header: Header, arrays: dict[str, np.ndarray], folder: Path) -> None:
-    root = begin_packed(folder, header)
-    for name, values in arrays.items():
-        if "e" in BY_NAME[name].dims:
-            create_array(root, header, BY_NAME[name], len(values))
-        root[name][:] = values
+def fill_folder(header: Header, arrays: dict[str, np.ndarray], folder: Path, edit=None) -> None:
+    """As stages do it, a group after the other; `edit` may change what the table of groups will say (a list of WrittenGroup)."""
+    begin_packed(folder, header)
+    stored = [array for array in arrays_of(header) if array.name in arrays]
+    for array in stored:
+        if not array.in_groups:
+            write_array(folder, array.name, arrays[array.name])
+    groups = []
+    for group in range(header.n_groups):
+        part = {}
+        for array in stored:
+            if array.is_ragged:
+                bounds = _bounds(header, arrays, array.name)
+            elif array.in_groups:
+                bounds = {"n": GROUP, "c": CHUNKS_PER_GROUP}[array.dims[0]] * np.arange(header.n_groups + 1)
+            else:
+                continue
+            part[array.name] = arrays[array.name][bounds[group] : bounds[group + 1]]
+        if "run_first" in part:
+            part["run_first"] = part["run_first"] - np.uint32(_bounds(header, arrays, "run_start")[group])
+        groups.append(write_group(folder, header, group, part))
+    write_table(folder, header, edit(groups) if edit else groups)
+
+
+def _bounds(header: Header, arrays: dict[str, np.ndarray], name: str) -> list[int]:
+    """Where the rows of each group begin in what a file holds of an array, and where the last ones end."""
+    first = {
+        "codes": "group_word",
+        "cliplines": "clipline_word",
+        "ellipsoids": "ellipsoid_word",
+        "colors": "color_word",
+    }
+    if name in first:
+        step = CHUNKS_PER_GROUP if name == "colors" else 1
+        return [*arrays[first[name]][::step].tolist(), len(arrays[name]) - 1]
+    sections = arrays["run_section"].tolist()
+    runs = [0, *arrays["run_first"][sections[1:]].tolist(), header.runs.n_runs]
+    steps = [GROUP * group - run for group, run in enumerate(runs[:-1])]
+    return {
+        **dict.fromkeys(("run_base", "run_first"), [*sections, header.runs.n_sections]),
+        **dict.fromkeys(("run_start", "run_normal"), runs),
+        "run_step": [*steps, header.n_splats - header.runs.n_runs],
+    }[name]
 
 
 def _color_boxes(case: Case, header: Header) -> dict[str, np.ndarray]:

@@ -14,12 +14,11 @@ from pipeline.geometry.positions import encode_positions, fit_boxes
 from pipeline.geometry.sizes import encode_sizes, fit_scales
 from pipeline.texture.colors import encode_colors, fit_color_boxes
 from storage.packed.batches import CHUNKS_PER_GROUP, count_batches, rows_of
-from storage.packed.bits import pack_bits
+from storage.packed.bits import pack_bits, pack_sizes
 from storage.packed.codes import pack_codes
 from storage.packed.colors import pack_colors
 from storage.packed.packed import PackedScene
 from storage.packed.schema import CHUNK, CLIPLINE_BITS, GROUP, MAX_ATOMS, MIP_SIZES, NO_CAMERA, Batch, Camera, Header
-from storage.packed.sizes import pack_sizes
 
 
 @dataclass(frozen=True)

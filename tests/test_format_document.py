@@ -10,7 +10,7 @@ import zarr
 from zarr.storage import ZipStore
 
 from storage.packed import schema
-from storage.packed.layout import ATOMS_PER_ZARR_CHUNK, GROUPS_PER_ZARR_CHUNK, WORDS_PER_ZARR_CHUNK
+from storage.packed.layout import ATOMS_PER_ZARR_CHUNK, TABLE_ROWS_PER_ZARR_CHUNK
 from storage.packed.packed import PackedFile
 from storage.packed.schema import (
     ARRAYS,
@@ -54,12 +54,11 @@ def test_format__states_the_version_that_is_written():
 
 
 def test_format__states_the_sizes_of_the_code():
-    splats, words, atoms = GROUP * GROUPS_PER_ZARR_CHUNK, WORDS_PER_ZARR_CHUNK, ATOMS_PER_ZARR_CHUNK
     for sentence in (
         f"{CHUNK} consecutive splats are",
         f"{GROUP} consecutive splats, so {GROUP // CHUNK} chunks",
-        f"`n` at {splats:,} splats, `c` at {splats // CHUNK} chunks, `e` at {words:,} words",
-        f"`k` at {atoms} atoms",
+        f"`n` at {GROUP:,} splats, `c` at {GROUP // CHUNK} chunks and streams at one group",
+        f"the table of groups at {TABLE_ROWS_PER_ZARR_CHUNK:,} groups, `k` at {ATOMS_PER_ZARR_CHUNK} atoms",
         f"the last {SEAL_BYTES} bytes",
         f"one {CLIPLINE_BITS}-bit field",
     ):

@@ -29,6 +29,7 @@ import numpy as np
 
 from pipeline.effects.plan.request import OFF, asked_by
 from renderer.files import strict, write_json
+from storage.packed.groups import FIRST_WORDS
 from storage.packed.packed import PackedScene
 from storage.packed.schema import BY_NAME, Camera, Header
 
@@ -111,9 +112,8 @@ def sizes_of(scene: PackedScene, file_bytes: int) -> dict:
     References: HPG 2021, section 4 and Table 1.
     """
     arrays = {name: int(array.nbytes) for name, array in scene.arrays.items()}
-    part = {
-        p: sum(size for name, size in arrays.items() if BY_NAME[name].part == p) for p in (*GPU_PARTS, "provenance")
-    }
+    part_of = FIRST_WORDS | {name: array.part for name, array in BY_NAME.items()}
+    part = {p: sum(size for name, size in arrays.items() if part_of[name] == p) for p in (*GPU_PARTS, "provenance")}
     gpu_bytes = sum(part[p] for p in GPU_PARTS)
     source = source_texture_bytes(scene.header.cameras)
     return {f"{name}_bytes": size for name, size in part.items()} | {

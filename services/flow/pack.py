@@ -17,6 +17,7 @@ from pipeline.summaries import Packed
 from services.flow.prepare import Prepared
 from services.flow.run import Run
 from services.flow.textures import Coded, color_step
+from storage.packed.groups import FIRST_WORDS
 from storage.packed.schema import BY_NAME, EXTRAS, Header
 from storage.work import arrays
 
@@ -97,4 +98,5 @@ def pack(
 def packed_gpu_bytes(packed: StageRecord[Packed], share: float = 1.0) -> float:
     """Of a scan's splats, or of a sample's, to which a `share` of the dictionary is counted."""
     counted = {"dictionary": share, "provenance": 0.0}
-    return sum(n * counted.get(BY_NAME[name].part, 1.0) for name, n in packed.summary.bytes.items())
+    part_of = FIRST_WORDS | {name: array.part for name, array in BY_NAME.items()}
+    return sum(n * counted.get(part_of[name], 1.0) for name, n in packed.summary.bytes.items())

@@ -1,4 +1,4 @@
-"""Fields of a fixed number of bits in a stream of 32-bit words, lowest bit first.
+"""Fields of a fixed number of bits in a stream of 32-bit words, lowest bit first; and sizes, of which every chunk has whole words.
 
 The shader reads the same stream with the same two loads (renderer/shaders/bits.glsl). Every stream ends in one spare
 word, so that the second load never leaves it.
@@ -7,6 +7,8 @@ word, so that the second load never leaves it.
 from __future__ import annotations
 
 import numpy as np
+
+from storage.packed.schema import CHUNK
 
 
 def words_for(n_fields: int, width: int) -> int:
@@ -33,3 +35,17 @@ def unpack_bits(words: np.ndarray, first_bit: np.ndarray, width: int) -> np.ndar
     word, shift = first_bit >> 5, (first_bit & 31).astype(np.uint64)
     both = words[word].astype(np.uint64) | words[word + 1].astype(np.uint64) << np.uint64(32)
     return ((both >> shift) & np.uint64(2**width - 1)).astype(np.uint32)
+
+
+def pack_sizes(code: np.ndarray, bits: int) -> np.ndarray:
+    """The words (c, CHUNK bits / 32) uint32 of codes (n,) below 2^bits, a field after the other, lowest bit first; the last chunk
+    is filled up with zeros."""
+    padded = np.pad(code.astype(np.uint8), (0, -len(code) % CHUNK)).reshape(-1, CHUNK)
+    field = (padded[:, :, None] >> np.arange(bits, dtype=np.uint8)) & 1
+    return np.packbits(field.reshape(len(padded), -1), axis=1, bitorder="little").view("<u4")
+
+
+def unpack_sizes(words: np.ndarray, bits: int, n_splats: int) -> np.ndarray:
+    """The codes (n_splats,) uint8 of what `pack_sizes` made."""
+    field = np.unpackbits(np.ascontiguousarray(words, "<u4").view(np.uint8), axis=1, bitorder="little")
+    return (field.reshape(-1, bits) << np.arange(bits, dtype=np.uint8)).sum(axis=1, dtype=np.uint8)[:n_splats]

@@ -8,10 +8,23 @@ the bytes that its place in the layout calls for. Raises ValueError, KeyError or
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from math import isfinite
 from zipfile import ZIP_STORED, ZipFile
 
-from storage.packed.layout import ROOT_MEMBER, chunk_count, members_of, metadata_member, metadata_of, shape_of
+import numpy as np
+
+from storage.packed.groups import GroupTable, most_rows, ragged_in
+from storage.packed.layout import (
+    LOCAL_HEADER_BYTES,
+    ROOT_MEMBER,
+    chunk_count,
+    group_members,
+    members_in_order,
+    metadata_member,
+    metadata_of,
+    shape_of,
+)
 from storage.packed.levels import MOST_LEVELS, are_levels
 from storage.packed.schema import (
     ATOM_SIZES,
@@ -54,7 +67,10 @@ def check_members(archive: ZipFile, n_bytes: int) -> None:
 
 def read_header(archive: ZipFile) -> Header:
     """The header, with every field in its range."""
-    attributes = json.loads(archive.read(ROOT_MEMBER))["attributes"]
+    root = json.loads(archive.read(ROOT_MEMBER))
+    if (root["zarr_format"], root["node_type"]) != (3, "group"):
+        raise ValueError(f"zarr_format {root['zarr_format']!r}, a {root['node_type']!r}; not 3, a group")
+    attributes = root["attributes"]
     found = attributes["format"], attributes["version"]
     if found[0] != FORMAT_NAME or type(found[1]) is not int or found[1] != FORMAT_VERSION:
         raise ValueError(f"format {found[0]!r} version {found[1]!r}, not {FORMAT_NAME!r} version {FORMAT_VERSION}")
@@ -154,32 +170,61 @@ def _grid_is_sound(header: Header) -> bool:
     return counts and 0 < grid.cell < float("inf") and grid.axis in (0, 1, 2)
 
 
-def check_layout(archive: ZipFile, header: Header) -> dict[str, tuple[int, ...]]:
-    """The shape of every array by its name, once the members are just those that the header calls for."""
-    shapes = {array.name: _checked_shape(archive, header, array) for array in arrays_of(header)}
-    found = set(archive.namelist())
-    n_expected = 1 + sum(1 + chunk_count(array, shapes[array.name]) for array in arrays_of(header))
+def check_layout(archive: ZipFile, header: Header) -> None:
+    """The members are just those that the header calls for, in their order, and every array is of its form."""
+    arrays = arrays_of(header)
+    found = archive.namelist()
+    n_expected = 1 + sum(1 + chunk_count(array, shape_of(header, array)) for array in arrays)
     if len(found) != n_expected:  # before the names are listed: a crafted header may call for 2^60 of them
         raise ValueError(f"{len(found)} members, not {n_expected}")
-    expected = {ROOT_MEMBER}.union(*(members_of(array, shapes[array.name]) for array in arrays_of(header)))
+    expected = list(_members(header))
+    missing, unknown = set(expected) - set(found), set(found) - set(expected)
+    if missing:
+        raise ValueError(f"members missing: {sorted(missing)[:3]}, unknown: {sorted(unknown)[:3]}")
     if found != expected:
-        raise ValueError(f"members missing: {sorted(expected - found)[:3]}, unknown: {sorted(found - expected)[:3]}")
-    return shapes
+        raise ValueError("members in another order")
+    for array in arrays:
+        _check_metadata(archive, header, array)
 
 
-def _checked_shape(archive: ZipFile, header: Header, array: Array) -> tuple[int, ...]:
-    """An array's shape from its zarr.json, which must be the one that the writer makes."""
+def _members(header: Header) -> Iterator[str]:
+    for name, group in members_in_order(header):
+        yield from [name] if group is None else [member for _, member in group_members(header, group)]
+
+
+def _check_metadata(archive: ZipFile, header: Header, array: Array) -> None:
+    """An array's zarr.json must be the one that the writer makes."""
     found = json.loads(archive.read(metadata_member(array)))
-    n_words = found["shape"][0] if "e" in array.dims else 0
-    if type(n_words) is not int or n_words < 0:
-        raise ValueError(f"{array.name} of {n_words!r} words")
-    shape = shape_of(header, array, n_words)
-    expected = metadata_of(array, shape)
+    expected = metadata_of(array, shape_of(header, array))
     differing = sorted(key for key in expected.keys() | found.keys() if found.get(key) != expected.get(key))
     if differing:
         key = differing[0]
         raise ValueError(f"{array.name} has {key} {found.get(key)!r}, not {expected.get(key)!r}")
-    return shape
+
+
+def check_table(archive: ZipFile, header: Header, table: GroupTable) -> None:
+    """Groups lie where the table says, one member right behind the other, and nothing is longer than it can be."""
+    most = np.array([most_rows(header, array) for array in ragged_in(header)], np.int64)
+    if (table.rows > most).any():
+        raise ValueError(f"group_rows of {table.rows.max()}, more than {most.max()}")
+    for name in ("low", "high", "radius"):
+        if not np.isfinite(getattr(table, name)).all():
+            raise ValueError(f"group_{name} is not finite")
+    at = {
+        info.filename: (
+            info.header_offset,
+            info.header_offset + LOCAL_HEADER_BYTES + len(info.filename) + info.file_size,
+        )
+        for info in archive.infolist()
+    }
+    for index in range(header.n_groups):
+        places = [at[member] for _, member in group_members(header, index)]
+        together = all(stop == start for (_, stop), (start, _) in zip(places, places[1:]))
+        if not together or (places[0][0], places[-1][1] - places[0][0]) != (
+            int(table.start[index]),
+            int(table.bytes[index]),
+        ):
+            raise ValueError(f"group_start and group_bytes are not where group {index} lies")
 
 
 def check_frame(head: bytes, n_bytes: int) -> None:

@@ -1,6 +1,6 @@
 """Where each array's bytes lie: its zarr chunks, the members of the zip that hold them, and its zarr.json.
 
-All of it follows from the header and the lengths of the word streams, so a reader never takes a file's word for it.
+All of it follows from the header, so a reader never takes a file's word for it.
 """
 
 from __future__ import annotations
@@ -10,34 +10,30 @@ from collections.abc import Iterator
 import numpy as np
 
 from storage.packed.batches import CHUNKS_PER_GROUP
-from storage.packed.schema import GROUP, Array, Header, dimensions_of
+from storage.packed.groups import TABLE, most_rows
+from storage.packed.schema import GROUP, Array, Header, arrays_of, dimensions_of
 
-GROUPS_PER_ZARR_CHUNK = 8  # 65,536 splats: the pack tasks own whole zarr chunks
-WORDS_PER_ZARR_CHUNK = 1 << 16
-RUNS_PER_ZARR_CHUNK = 1 << 16
-STEPS_PER_ZARR_CHUNK = 1 << 19
+TABLE_ROWS_PER_ZARR_CHUNK = 4096
 ATOMS_PER_ZARR_CHUNK = 256
 ZSTD_LEVEL = 9
 ROOT_MEMBER = "zarr.json"
+LOCAL_HEADER_BYTES = 30  # of a member of a zip, beside its name
 
 
-def shape_of(header: Header, array: Array, n_words: int = 0) -> tuple[int, ...]:
-    """The shape of an array; `n_words` is the length of a word stream, spare word included."""
-    sizes = dimensions_of(header) | {"e": n_words}
+def shape_of(header: Header, array: Array) -> tuple[int, ...]:
+    """The shape of an array."""
+    sizes = dimensions_of(header)
+    if array.is_ragged:
+        return header.n_groups, most_rows(header, array), *(sizes[d] for d in array.dims[2:])
     return tuple(sizes[d] for d in array.dims)
 
 
 def chunk_shape(array: Array, shape: tuple[int, ...]) -> tuple[int, ...]:
-    """The shape of an array's zarr chunks: whole rows, so many that no chunk is larger than a megabyte."""
-    rows = {
-        "n": GROUP * GROUPS_PER_ZARR_CHUNK,
-        "c": CHUNKS_PER_GROUP * GROUPS_PER_ZARR_CHUNK,
-        "e": WORDS_PER_ZARR_CHUNK,
-        **dict.fromkeys("qm", RUNS_PER_ZARR_CHUNK),
-        "t": STEPS_PER_ZARR_CHUNK,
-        "k": ATOMS_PER_ZARR_CHUNK,
-    }.get(array.dims[0], shape[0])
-    return tuple(max(1, c) for c in (min(rows, shape[0]), *shape[1:]))
+    """The shape of an array's zarr chunks: whole rows, those of a group where it is one of `in_groups`."""
+    if array.is_ragged:
+        return 1, *(max(1, n) for n in shape[1:])
+    rows = {"n": GROUP, "c": CHUNKS_PER_GROUP, "g": TABLE_ROWS_PER_ZARR_CHUNK, "k": ATOMS_PER_ZARR_CHUNK}
+    return tuple(max(1, c) for c in (min(rows.get(array.dims[0], shape[0]), shape[0]), *shape[1:]))
 
 
 def chunk_count(array: Array, shape: tuple[int, ...]) -> int:
@@ -53,11 +49,32 @@ def metadata_member(array: Array) -> str:
     return f"{array.name}/{ROOT_MEMBER}"
 
 
-def members_of(array: Array, shape: tuple[int, ...]) -> Iterator[str]:
-    """All members of the zip that an array has."""
-    yield metadata_member(array)
-    for index in range(chunk_count(array, shape)):
-        yield chunk_member(array, index)
+def group_members(header: Header, index: int) -> list[tuple[Array, str]]:
+    """The arrays that a group has rows of, and the members that hold them, in the order of the file."""
+    return [(array, chunk_member(array, index)) for array in arrays_of(header) if array.in_groups]
+
+
+def n_first_groups(header: Header) -> int:
+    """Groups of the coarsest level, which stand before the dictionary; none in a file of one level."""
+    return header.levels[0] // GROUP if header.levels else 0
+
+
+def members_in_order(header: Header) -> Iterator[tuple[str, int | None]]:
+    """The order of a file: header and metadata, the table of groups, the coarsest level, the dictionary, all other groups. Members'
+    names with None, and for the members of a group, as `group_members` has them, its number."""
+    arrays = arrays_of(header)
+    yield ROOT_MEMBER, None
+    yield from ((metadata_member(array), None) for array in arrays)
+    yield from ((member, None) for array in arrays if array.name in TABLE for member in _chunks_of(header, array))
+    n_first = n_first_groups(header)
+    yield from (("", index) for index in range(n_first))
+    others = [array for array in arrays if array.name not in TABLE and not array.in_groups]
+    yield from ((member, None) for array in others for member in _chunks_of(header, array))
+    yield from (("", index) for index in range(n_first, header.n_groups))
+
+
+def _chunks_of(header: Header, array: Array) -> list[str]:
+    return [chunk_member(array, index) for index in range(chunk_count(array, shape_of(header, array)))]
 
 
 def chunk_bytes(array: Array, shape: tuple[int, ...]) -> int:
@@ -73,6 +90,7 @@ def dimension_names(array: Array) -> list[str | None]:
 def metadata_of(array: Array, shape: tuple[int, ...]) -> dict:
     """What an array's zarr.json says, word for word."""
     little = {"configuration": {"endian": "little"}} if np.dtype(array.dtype).itemsize > 1 else {}
+    zstd = {"name": "zstd", "configuration": {"level": ZSTD_LEVEL, "checksum": False}}
     return {
         "zarr_format": 3,
         "node_type": "array",
@@ -80,10 +98,7 @@ def metadata_of(array: Array, shape: tuple[int, ...]) -> dict:
         "data_type": array.dtype,
         "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": list(chunk_shape(array, shape))}},
         "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
-        "codecs": [
-            {"name": "bytes", **little},
-            {"name": "zstd", "configuration": {"level": ZSTD_LEVEL, "checksum": False}},
-        ],
+        "codecs": [{"name": "bytes", **little}, *([] if array.name in TABLE else [zstd])],
         "fill_value": 0,
         "dimension_names": dimension_names(array),
         "attributes": {},

@@ -6,16 +6,21 @@ run; the splats of a chunk are its cells, sorted by batch as those of any file.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 
-from storage.packed.schema import CHUNK, GROUP, LENGTH_BITS, MOST_RUNS, Header
+from storage.packed.schema import (
+    CHUNK,
+    COLUMN_BITS,
+    GROUP,
+    LENGTH_BITS,
+    MOST_RUNS,
+    ROW_BITS,
+    SLICE_BITS,
+    Header,
+)
 
 MOST_INDEX = 1 << 20  # of a cell along an axis, either way: its centre is a whole number that float32 holds
 N_TURNS = 6
-BY_SECTION, BY_RUN = ("run_base", "run_first"), ("run_start", "run_normal")
 
 
 def lengths_of(start: np.ndarray) -> np.ndarray:
@@ -30,34 +35,32 @@ def cell_order(run_batch: np.ndarray | None, n: int) -> np.ndarray:
     return np.lexsort((run_batch, np.arange(n) // CHUNK))
 
 
-def read_group(read: Callable[..., np.ndarray], header: Header, index: int) -> tuple[dict[str, np.ndarray], Header]:
-    """The arrays of runs of one group, counted from it, and the header of the group alone. `read(name, start, stop)` reads rows.
+def joined_tables(n_sections: np.ndarray, n_runs: np.ndarray, first: np.ndarray) -> dict[str, np.ndarray]:
+    """`run_first` and `run_section` of consecutive groups of so many sections and runs (g,) each, of what theirs say alone (q,)."""
+    before = np.cumsum(n_runs) - n_runs
+    return {
+        "run_first": (first + np.repeat(before, n_sections)).astype(np.uint32),
+        "run_section": (np.cumsum(n_sections) - n_sections).astype(np.uint32),
+    }
 
-    Raises: ValueError where the group's tables name rows that are not there.
-    """
+
+def run_bounds(header: Header, arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Low and high corner (3,) float64 against the origin of a box that holds all cells of a group's runs: a run leaves its first cell
+    by no more columns and rows than it has cells, and never its slice. Not the smallest such box."""
     assert header.runs is not None
-    first, end = _span(read("run_section", index, index + 2), header.runs.n_sections)
-    section = {name: read(name, first, end) for name in BY_SECTION}
-    first_run, end_run = _span(
-        np.concatenate([section["run_first"][:1], read("run_first", end, end + 1)]), header.runs.n_runs
-    )
-    found = section | {name: read(name, first_run, end_run) for name in BY_RUN}
-    found["run_first"] = found["run_first"] - np.uint32(first_run)
-    first_step, n = index * GROUP - first_run, min(GROUP, header.n_splats - index * GROUP)
-    if first_step < 0 or n < end_run - first_run:
-        raise ValueError(f"run_first does not fit group {index}")
-    found["run_step"] = read("run_step", first_step, first_step + n - (end_run - first_run))
-    found["run_section"], found["run_codebook"] = np.zeros(1, np.uint32), read("run_codebook")
-    grid = replace(header.runs, n_sections=end - first, n_runs=end_run - first_run)
-    return found, replace(header, n_splats=n, runs=grid)
-
-
-def _span(table: np.ndarray, n: int) -> tuple[int, int]:
-    """First and end by a table's entry and the next, which is `n` where there is none."""
-    first, end = int(table[0]), int(table[1]) if len(table) > 1 else n
-    if not first < end <= n:
-        raise ValueError(f"a table of runs says {first} to {end} of {n}")
-    return first, end
+    start, first = arrays["run_start"], arrays["run_first"].astype(np.int64)
+    section = np.searchsorted(first, np.arange(len(start)), side="right") - 1
+    bits = COLUMN_BITS, ROW_BITS, SLICE_BITS
+    shifts = 0, COLUMN_BITS, COLUMN_BITS + ROW_BITS
+    field = np.stack([start >> np.uint32(at) & np.uint32(2**n - 1) for at, n in zip(shifts, bits)], axis=1)
+    column, row, layer = (arrays["run_base"][section].astype(np.float64) + field).T
+    reach = lengths_of(start)
+    low = np.stack([2 * (column - reach), 3 * (row - reach), layer], axis=1)
+    high = np.stack([2 * (column + reach) + 1, 3 * (row + reach) + 1, layer], axis=1)
+    pitch = header.runs.cell * np.array([1 / 2, np.sqrt(3) / 6, np.sqrt(2 / 3)])
+    axes = [(2 - header.runs.axis + i) % 3 for i in range(3)]
+    slack = 1e-6 * header.runs.cell * (1 + np.abs(low).max())  # positions are in float32
+    return (low.min(axis=0) * pitch - slack)[axes], (high.max(axis=0) * pitch + slack)[axes]
 
 
 def check_runs(header: Header, arrays: dict[str, np.ndarray]) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from storage.packed.batches import Rows, group_batch_counts, rows_of
-from storage.packed.bits import words_for
+from storage.packed.bits import unpack_sizes, words_for
 from storage.packed.codes import unpack_codes
 from storage.packed.colors import color_words, unpack_colors
 from storage.packed.runs import check_runs
@@ -24,7 +24,6 @@ from storage.packed.schema import (
     Header,
     color_bits,
 )
-from storage.packed.sizes import unpack_sizes
 
 POSITION_BITS = 24
 
@@ -148,7 +147,7 @@ def _check_colors(header: Header, arrays: dict[str, np.ndarray]) -> None:
 
 def _check_numbers(arrays: dict[str, np.ndarray]) -> None:
     for name, values in arrays.items():
-        kind = BY_NAME[name].dtype
+        kind = BY_NAME[name].dtype if name in BY_NAME else "uint32"  # first words, which no file holds
         if kind == "float32" and not np.isfinite(values).all():
             raise ValueError(f"{name} is not finite")
         if kind == "int8" and values.min() < -127:

@@ -1,7 +1,8 @@
 """The packed file: every array, its dimensions, dtype, unit and meaning. docs/FORMAT.md says the same in prose.
 
 Dimensions: n splats; c chunks of CHUNK splats; g groups of GROUP splats; b batches; k atoms; r ranks (atoms a splat,
-at most); w weight levels; s words of a chunk's sizes; e 32-bit words of a stream; q sections of m runs, with t steps.
+at most); w weight levels; s words of a chunk's sizes; and of a group, as many as it has at most: e 32-bit words of a stream, q
+sections of m runs, with t steps; v arrays whose rows a group has any number of.
 """
 
 from __future__ import annotations
@@ -23,10 +24,7 @@ CLIPLINE_BITS = 12
 ELLIPSOID_FIELD_BITS, ELLIPSOID_FIELDS = 8, 4  # so an ellipsoid is one whole word
 NO_CAMERA = 0xFFFF
 STEPS_AN_OCTAVE = 16  # of lengths in boxes of colours: code s is 2^(s / 16 - 6) of 255ths
-FINEST_COLOR_STEP, COARSEST_COLOR_STEP = (
-    80,
-    255,
-)  # codes: half a 255th, and more than there are; 0 stands for whole bytes
+FINEST_COLOR_STEP, COARSEST_COLOR_STEP = 80, 255  # half a 255th, and more than there are; 0 stands for whole bytes
 MOST_COLOR_BITS = 30  # of a splat: what the finest step takes for a box of all colours
 DEFAULT_UP, DEFAULT_AHEAD = (0, 0, 1), (1, 0, 0)
 BOXES, RUNS = GEOMETRIES = ("boxes", "runs")  # how positions and normals are coded
@@ -165,16 +163,9 @@ class Header:
 
     def to_json(self) -> dict:
         header = {"format": FORMAT_NAME, "version": FORMAT_VERSION, **asdict(self)}
-        header["batches"] = tuple(
-            batch if batch["ellipsoid"] else {k: v for k, v in batch.items() if k != "ellipsoid"}
-            for batch in header["batches"]
-        )
-        called_for = {
-            "effects": self.effects,
-            "levels": self.levels,
-            "runs": self.runs,
-            "geometry": self.geometry != BOXES,
-        }
+        header["batches"] = tuple({k: v for k, v in b.items() if v or k != "ellipsoid"} for b in header["batches"])
+        called_for = {name: getattr(self, name) for name in ("effects", "levels", "runs")}
+        called_for["geometry"] = self.geometry != BOXES
         return {name: value for name, value in header.items() if called_for.get(name, True)}
 
     @staticmethod
@@ -203,6 +194,16 @@ class Array:
     part: str  # "geometry" | "codes" | "colors" | "dictionary" | "provenance"
     meaning: str
 
+    @property
+    def is_ragged(self) -> bool:
+        """Whether groups have any number of rows of it: `group_rows` says how many of a group's count, the others are 0."""
+        return self.dims[0] == "g" and bool({"e", "q", "m", "t"} & set(self.dims))
+
+    @property
+    def in_groups(self) -> bool:
+        """Whether a group's rows are a zarr chunk of their own."""
+        return self.is_ragged or self.dims[0] in "nc"
+
 
 ARRAYS = (
     Array("box_low", ("c", "3"), "float32", "geometry", "lowest corner of each chunk's box against the origin, unit"),
@@ -212,41 +213,44 @@ ARRAYS = (
     Array("sizes", ("c", "s"), "uint32", "geometry", "radius of each splat between them, a chunk in whole words"),
     Array("position", ("n", "3"), "uint8", "geometry", "24-bit cell index, little-endian: x lowest, then y, then z"),
     Array("normal", ("n", "2"), "int8", "geometry", "octahedral normal, -127..127"),
-    Array("run_base", ("q", "3"), "int32", "geometry", "column, row and slice that starts of each section count from"),
-    Array("run_first", ("q",), "uint32", "geometry", "first run of each section"),
-    Array("run_section", ("g",), "uint32", "geometry", "first section of each group"),
-    Array("run_start", ("m",), "uint32", "geometry", "11 bits of column, 11 of row, 5 of slice, 5 of length - 1"),
-    Array("run_normal", ("m", "2"), "int8", "geometry", "octahedral normal of each run's first cell, -127..127"),
-    Array("run_step", ("t",), "uint8", "geometry", "turn, 3 bits, and step of the normal, 5, of each further cell"),
+    Array(
+        "run_base", ("g", "q", "3"), "int32", "geometry", "column, row and slice that starts of each section count from"
+    ),
+    Array("run_first", ("g", "q"), "uint32", "geometry", "first run of each section, counted from its group's first"),
+    Array("run_start", ("g", "m"), "uint32", "geometry", "11 bits of column, 11 of row, 5 of slice, 5 of length - 1"),
+    Array("run_normal", ("g", "m", "2"), "int8", "geometry", "octahedral normal of each run's first cell, -127..127"),
+    Array("run_step", ("g", "t"), "uint8", "geometry", "turn, 3 bits, and step of the normal, 5, of each further cell"),
     Array("run_codebook", ("32", "2"), "int8", "geometry", "steps of normals on the octahedral map"),
     Array("run_batch", ("n",), "uint8", "geometry", "batch of each cell, in the order of the runs"),
     Array("color", ("n", "3"), "uint8", "colors", "average of the patch, sRGB"),
-    Array(
-        "color_low",
-        ("c", "3"),
-        "int16",
-        "colors",
-        "lowest corner of each chunk's box of colours on three axes, 32nds of a 255th",
-    ),
+    Array("color_low", ("c", "3"), "int16", "colors", "lowest corner of each chunk's box of colours, 32nds of a 255th"),
     Array("color_size", ("c", "3"), "uint8", "colors", "extents of that box, in sixteenths of an octave"),
-    Array("color_word", ("c",), "uint32", "colors", "first word of each chunk's colours"),
-    Array("colors", ("e",), "uint32", "colors", "cell of each splat's average in its chunk's box, first axis lowest"),
+    Array(
+        "colors", ("g", "e"), "uint32", "colors", "cell of each splat's average in its chunk's box, lowest axis first"
+    ),
     Array("batch_count", ("c", "b"), "uint8", "codes", "how many splats of the chunk belong to each batch"),
-    Array("group_word", ("g",), "uint32", "codes", "first word of each group's codes"),
-    Array("codes", ("e",), "uint32", "codes", "atoms and weights, a bit stream, lowest bit first"),
+    Array("codes", ("g", "e"), "uint32", "codes", "atoms and weights, a bit stream, lowest bit first"),
     Array("weight_levels", ("r", "w"), "float32", "dictionary", "the weight that a weight code stands for, by rank"),
     Array("atom_scale", ("k",), "float32", "dictionary", "what one step of an atom's texels is worth, sRGB in [0, 1]"),
     *(
         Array(f"atoms_{s}", ("k", str(s), str(s), "3"), "int8", "dictionary", f"texels of the atoms, {s}x{s} RGB")
         for s in MIP_SIZES
     ),
-    Array("clipline_word", ("g",), "uint32", "geometry", "first word of each group's cliplines"),
-    Array("cliplines", ("e",), "uint32", "geometry", "3 x 4 bits a splat of the batches that have cliplines"),
-    Array("ellipsoid_word", ("g",), "uint32", "geometry", "first word of each group's ellipsoids"),
-    Array("ellipsoids", ("e",), "uint32", "geometry", "4 x 8 bits a splat of the batches that are ellipsoids"),
+    Array("cliplines", ("g", "e"), "uint32", "geometry", "3 x 4 bits a splat of the batches that have cliplines"),
+    Array("ellipsoids", ("g", "e"), "uint32", "geometry", "4 x 8 bits a splat of the batches that are ellipsoids"),
+    Array("camera", ("n",), "uint16", "provenance", "the camera each splat was textured from; 65535 none"),
     Array(
-        "camera", ("n",), "uint16", "provenance", "the camera each splat was textured from; 65535 none; not for GPUs"
+        "group_low", ("g", "3"), "float32", "geometry", "lowest corner of what each group lies in, against the origin"
     ),
+    Array("group_high", ("g", "3"), "float32", "geometry", "its highest corner"),
+    Array(
+        "group_cone", ("g", "4"), "int8", "geometry", "axis of a cone of its normals, and the cosine of its half angle"
+    ),
+    Array("group_radius", ("g", "2"), "float32", "geometry", "mean and largest radius of its splats, unit"),
+    Array("group_rows", ("g", "v"), "uint32", "geometry", "rows that count of each array of which it has any number"),
+    Array("group_start", ("g",), "uint64", "provenance", "where its members begin in the file"),
+    Array("group_bytes", ("g",), "uint64", "provenance", "bytes of its members, their headers in the zip with them"),
+    Array("group_seal", ("g", "32"), "uint8", "provenance", "SHA-256 of its zarr chunks, as they stand in the file"),
 )
 BY_NAME = {array.name: array for array in ARRAYS}
 FORMS = dict.fromkeys(("box_low", "box_size", "box_bits", "position", "normal"), BOXES) | {
@@ -260,20 +264,22 @@ def arrays_of(header: Header) -> tuple[Array, ...]:
     if len(header.batches) < 2:
         absent.add("run_batch")
     if not header.n_dictionary:
-        absent |= {a.name for a in ARRAYS if a.part == "dictionary"} | {"codes", "group_word"}
+        absent |= {a.name for a in ARRAYS if a.part == "dictionary"} | {"codes"}
     absent |= {f"atoms_{size}" for size in MIP_SIZES if size not in header.mip_sizes}
     absent |= set() if header.size_bits else {"size_scale", "sizes"}
-    absent |= {"color"} if header.color_step else {"color_low", "color_size", "color_word", "colors"}
+    absent |= {"color"} if header.color_step else {"color_low", "color_size", "colors"}
     for extra in EXTRAS:
         if not any(getattr(batch, extra.flag) for batch in header.batches):
-            absent |= {extra.stream, extra.table}
+            absent.add(extra.stream)
     if not header.cameras:
         absent.add("camera")
+    if not any(array.is_ragged for array in ARRAYS if array.name not in absent):
+        absent.add("group_rows")
     return tuple(array for array in ARRAYS if array.name not in absent)
 
 
 def dimensions_of(header: Header) -> dict[str, int]:
-    """The size of every named dimension but the word streams', whose lengths the streams themselves tell."""
+    """The size of every named dimension but those that differ by group (storage/packed/groups.py)."""
     return {
         "n": header.n_splats,
         "c": header.n_chunks,
@@ -283,9 +289,7 @@ def dimensions_of(header: Header) -> dict[str, int]:
         "r": header.n_ranks,
         "w": 2**header.weight_bits,
         "s": CHUNK * header.size_bits // 32,
-        "q": header.runs.n_sections if header.runs else 0,
-        "m": header.runs.n_runs if header.runs else 0,
-        "t": header.n_splats - header.runs.n_runs if header.runs else 0,
+        "v": sum(array.is_ragged for array in arrays_of(header)),
     } | {str(s): s for s in (1, 2, 3, 4, 8, 16, 32)}
 
 

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.summaries import Packed
-from storage.packed.batches import count_batches, rows_of
-from storage.packed.bits import pack_bits
+from storage.packed.batches import CHUNKS_PER_GROUP, count_batches, rows_of
+from storage.packed.bits import pack_bits, pack_sizes
 from storage.packed.codes import pack_codes
 from storage.packed.colors import pack_colors
-from storage.packed.packed import GROUPS_PER_ZARR_CHUNK, begin_packed, create_array, reopen_packed, seal_packed
+from storage.packed.groups import TABLE, ragged_in
+from storage.packed.layout import shape_of
 from storage.packed.scene import streams_of
 from storage.packed.schema import BY_NAME, CHUNK, EXTRAS, GROUP, Batch, Header, arrays_of, color_bits
-from storage.packed.sizes import pack_sizes
-from storage.work import arrays, work
+from storage.packed.writer import WrittenGroup, begin_packed, seal_packed, write_array, write_group, write_table
+from storage.work import arrays
 
-TASK_SPLATS = GROUP * GROUPS_PER_ZARR_CHUNK
+TASK_GROUPS = 8
+TASK_SPLATS = GROUP * TASK_GROUPS
 KIND_DIGITS = 2 ** np.arange(
     len(EXTRAS), -1, -1
 )  # of `Batch.kind` as one number: a bit for each extra, above them the atoms
@@ -26,7 +28,7 @@ KIND_DIGITS = 2 ** np.arange(
 
 @dataclass(frozen=True)
 class Pack:
-    """A task as many groups as a zarr chunk holds. Output: the folder packed/, sealed by `write_packed`."""
+    """A task TASK_GROUPS groups. Output: the folder packed/, sealed by `write_packed`."""
 
     header: Header
     splats: Path
@@ -44,65 +46,65 @@ class Pack:
 
     def run(self, folder: Path, index: int) -> dict:
         start, stop = index * TASK_SPLATS, min((index + 1) * TASK_SPLATS, self.header.n_splats)
-        root = reopen_packed(folder / "packed")
         n_atoms = self._codes("n_atoms", start, stop)
         batch = self._batches(n_atoms, start, stop)
         order = np.lexsort((batch, np.arange(len(batch)) // CHUNK))
         counts = count_batches(batch[order], len(self.header.batches))
-        self._write_splats(root, start, stop, order, counts)
-        n_words = {}
-        for name, words in (self._words(start, stop, order, counts) | self._color_words(start, stop, order)).items():
-            work.write_parts(work.parts(folder) / f"{name}-{index}.npz", words=np.concatenate(words))
-            n_words[name] = [len(w) for w in words]
-        return {"n_splats": stop - start, "n_words": n_words}
+        rows = self._splats(start, stop, order) | {"batch_count": counts}
+        words = self._words(start, stop, order, counts) | self._color_words(start, stop, order)
+        groups = []
+        for place in range(-(-(stop - start) // GROUP)):
+            chunks = slice(place * CHUNKS_PER_GROUP, (place + 1) * CHUNKS_PER_GROUP)
+            splats = slice(place * GROUP, (place + 1) * GROUP)
+            part = {name: values[chunks if BY_NAME[name].dims[0] == "c" else splats] for name, values in rows.items()}
+            part |= {name: streams[place] for name, streams in words.items()}
+            groups.append(write_group(folder / "packed", self.header, index * TASK_GROUPS + place, part))
+        return {"n_splats": stop - start, "groups": [asdict(group) for group in groups]}
 
     def finalise(self, folder: Path, results: list[dict]) -> Packed:
-        root = reopen_packed(folder / "packed")
-        tables = [(stream.name, stream.table) for stream in streams_of(self.header)]
-        for name, table in [*tables, ("colors", "color_word")][: len(tables) + bool(self.header.color_step)]:
-            self._join_words(folder, root, name, table, [n for r in results for n in r["n_words"][name]], len(results))
-        if self.header.n_dictionary:
-            for array in arrays_of(self.header):
-                if array.part == "dictionary":
-                    root[array.name][:] = arrays.read(self.quantized, array.name)[: root[array.name].shape[0]]
-        return Packed(array_bytes(root, self.header))
+        for array in arrays_of(self.header):
+            if array.part == "dictionary":
+                rows = arrays.read(self.quantized, array.name)[: shape_of(self.header, array)[0]]
+                write_array(folder / "packed", array.name, rows)
+        groups = [WrittenGroup(**group) for r in results for group in r["groups"]]
+        write_table(folder / "packed", self.header, groups)
+        return Packed(array_bytes(self.header, groups))
 
     def _codes(self, name: str, start: int, stop: int) -> np.ndarray:
         if self.codes is None:
             return np.zeros(stop - start, np.uint8)
         return arrays.read(self.codes, name, start, stop)
 
-    def _write_splats(self, root, start: int, stop: int, order: np.ndarray, counts: np.ndarray) -> None:
+    def _splats(self, start: int, stop: int, order: np.ndarray) -> dict[str, np.ndarray]:
+        """The rows of all arrays of splats and of chunks."""
         code = arrays.read(self.splats, "position_code", start, stop)[order]
-        by_splat = {
-            "position": np.stack([code & 255, code >> 8 & 255, code >> 16], axis=1).astype(np.uint8),
-            "normal": arrays.read(self.splats, "normal_code", start, stop)[order],
-        }
+        first, end = start // CHUNK, -(-stop // CHUNK)
+        rows = {name: arrays.read(self.splats, name, first, end) for name in ("box_low", "box_size", "box_bits")}
+        rows["position"] = np.stack([code & 255, code >> 8 & 255, code >> 16], axis=1).astype(np.uint8)
+        rows["normal"] = arrays.read(self.splats, "normal_code", start, stop)[order]
         if not self.header.color_step:
             color = (self.splats, "color") if self.colors is None else (self.colors, "average")
-            by_splat["color"] = arrays.read(*color, start, stop)[order].astype(np.uint8)
+            rows["color"] = arrays.read(*color, start, stop)[order].astype(np.uint8)
         if self.header.cameras:
-            by_splat["camera"] = arrays.read(self.splats, "camera", start, stop)[order]
-        for name, rows in by_splat.items():
-            root[name][start:stop] = rows
-        first, end = start // CHUNK, -(-stop // CHUNK)
-        for name in ("box_low", "box_size", "box_bits"):
-            root[name][first:end] = arrays.read(self.splats, name, first, end)
-        root["batch_count"][first:end] = counts
+            rows["camera"] = arrays.read(self.splats, "camera", start, stop)[order]
         if self.header.size_bits:
-            root["size_scale"][first:end] = arrays.read(self.splats, "size_scale", first, end)
+            rows["size_scale"] = arrays.read(self.splats, "size_scale", first, end)
             code = arrays.read(self.splats, "size_code", start, stop)[order]
-            root["sizes"][first:end] = pack_sizes(code, self.header.size_bits)
+            rows["sizes"] = pack_sizes(code, self.header.size_bits)
         for name in ("color_low", "color_size") if self.header.color_step else ():
-            root[name][first:end] = arrays.read(self.colors, name, first, end)
+            rows[name] = arrays.read(self.colors, name, first, end)
+        return rows
 
     def _color_words(self, start: int, stop: int, order: np.ndarray) -> dict[str, list[np.ndarray]]:
-        """The words of each chunk's colours."""
+        """The words of each group's colours."""
         if not self.header.color_step:
             return {}
         size = arrays.read(self.colors, "color_size", start // CHUNK, -(-stop // CHUNK))
         code = arrays.read(self.colors, "color_code", start, stop)[order]
-        return {"colors": pack_colors(code, color_bits(size, self.header.color_step).sum(axis=1))}
+        words = pack_colors(code, color_bits(size, self.header.color_step).sum(axis=1))
+        return {
+            "colors": [np.concatenate(words[i : i + CHUNKS_PER_GROUP]) for i in range(0, len(words), CHUNKS_PER_GROUP)]
+        }
 
     def _batches(self, n_atoms: np.ndarray, start: int, stop: int) -> np.ndarray:
         """The batch of each splat, (n,) int64."""
@@ -129,18 +131,6 @@ class Pack:
             place = rows.extra[extra.flag]
             words[extra.stream] = [pack_bits(_in_rows(fields[g], place[g]), extra.bits) for g in groups]
         return words
-
-    def _join_words(self, folder: Path, root, name: str, table: str, n_words: list[int], n_tasks: int) -> None:
-        root[table][:] = (np.cumsum(n_words) - n_words).astype(np.uint32)
-        joined = create_array(root, self.header, BY_NAME[name], sum(n_words) + 1)
-        pieces = (work.open_parts(work.parts(folder) / f"{name}-{index}.npz")["words"] for index in range(n_tasks))
-        at, waiting = 0, np.zeros(0, np.uint32)
-        for piece in [*pieces, np.zeros(1, np.uint32)]:  # the spare word
-            waiting = np.concatenate([waiting, piece])
-            n = len(waiting) if at + len(waiting) == joined.shape[0] else len(waiting) - len(waiting) % joined.chunks[0]
-            if n:  # whole chunks: another that runs this too then never writes less of one than this does
-                joined[at : at + n] = waiting[:n]
-            at, waiting = at + n, waiting[n:]
 
 
 def _in_rows(fields: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -181,9 +171,18 @@ def batches_of(n_splats: int, codes: Path | None, extras: tuple[tuple[str, Path]
     )
 
 
-def array_bytes(root, header: Header) -> dict[str, int]:
-    """Bytes of each array as the GPU takes them."""
-    return {array.name: int(root[array.name].nbytes) for array in arrays_of(header)}
+def array_bytes(header: Header, groups: list[WrittenGroup]) -> dict[str, int]:
+    """Bytes of each array as the GPU takes them: of streams the words that count, and a spare one."""
+    found, tables = {}, {"codes": "group_word"} | {extra.stream: extra.table for extra in EXTRAS}
+    for array in arrays_of(header):
+        if array.name not in TABLE and not array.is_ragged:
+            found[array.name] = int(np.prod(shape_of(header, array))) * np.dtype(array.dtype).itemsize
+    for i, array in enumerate(ragged_in(header)):
+        a_row = int(np.prod(shape_of(header, array)[2:])) * np.dtype(array.dtype).itemsize
+        found[array.name] = a_row * (sum(group.rows[i] for group in groups) + ("e" in array.dims))
+        if array.name in tables:
+            found[tables[array.name]] = 4 * header.n_groups
+    return found | ({"color_word": 4 * header.n_chunks} if header.color_step else {})
 
 
 def write_packed(pack_folder: Path, path: Path) -> None:

@@ -10,10 +10,11 @@ export const GROUP = CHUNK * CHUNKS_PER_GROUP;
 export const MIP_SIZES = [32, 16, 8, 4, 2, 1];
 const MOST_CHUNK_BYTES = 1 << 24;
 const TYPES = {
-  box_low: Float32Array, box_size: Float32Array, color_low: Int16Array, color_word: Uint32Array, colors: Uint32Array, group_word: Uint32Array,
-  codes: Uint32Array, weight_levels: Float32Array, atom_scale: Float32Array, clipline_word: Uint32Array, cliplines: Uint32Array,
-  sizes: Uint32Array, ellipsoid_word: Uint32Array, ellipsoids: Uint32Array, camera: Uint16Array,
+  box_low: Float32Array, box_size: Float32Array, color_low: Int16Array, colors: Uint32Array, codes: Uint32Array, weight_levels: Float32Array,
+  atom_scale: Float32Array, cliplines: Uint32Array, sizes: Uint32Array, ellipsoids: Uint32Array, camera: Uint16Array, group_low: Float32Array,
+  group_high: Float32Array, group_radius: Float32Array, group_rows: Uint32Array, group_start: BigUint64Array, group_bytes: BigUint64Array,
 }; // all others are bytes
+const STREAMS = ["colors", "codes", "cliplines", "ellipsoids"]; // in the order of group_rows
 
 /** An opened packed file: its header, and arrays when they are asked for. */
 export class Packed {
@@ -38,6 +39,11 @@ export class Packed {
       const array = name.slice(0, name.indexOf("/"));
       if (name.includes("/c/")) this.counts.set(array, (this.counts.get(array) || 0) + 1);
     }
+  }
+
+  /** Those word streams that the file has. */
+  get streams() {
+    return STREAMS.filter((name) => this.has(name));
   }
 
   has(name) {
@@ -76,9 +82,9 @@ export class Packed {
 }
 
 function valuesOf(array, bytes) {
-  const size = promised(bytes);
+  const isTable = array.startsWith("group_"), size = isTable ? bytes.length : promised(bytes);
   if (!(size >= 0 && size <= MOST_CHUNK_BYTES)) throw new Error(`a chunk of ${array} of ${size} bytes`);
-  const raw = decompress(bytes, size);
+  const raw = isTable ? bytes.slice() : decompress(bytes, size);
   const Type = TYPES[array] || (array === "normal" || array.startsWith("atoms_") ? Int8Array : Uint8Array);
   if (raw.length % Type.BYTES_PER_ELEMENT) throw new Error(`a chunk of ${array} of ${raw.length} bytes`);
   return new Type(raw.buffer);

@@ -3,10 +3,9 @@
 
 import { groupTree, sharesOf } from "./detail.js";
 import { GROUP, MIP_SIZES } from "./packed.js";
-import { atlasBand, atlasLayout, meanRadius, splatWords, tablesOf } from "./tables.js";
+import { atlasBand, atlasLayout, firstWords, meanRadius, splatWords, tablesOf } from "./tables.js";
 
 const LINE = 2048; // texels to a line of a texture, as renderer/splats/gles.py has it
-const SPLATS_PER_CHUNK = 65536, GROUPS_PER_CHUNK = SPLATS_PER_CHUNK / GROUP, WORDS_PER_CHUNK = 65536;
 const BATCH_BYTES = 1 << 21; // of chunks that are asked for together
 const ABSENT = 0, FLAT = 1, CODED = 2;
 
@@ -21,13 +20,17 @@ class Words {
     for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, side, gl.NEAREST);
   }
 
-  /** `words` from the texel `first` on, a whole number of lines. */
+  /** `words` from the texel `first` on. */
   put(first, words) {
-    const { gl } = this, perLine = LINE * (this.pairs ? 2 : 1), lines = Math.ceil(words.length / perLine);
-    let padded = words;
-    if (words.length < lines * perLine) padded = new Uint32Array(lines * perLine), padded.set(words);
+    const { gl } = this, per = this.pairs ? 2 : 1, n = words.length / per;
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, first / LINE, LINE, lines, this.pairs ? gl.RG_INTEGER : gl.RED_INTEGER, gl.UNSIGNED_INT, padded);
+    for (let done = 0; done < n;) {
+      const x = (first + done) % LINE, whole = x ? 0 : Math.floor((n - done) / LINE), width = whole ? LINE : Math.min(LINE - x, n - done);
+      const texels = width * Math.max(1, whole), part = words.subarray(done * per, (done + texels) * per);
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, x, Math.floor((first + done) / LINE), width, Math.max(1, whole),
+        this.pairs ? gl.RG_INTEGER : gl.RED_INTEGER, gl.UNSIGNED_INT, part);
+      done += texels;
+    }
     return this;
   }
 }
@@ -35,7 +38,7 @@ class Words {
 export class Scene {
   constructor(gl, packed) {
     const { header } = packed;
-    Object.assign(this, { gl, packed, header, textures: {}, loaded: 0, waiting: new Map(), streams: {}, layout: atlasLayout(header), hasAtoms: false });
+    Object.assign(this, { gl, packed, header, textures: {}, loaded: 0, waiting: new Map(), layout: atlasLayout(header), hasAtoms: false });
     this.state = new Uint8Array(packed.nGroups);
     this.drawn = new Set(Object.keys(header.effects));
     this.drawn.delete("mip_levels");
@@ -107,22 +110,20 @@ export class Scene {
     let bytes = 0;
     for (const group of groups)
       for (const array of arrays) {
-        const [first, last] = this.chunksFor(array, group), arrived = this.streams[array] || this.geometry;
-        for (let index = first; index <= last; ++index) {
-          if (arrived[index] || chunks.has(`${array}/${index}`)) continue;
-          const chunk = this.packed.chunk(array, index);
-          bytes += chunk.stop - chunk.start;
-          if (bytes > BATCH_BYTES && chunks.size) return [...chunks.values()];
-          chunks.set(`${array}/${index}`, chunk);
-        }
+        if (this.arrived[array][group]) continue;
+        const chunk = this.packed.chunk(array, group);
+        bytes += chunk.stop - chunk.start;
+        if (bytes > BATCH_BYTES && chunks.size) return [...chunks.values()];
+        chunks.set(`${array}/${group}`, chunk);
       }
     return [...chunks.values()];
   }
 
   async loadTables(signal) {
     const { gl, packed, header } = this;
-    const names = ["batch_count", "box_low", "box_size", "box_bits", "size_scale", "sizes", "color_low", "color_size", "color_word", "group_word", "clipline_word", "ellipsoid_word"];
+    const names = ["batch_count", "box_low", "box_size", "box_bits", "size_scale", "sizes", "color_low", "color_size", "group_rows"];
     this.arrays = await packed.readWhole(names.filter((name) => packed.has(name)), signal);
+    this.first = this.arrays.first = firstWords(packed, this.arrays.group_rows);
     const { counts, boxes, running, groups, groupBoxes } = tablesOf(packed, this.arrays);
     Object.assign(this, { counts, groupBoxes });
     const table = (words) => new Words(gl, words.length).put(0, words);
@@ -133,68 +134,32 @@ export class Scene {
     }
     const pairs = !header.color_step, n = header.n_splats;
     this.textures.splats = new Words(gl, pairs ? n : Math.ceil((n * 5) / 4) + 1, pairs);
-    for (const name of [...this.shapeArrays, ...(packed.has("codes") ? ["codes"] : [])]) {
-      const n = packed.chunksOf(name).length;
-      this.textures[name] = new Words(gl, n * WORDS_PER_CHUNK);
-      this.streams[name] = new Uint8Array(n);
-    }
-    this.geometry = new Uint8Array(Math.ceil(n / SPLATS_PER_CHUNK));
+    for (const name of packed.streams) this.textures[name] = new Words(gl, this.first[name][packed.nGroups] + 1);
+    this.arrived = Object.fromEntries([...this.geometryArrays, ...packed.streams].map((name) => [name, new Uint8Array(packed.nGroups)]));
   }
 
-  // The groups whose splats a zarr chunk holds something of.
-  groupsOf(array, index) {
-    const { nGroups } = this.packed, groups = [];
-    if (!this.streams[array]) {
-      for (let g = index * GROUPS_PER_CHUNK; g < Math.min(nGroups, (index + 1) * GROUPS_PER_CHUNK); ++g) groups.push(g);
-      return groups;
-    }
-    for (let g = 0; g < nGroups; ++g) {
-      const [first, last] = this.chunksFor(array, g);
-      if (first <= index && index <= last) groups.push(g);
-    }
-    return groups.length ? groups : [nGroups - 1]; // the spare word may stand alone
-  }
-
-  // The first and last chunk of an array that something of a group lies in.
-  chunksFor(stream, group) {
-    if (!this.streams[stream]) return Array(2).fill(Math.floor(group / GROUPS_PER_CHUNK));
-    const [table, step] = { colors: ["color_word", GROUP / 128], codes: ["group_word", 1], cliplines: ["clipline_word", 1], ellipsoids: ["ellipsoid_word", 1] }[stream];
-    const words = this.arrays[table], n = this.streams[stream].length, end = step === 1 ? this.packed.nGroups : this.packed.nChunks;
-    const next = (group + 1) * step;
-    const first = Math.min(n - 1, Math.floor(words[group * step] / WORDS_PER_CHUNK));
-    return [first, next < end ? Math.max(first, Math.min(n - 1, Math.floor(words[next] / WORDS_PER_CHUNK))) : n - 1];
-  }
-
-  // Bring a chunk to the GPU; whether there is more to draw now.
-  take(array, index, values) {
-    if (this.streams[array]) {
-      this.textures[array].put(index * WORDS_PER_CHUNK, values);
-      this.streams[array][index] = 1;
+  // Bring a group's rows of an array to the GPU; whether there is more to draw now.
+  take(array, group, values) {
+    const first = this.first[array];
+    if (first) {
+      this.textures[array].put(first[group], values.subarray(0, first[group + 1] - first[group]));
     } else {
-      const parts = this.waiting.get(index) || {};
-      this.waiting.set(index, { ...parts, [array]: values });
-      if (Object.keys(parts).length + 1 < this.geometryArrays.length) return false;
-      this.putSplats(index, this.waiting.get(index));
-      this.waiting.delete(index);
+      const parts = { ...this.waiting.get(group), [array]: values };
+      this.waiting.set(group, parts);
+      if (Object.keys(parts).length === this.geometryArrays.length) {
+        const n = Math.min(GROUP, this.header.n_splats - group * GROUP), perGroup = this.header.color_step ? (GROUP * 5) / 4 : GROUP;
+        this.textures.splats.put(group * perGroup, splatWords(n, parts).subarray(0, n < GROUP ? undefined : perGroup * (this.header.color_step ? 1 : 2)));
+        this.waiting.delete(group);
+      }
     }
-    return this.groupsOf(array, index).filter((group) => this.advance(group)).length > 0;
-  }
-
-  putSplats(index, parts) {
-    const n = Math.min(SPLATS_PER_CHUNK, this.header.n_splats - index * SPLATS_PER_CHUNK);
-    this.textures.splats.put(index * (this.header.color_step ? (SPLATS_PER_CHUNK * 5) / 4 : SPLATS_PER_CHUNK), splatWords(n, parts));
-    this.geometry[index] = 1;
+    this.arrived[array][group] = 1;
+    return this.advance(group);
   }
 
   advance(group) {
-    const arrived = (stream) => {
-      const [first, last] = this.chunksFor(stream, group);
-      for (let i = first; i <= last; ++i) if (!this.streams[stream][i]) return false;
-      return true;
-    };
-    const was = this.state[group];
-    if (!this.geometry[Math.floor(group / GROUPS_PER_CHUNK)] || !this.shapeArrays.every(arrived)) return false;
-    this.state[group] = this.hasAtoms && arrived("codes") ? CODED : FLAT;
+    const here = (name) => this.arrived[name][group], was = this.state[group];
+    if (![...this.geometryArrays, ...this.shapeArrays].every(here)) return false;
+    this.state[group] = this.hasAtoms && here("codes") ? CODED : FLAT;
     return this.state[group] !== was;
   }
 

@@ -4,6 +4,16 @@ import { CHUNK, CHUNKS_PER_GROUP, GROUP, MIP_SIZES } from "./packed.js";
 
 const LONGEST_ELLIPSOID = 4; // half axis in radii that a byte can say
 
+/** Where each group's words begin in a stream that stands one group after the other, and where the last ones end: by stream (nGroups + 1). */
+export function firstWords({ streams, nGroups }, words) {
+  const found = {};
+  streams.forEach((name, i) => {
+    const first = (found[name] = new Float64Array(nGroups + 1)); // whole numbers beyond 32 bits
+    for (let group = 0; group < nGroups; ++group) first[group + 1] = first[group] + words[group * streams.length + i];
+  });
+  return found;
+}
+
 /** Tables of `arrays`, those of chunks and groups; typed arrays of 32-bit words as the shaders take them. */
 export function tablesOf(packed, arrays) {
   const { header, nChunks, nGroups } = packed, nBatches = header.batches.length;
@@ -30,6 +40,7 @@ const radiusOf = (header, step) => header.radius * 2 ** (step / 16 - 8);
 function boxWords({ header, nChunks }, arrays) {
   const sizeAt = header.color_step ? 11 : 7, perChunk = 4 * header.size_bits, width = sizeAt + perChunk;
   const words = new Uint32Array(nChunks * width + 1), floats = new Float32Array(words.buffer);
+  let colorWord = 0;
   for (let chunk = 0; chunk < nChunks; ++chunk) {
     const at = chunk * width, i = 3 * chunk;
     for (let axis = 0; axis < 3; ++axis) {
@@ -44,7 +55,8 @@ function boxWords({ header, nChunks }, arrays) {
     if (!header.color_step) continue;
     const low = arrays.color_low.subarray(i, i + 3), size = arrays.color_size.subarray(i, i + 3);
     const bits = [...size].map((s) => Math.max(0, Math.ceil((s - header.color_step) / 16)));
-    words[at + 7] = arrays.color_word[chunk];
+    words[at + 7] = colorWord;
+    colorWord += Math.ceil((Math.min(CHUNK, header.n_splats - chunk * CHUNK) * (bits[0] + bits[1] + bits[2])) / 32);
     words[at + 8] = (low[0] & 0xffff) | (low[1] << 16);
     words[at + 9] = (low[2] & 0xffff) | (size[0] << 16) | (size[1] << 24);
     words[at + 10] = size[2] | (bits[0] << 8) | (bits[1] << 16) | (bits[2] << 24);
@@ -68,12 +80,12 @@ function runningCounts(batchCount, nChunks, nBatches) {
 }
 
 // First words of codes and cliplines, then of each batch its first entry and its first clipline or ellipsoid's word.
-function groupTable({ header, nGroups }, arrays, counts) {
+function groupTable({ header, nGroups }, { first }, counts) {
   const { batches } = header, width = 2 + 2 * batches.length, table = new Uint32Array(nGroups * width);
   for (let group = 0; group < nGroups; ++group) {
-    table[group * width] = arrays.group_word?.[group] ?? 0;
-    table[group * width + 1] = arrays.clipline_word?.[group] ?? 0;
-    let entry = 0, line = 0, ellipsoid = arrays.ellipsoid_word?.[group] ?? 0;
+    table[group * width] = first.codes?.[group] ?? 0;
+    table[group * width + 1] = first.cliplines?.[group] ?? 0;
+    let entry = 0, line = 0, ellipsoid = first.ellipsoids?.[group] ?? 0;
     batches.forEach((batch, i) => {
       const n = counts[group][i];
       table[group * width + 2 + 2 * i] = entry;

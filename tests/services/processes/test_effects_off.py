@@ -35,10 +35,8 @@ class Traces:
 TRACES = {
     "sizes": Traces(("sizes",), ("size_scale", "sizes"), words=("bits=3",), define="SIZE_BITS"),
     "levels": Traces(define="DETAIL"),  # of scans of 32,768 splats and more: tests/renderer/test_detail.py
-    "cliplines": Traces(
-        ("nearest-points", "cliplines"), ("cliplines", "clipline_word"), words=("clipline",), define="CLIPLINE"
-    ),
-    "ellipsoids": Traces(("ellipsoids",), ("ellipsoids", "ellipsoid_word"), words=("ellipsoid",), define="ELLIPSOID"),
+    "cliplines": Traces(("nearest-points", "cliplines"), ("cliplines",), words=("clipline",), define="CLIPLINE"),
+    "ellipsoids": Traces(("ellipsoids",), ("ellipsoids",), words=("ellipsoid",), define="ELLIPSOID"),
     "exposure": Traces(("exposure",)),
     "station_maps": Traces(),  # of laser scans: tests/services/processes/test_station_maps.py
     "depth_margin": Traces(),

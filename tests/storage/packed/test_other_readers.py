@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from storage.packed.packed import PackedFile
-from storage.packed.schema import GROUP
+from storage.packed.schema import GROUP, arrays_of
 from tests.packed_files import Case, write_packed_file
 from tests.programs_of_others import read_by_zarrita
 
@@ -16,7 +16,7 @@ def test_packed__every_array_opens_in_tensorstore(case, tmp_path):
     tensorstore = pytest.importorskip("tensorstore")
     path = write_packed_file(case, tmp_path / "a.splatpress")
     with PackedFile(path) as packed:
-        for name in packed.load().arrays:
+        for name in (array.name for array in arrays_of(packed.header)):
             store = {"driver": "zip", "base": path.as_uri(), "path": f"{name}/"}
             found = np.asarray(tensorstore.open({"driver": "zarr3", "kvstore": store}).result().read().result())
             expected = packed.read(name)

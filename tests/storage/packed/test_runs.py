@@ -42,10 +42,7 @@ def changed(name, at, value):
     [
         changed("run_first", 0, 1),
         changed("run_first", 1, 0),
-        changed("run_first", -1, 2**31),
-        changed("run_section", 0, 1),
-        changed("run_section", 1, 0),
-        changed("run_section", -1, 2**32 - 1),
+        changed("run_first", -2, 2**31),
         changed("run_start", 3, 31 << 27),
         changed("run_base", (0, 0), 2**20 + 1),
         changed("run_base", (0, 2), -(2**31)),

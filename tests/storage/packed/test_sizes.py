@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from storage.packed.bits import pack_sizes, unpack_sizes
 from storage.packed.schema import CHUNK, SIZE_BITS
-from storage.packed.sizes import pack_sizes, unpack_sizes
 from tests.reference_packed import read_field
 
 

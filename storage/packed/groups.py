@@ -1,0 +1,159 @@
+"""Groups as units: the table of groups that a file begins with, and how long the streams of a group are.
+
+A group's rows of every array are zarr chunks of their own, which stand together in the file; the table says where, what they show
+and how long their streams are. So a reader finds out what is worth fetching, fetches it as one range, and checks it alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from storage.packed.batches import group_batch_counts
+from storage.packed.bits import unpack_sizes
+from storage.packed.colors import color_words
+from storage.packed.runs import run_bounds
+from storage.packed.schema import (
+    CHUNK,
+    EXTRAS,
+    GROUP,
+    MOST_COLOR_BITS,
+    ONE_SIZE,
+    SIZE_STEPS_AN_OCTAVE,
+    Array,
+    Header,
+    arrays_of,
+    color_bits,
+)
+
+PREFIX = "group_"  # of the table's arrays; what follows is a field of GroupTable
+CONE_STEPS = 127  # of an axis and of a cosine
+ANY_NORMAL = np.array([0, 0, CONE_STEPS, -CONE_STEPS], np.int8)
+_WIDER = 1e-6  # so that rounding never narrows a cone
+SAME_RADIUS = 1e-5  # as a share: what the sums of two machines may differ by
+
+
+@dataclass(frozen=True)
+class GroupTable:
+    """The table of groups, the coarsest level's first."""
+
+    low: np.ndarray  # (g, 3) float32: lowest corner of their boxes against the origin, unit
+    high: np.ndarray  # (g, 3) float32
+    cone: np.ndarray  # (g, 4) int8: axis of a cone of their normals, cosine of its half angle, both in 127ths
+    radius: np.ndarray  # (g, 2) float32: mean and largest radius, unit
+    rows: np.ndarray  # (g, v) uint32: of each array of `ragged_in`
+    start: np.ndarray  # (g,) uint64: where their members begin in the file
+    bytes: np.ndarray  # (g,) uint64
+    seal: np.ndarray  # (g, 32) uint8: SHA-256 of their zarr chunks
+
+
+# Tables that readers make of the lengths of streams, for memory and GPUs, and the row of the size table that their bytes are counted in.
+FIRST_WORDS = {
+    "run_section": "geometry",
+    "color_word": "colors",
+    "group_word": "codes",
+    "clipline_word": "geometry",
+    "ellipsoid_word": "geometry",
+}
+TABLE = tuple(PREFIX + field.name for field in fields(GroupTable))
+
+
+def ragged_in(header: Header) -> tuple[Array, ...]:
+    """The arrays of which groups have any number of rows, in the order of `rows`."""
+    return tuple(array for array in arrays_of(header) if array.is_ragged)
+
+
+def most_rows(header: Header, array: Array) -> int:
+    """What a group has no more rows of: of words by the bits that a splat may take, of runs one a splat. All have so many in the file."""
+    n = min(GROUP, header.n_splats)
+    if "e" not in array.dims:
+        return n
+    bits = {"codes": header.n_ranks * header.entry_bits, "colors": MOST_COLOR_BITS}
+    bits |= {extra.stream: extra.bits * extra.n_fields for extra in EXTRAS}
+    return -(-n // CHUNK) * CHUNK * bits[array.name] // 32
+
+
+def rows_told(header: Header, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The words (g,) int64 of each stream, which other arrays of the same groups tell."""
+    counts = group_batch_counts(arrays["batch_count"])
+    told = {}
+    if header.n_dictionary:
+        told["codes"] = -(-(counts @ [b.n_atoms for b in header.batches]) * header.entry_bits // 32)
+    for extra in EXTRAS:
+        has = [extra.n_fields * getattr(batch, extra.flag) for batch in header.batches]
+        if any(has):
+            told[extra.stream] = -(-(counts @ has) * extra.bits // 32)
+    if header.color_step:
+        bits = color_bits(arrays["color_size"], header.color_step).sum(axis=1)
+        words = color_words(header.n_splats, bits)
+        told["colors"] = np.add.reduceat(words, np.arange(0, len(words), GROUP // CHUNK))
+    return told
+
+
+def first_words(header: Header, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Where streams that stand one group after the other begin: of each group `group_word`, `clipline_word` and `ellipsoid_word`
+    (g,), and of each chunk `color_word` (c,), uint32."""
+    table_of = {extra.stream: extra.table for extra in EXTRAS} | {"codes": "group_word"}
+    words = {table_of[name]: n for name, n in rows_told(header, arrays).items() if name in table_of}
+    if header.color_step:
+        bits = color_bits(arrays["color_size"], header.color_step).sum(axis=1)
+        words["color_word"] = color_words(header.n_splats, bits)
+    return {name: (np.cumsum(n) - n).astype(np.uint32) for name, n in words.items()}
+
+
+def outline_of(header: Header, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What the table says that one group shows: its `low`, `high`, `cone` and `radius`; `n_splats` of the header is the group's."""
+    low, high = run_bounds(header, arrays) if header.runs else _box_bounds(arrays)
+    radius = radii_of(header, arrays)
+    return {
+        "low": np.where(low.astype(np.float32) > low, np.nextafter(low.astype(np.float32), np.float32(-np.inf)), low),
+        "high": np.where(
+            high.astype(np.float32) < high, np.nextafter(high.astype(np.float32), np.float32(np.inf)), high
+        ),
+        "cone": ANY_NORMAL if header.runs else _cone(arrays["normal"]),
+        "radius": np.array([radius.mean(), radius.max()]),
+    }
+
+
+def _box_bounds(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    high = arrays["box_low"].astype(np.float64) + arrays["box_size"]
+    return arrays["box_low"].min(axis=0).astype(np.float64), high.max(axis=0)
+
+
+def radii_of(header: Header, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """The radii (n,) float64 of a group's splats."""
+    n = header.n_splats
+    if not header.size_bits:
+        return np.full(n, header.radius)
+    code = unpack_sizes(arrays["sizes"], header.size_bits, n)
+    low, high = arrays["size_scale"].astype(np.float64)[np.arange(n) // CHUNK].T
+    step = low + (high - low) * code / (2**header.size_bits - 1)
+    return header.radius * 2.0 ** ((step - ONE_SIZE) / SIZE_STEPS_AN_OCTAVE)
+
+
+def _cone(code: np.ndarray) -> np.ndarray:
+    """Axis and cosine (4,) int8 of a cone that holds the normals of octahedral codes (n, 2); -127 where any may be."""
+    a, b = code.astype(np.int64).T
+    c = 127 - np.abs(a) - np.abs(b)
+    folded = np.where(a >= 0, 1, -1) * (127 - np.abs(b)), np.where(b >= 0, 1, -1) * (127 - np.abs(a))
+    normal = np.stack([np.where(c >= 0, a, folded[0]), np.where(c >= 0, b, folded[1]), c], axis=1).astype(np.float64)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    mean = normal.mean(axis=0)
+    if np.linalg.norm(mean) < 1e-3:
+        return ANY_NORMAL
+    axis = np.rint(CONE_STEPS * mean / np.linalg.norm(mean))
+    cosine = (normal @ (axis / np.linalg.norm(axis))).min()
+    return np.array([*axis, max(-CONE_STEPS, np.floor(CONE_STEPS * cosine - _WIDER))], np.int8)
+
+
+def check_outline(header: Header, table: GroupTable, index: int, arrays: dict[str, np.ndarray]) -> None:
+    """ValueError unless the table says of group `index` what its arrays show."""
+    told = outline_of(header, arrays)
+    for name in ("low", "high"):
+        if not np.array_equal(getattr(table, name)[index], told[name].astype(np.float32)):
+            raise ValueError(f"group_{name} of group {index} is not that of its splats")
+    if np.abs(table.cone[index].astype(int) - told["cone"]).max() > 1:
+        raise ValueError(f"group_cone of group {index} is not that of its normals")
+    if not np.allclose(table.radius[index], told["radius"], rtol=SAME_RADIUS, atol=0):
+        raise ValueError(f"group_radius of group {index} is not that of its splats")
