@@ -29,6 +29,7 @@ class Piece:
     visible_count: np.ndarray | None = None  # (n,) int64: how many cameras see each point
     visible_camera: np.ndarray | None = None  # (sum(visible_count),) int32 positions in ScanSource.cameras
     station: np.ndarray | None = None  # (n,) int32 positions in ScanSource.stations; -1 for none
+    source_id: np.ndarray | None = None  # (n,) int64: a LAS file's point source ids
     look: tuple[int, Look] | None = None  # what its values say of part i of the scan, where only a sample was looked at
     mark: np.ndarray | None = None  # (n,) uint8: why a point is left out (readers.marks.NUMBER), 0 where it is not
 

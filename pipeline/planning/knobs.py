@@ -418,8 +418,8 @@ KNOBS = (
     Knob(
         "station",
         str,
-        "where the scanner stood that saw all points, where the scan does not say; normals that it does not bring look there",
-        "surfaces that face the right way in scans of one station",
+        "where the scanner stood that saw all points, where the scan does not say, or scanners by a LAS file's point source ids; normals that it does not bring look there",
+        "surfaces that face the right way, and maps of what stations saw, in scans that were merged",
         "nothing",
         "ingest",
         canonical=canonical_station,

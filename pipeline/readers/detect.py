@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.readers.attributes.looks import Looks
-from pipeline.readers.attributes.options import ReadOptions
+from pipeline.readers.attributes.options import Position, ReadOptions
 from pipeline.readers.container import open_container
 from pipeline.readers.files.spelling import shown
 from pipeline.readers.points import HANDLED, READERS, open_points
@@ -35,21 +35,52 @@ def _open(path: Path, options: ReadOptions) -> ScanSource:
 
 
 def _with_station(source: ScanSource, options: ReadOptions) -> ScanSource:
-    """The scan as seen from the station that was asked for, if one was."""
-    if options.station_xyz is None:
+    """The scan as seen from the stations that were asked for, if any were."""
+    by_source = options.station_by_source
+    if options.station_xyz is None and not by_source:
         return source
+    seen_from = partial(_from_station, by_source)
     return replace(
         source,
-        stations=(options.station_xyz,),
-        pieces=partial(_from_station, source.pieces),
-        read_slice=source.read_slice and partial(_from_station, source.read_slice),
+        stations=tuple(by_source.values()) if by_source else (options.station_xyz,),
+        pieces=partial(seen_from, source.pieces),
+        read_slice=source.read_slice and partial(seen_from, source.read_slice),
         settle=source.settle and partial(_settled_from_station, source.settle, options),
+        warnings=(*source.warnings, *_of_source_ids(source, by_source)),
     )
 
 
-def _from_station(read: Callable[..., Iterator[Piece]], *arguments: int) -> Iterator[Piece]:
+def _of_source_ids(source: ScanSource, by_source: dict[int, Position]) -> list[str]:
+    """What there is to say of stations that are told apart by point source ids."""
+    if not by_source:
+        return []
+    there = source.details.get("point_source_ids")
+    if there is None:
+        raise UnsupportedScan(
+            source.path, "no point source ids", "stations as ID=x,y,z for LAS and LAZ only; else x,y,z"
+        )
+    missing, others = sorted(set(by_source) - set(there)), sorted(set(there) - set(by_source))
+    warnings = []
+    if missing:
+        warnings.append(
+            f"{source.path}: no point that was looked at has the point source ids {missing}, which stations were given for"
+        )
+    if others:
+        warnings.append(f"{source.path}: no station is known of points with the point source ids {others}")
+    return warnings
+
+
+def _from_station(
+    by_source: dict[int, Position], read: Callable[..., Iterator[Piece]], *arguments: int
+) -> Iterator[Piece]:
+    """Stations stand in the order of their ids."""
+    ids = np.array(list(by_source), np.int64)
     for piece in read(*arguments):
-        yield replace(piece, station=np.zeros(len(piece.position), np.int32))
+        if not len(ids):
+            yield replace(piece, station=np.zeros(len(piece.position), np.int32))
+            continue
+        at = np.minimum(np.searchsorted(ids, piece.source_id), len(ids) - 1)
+        yield replace(piece, station=np.where(ids[at] == piece.source_id, at, -1).astype(np.int32))
 
 
 def _settled_from_station(

@@ -34,7 +34,7 @@ OVERLAP = 12  # a class up to point format 5, a flag from 6 on
 TOP = 65535.0
 
 _RGB_AT = {2: 20, 3: 28, 5: 28, 7: 30, 8: 30, 10: 30}
-_STANDARD = ("return number", "scan angle", "user data", "point source id", "gps time")
+_STANDARD = ("return number", "scan angle", "user data", "gps time")
 
 
 @contextmanager
@@ -56,6 +56,7 @@ def _layout(header: LasHeader) -> np.dtype:
     new = header.point_format >= 6
     fields = {"X": ("<i4", 0), "Y": ("<i4", 4), "Z": ("<i4", 8), "intensity": ("<u2", 12), "flags": ("u1", 15)}
     fields["class"] = ("u1", 16 if new else 15)
+    fields["source id"] = ("<u2", 20 if new else 18)
     if at := _RGB_AT.get(header.point_format):
         fields |= {name: ("<u2", at + 2 * i) for i, name in enumerate(("red", "green", "blue"))}
     first = RECORD_SIZES[header.point_format]
@@ -152,6 +153,7 @@ class _Opened:
     header: LasHeader
     options: ReadOptions
     look: Look
+    source_ids: tuple[int, ...]  # of the points that were looked at
 
     @property
     def decision(self) -> Decision:
@@ -189,6 +191,7 @@ def _slice(opened: _Opened, start: int, stop: int, max_points: int) -> Iterator[
                 color=to_8_bits(_colors(rows), decision.top) if decision.top else None,
                 intensity=rows["intensity"].astype(np.float32) if decision.intensity else None,
                 mark=set_marks(len(rows), masks, wanted - decision.ignored),
+                source_id=rows["source id"].astype(np.int64) if options.station_by_source else None,
                 look=None if look is None else (0, look),
             )
 
@@ -234,7 +237,13 @@ def _source(opened: _Opened) -> ScanSource:
         bounds=(header.low, header.high) if has_bounds else None,
         position_step=float(np.abs(header.scales).max()),
         warnings=tuple(warnings),
-        unused=(*_STANDARD, *columns.unused, *columns.color, *columns.intensity),
+        unused=(
+            *_STANDARD,
+            *(() if options.station_by_source else ("point source id",)),
+            *columns.unused,
+            *columns.color,
+            *columns.intensity,
+        ),
         details={
             "version": header.version,
             "point_format": header.point_format,
@@ -242,6 +251,7 @@ def _source(opened: _Opened) -> ScanSource:
             "scales": list(header.scales),
             "offsets": list(header.offsets),
             "records": [f"{r.user} {r.id}" for r in header.records],
+            "point_source_ids": list(opened.source_ids),
             "properties": ["X", "Y", "Z", "intensity", *named, *(f.name for f in extra_fields(header))],
         },
     )
@@ -268,11 +278,12 @@ def open_las(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
     Raises: InvalidScan for a file that is truncated, damaged or contradicts itself; UnsupportedScan.
     """
     header = read_header(path)
-    look = Look()
+    look, source_ids = Look(), set[int]()
     if header.n_points:
         with _refusing(path), closing(_open_records(path, header)) as records:
             for start, n in probe_starts(header.n_points):
                 rows = records.read(start, n)
+                source_ids |= set(np.unique(rows["source id"]).tolist())
                 _look_at(look, rows, header, _masks(rows, header, options.left_out))
     with _refusing(path):
-        return _source(_Opened(path, header, options, look))
+        return _source(_Opened(path, header, options, look, tuple(sorted(source_ids))))

@@ -11,15 +11,16 @@ from laspy.vlrs.known import WktCoordinateSystemVlr
 from pipeline.readers import open_scan
 from pipeline.readers.attributes import decisions
 from pipeline.readers.attributes.counts import over_all_points
+from pipeline.readers.attributes.options import ReadOptions, canonical_station
 from pipeline.readers.las import las
-from storage.errors import InvalidScan
+from storage.errors import InvalidScan, UnsupportedScan
 from tests.pipeline.readers.shared_data import shared_scan
 
 OFFSET = np.array([636_000.0, 4_800_000.0, -100.0])
 SCALE = np.array([0.01, 0.001, 0.25])
 
 
-def write(path, *, n=1000, point_format=3, color=None, intensity=True, wkt=None, version="1.2"):
+def write(path, *, n=1000, point_format=3, color=None, intensity=True, wkt=None, version="1.2", source_id=None):
     header = laspy.LasHeader(point_format=point_format, version=version)
     header.offsets, header.scales = OFFSET, SCALE
     if wkt:
@@ -28,6 +29,8 @@ def write(path, *, n=1000, point_format=3, color=None, intensity=True, wkt=None,
     raw = np.random.default_rng(0).integers(-10_000, 10_000, (n, 3))
     scan.X, scan.Y, scan.Z = raw.T
     scan.intensity = np.arange(n) % 5000 if intensity else np.zeros(n)
+    if source_id is not None:
+        scan.point_source_id = source_id
     if color is not None:
         scan.red, scan.green, scan.blue = color
     scan.write(str(path))
@@ -252,3 +255,35 @@ def test_las__spruce_is_read_from_laz():
     assert source.n_points == len(position) == 83_392 and not source.has_colors
     np.testing.assert_allclose(np.ptp(position, axis=0), [2.49, 2.49, 16.94], atol=1e-3)
     assert len(position) - len(np.unique(position, axis=0)) == 3242
+
+
+@pytest.mark.parametrize("suffix, point_format, version", [(".las", 1, "1.2"), (".laz", 3, "1.2"), (".las", 7, "1.4")])
+def test_las__point_source_ids_tell_stations_apart_where_positions_are_given(tmp_path, suffix, point_format, version):
+    ids = np.repeat([3, 9, 4], [300, 500, 200])
+    path, _ = write(tmp_path / f"a{suffix}", point_format=point_format, version=version, source_id=ids)
+    source = open_scan(path, ReadOptions(station="9=1,2,3; 3 = 0,0,5;12=7,7,7"))
+    assert source.stations == ((0, 0, 5), (1, 2, 3), (7, 7, 7))
+    for pieces in (source.pieces(170), source.read_slice(0, 1000, 333)):
+        found = np.concatenate([p.station for p in pieces])
+        np.testing.assert_array_equal(found, np.select([ids == 3, ids == 9], [0, 1], -1))
+    told = "\n".join(source.warnings)
+    assert (
+        "point source ids [12], which stations" in told
+        and "no station is known of points with the point source ids [4]" in told
+    )
+    assert "point source id" in open_scan(path).unused and "point source id" not in source.unused
+    assert open_scan(path).stations == () and open_scan(path).details["point_source_ids"] == [3, 4, 9]
+
+
+def test_las__stations_by_point_source_id_are_refused_where_there_are_none(tmp_path):
+    path = tmp_path / "a.xyz"
+    np.savetxt(path, np.random.default_rng(0).normal(size=(50, 3)))
+    with pytest.raises(UnsupportedScan, match="no point source ids"):
+        open_scan(path, ReadOptions(station="9=1,2,3"))
+
+
+@pytest.mark.parametrize("text", ["1=2,3", "a=1,2,3", "1=1,2,3;1=4,5,6", "70000=0,0,0", "-1=0,0,0", "1=1,2,inf"])
+def test_station__by_point_source_id_is_canonical_or_refused(text):
+    assert canonical_station("7=1, 2,3.0 ;2=0,0,0;") == "2=0,0,0;7=1,2,3"
+    with pytest.raises(ValueError, match="allowed: three finite numbers"):
+        canonical_station(text)
