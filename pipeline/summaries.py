@@ -139,6 +139,7 @@ class Spacings:
 
     median_spacing: float | None  # None where no point has another near
     n_degenerate: int  # points without a normal of the scan's, or of a plane
+    settled: bool = False  # normals agree with their neighbours on which side is out
 
 
 @dataclass(frozen=True)

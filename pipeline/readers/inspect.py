@@ -41,9 +41,9 @@ def lacks(source: ScanSource) -> list[str]:
     """What a scan does not have that its picture would gain by, and what is done instead."""
     found = []
     if not source.has_normals:
-        side = "up" if source.format == "las" else "away from the middle"
-        side = "to their cameras" if source.cameras else "to their stations" if source.stations else side
-        found.append(f"no normals: estimated from each point's neighbours, turned {side}")
+        side = "turned up" if source.format == "las" else "and neighbours agree which side is out"
+        side = "turned to their cameras" if source.cameras else "turned to their stations" if source.stations else side
+        found.append(f"no normals: estimated from each point's neighbours, {side}")
     if not (source.cameras or source.has_colors or source.has_intensity):
         found.append("no photographs, colours or intensity: splats are grey, shaded by their normals")
     elif not source.cameras and source.has_colors:

@@ -14,6 +14,7 @@ import traceback
 import warnings
 
 from services.cli.arguments import WrongArgument
+from services.cli.commands.completion import add_completion
 from services.cli.commands.compress import add_compress, add_demo, add_report
 from services.cli.commands.effects import add_effects
 from services.cli.commands.inspect import add_check, add_inspect
@@ -32,6 +33,7 @@ from storage.version import VERSION
 COMMANDS = (  # a row a command, in the order in which a wrong one is answered with all of them
     add_compress, add_inspect, add_check, add_effects, add_plan, add_render, add_coverage, add_report, add_demo,
     add_evaluate, add_estimate, add_tradeoff, add_view, add_export, add_pages, add_iso, add_map, add_service, add_user,
+    add_completion,
 )  # fmt: skip
 
 

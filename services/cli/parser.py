@@ -15,6 +15,7 @@ GROUPS = {
     "a scan": ("compress", "inspect", "check", "tradeoff", "estimate", "effects", "evaluate", "iso", "map", "demo"),
     "a packed file": ("render", "coverage", "report", "view", "export", "fly", "pages"),
     "how large, how long": ("plan",),
+    "the shell": ("completion",),
     "the service": ("serve", "api", "runner", "token", "backup", "restore"),
     "a service's user": (
         "login", "logout", "upload", "submit", "watch", "status", "cancel", "retry", "logs", "fetch", "ls", "regress",

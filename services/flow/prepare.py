@@ -23,7 +23,7 @@ from pipeline.stages.points.ingest import Ingest
 from pipeline.stages.points.leaves import DealtLeaves
 from pipeline.stages.points.levels import with_levels
 from pipeline.stages.points.measure_effects import MeasureEffects
-from pipeline.stages.points.neighbours import Neighbourhoods, radius_of
+from pipeline.stages.points.neighbours import Neighbourhoods, radius_of, signs_are_open
 from pipeline.stages.points.partition import Partition
 from pipeline.stages.points.sizes import Sizes
 from pipeline.stages.points.splats import Splats
@@ -202,7 +202,8 @@ def splats_from(
     levels: int | None = None,
 ) -> Prepared:
     """Make splats of points in chunk order: of `radius`, or each of the size that the scan calls for; and of its levels."""
-    neighbours = run.do(Neighbourhoods(partition.folder))
+    settle = signs_are_open(ingest.summary, partition.folder)
+    neighbours = run.do(Neighbourhoods(partition.folder, settle))
     asked_radius, radius = radius, radius_of(neighbours.summary, radius, scan)
     needed, sizes = None, None
     if asked_radius is None and parse_request(request)["sizes"] != OFF:

@@ -21,6 +21,7 @@ from services.flow.run import Run
 from services.flow.textures import Coded
 from services.flow.volumes import surface_request
 from storage.packed.packed import SUFFIX, PackedFile
+from storage.work import arrays
 
 
 def compress(
@@ -137,7 +138,8 @@ def _scan_record(prepared: Prepared) -> dict:
         )
     if not (scan.has_colors or scan.cameras):
         warnings.append(
-            "the scan has neither colours nor intensity nor photographs; its splats are grey, shaded by their normals"
+            "the scan has neither colours nor intensity nor photographs; its splats are grey, shaded by "
+            + ("its normals" if arrays.exists(prepared.partition.folder, "normal") else "normals that were estimated")
         )
     n_blind = prepared.splats.summary.n_without_camera
     if scan.cameras and n_blind:

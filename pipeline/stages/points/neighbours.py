@@ -10,7 +10,8 @@ import numpy as np
 from pipeline.numerics.limits import check_radius
 from pipeline.splats.neighbours import find_neighbours
 from pipeline.splats.normals import NEIGHBOURS, estimate_normals, usable_normals
-from pipeline.summaries import Points, Spacings
+from pipeline.splats.signs import MOST_POINTS, settled_signs
+from pipeline.summaries import Points, ScanRead, Spacings
 from storage.errors import InvalidScan
 from storage.work import arrays, work
 
@@ -21,9 +22,12 @@ MOST_SPACINGS = 1 << 22  # for the median; of a larger scan every n-th counts
 @dataclass(frozen=True)
 class Neighbourhoods:
     """A task a block. Arrays: spacing (n,) float32, the distance to the 4th nearest neighbour; normal (n, 3) float32,
-    unit length and not yet turned; degenerate (n,) bool where no normal could be told."""
+    unit length and not yet turned; degenerate (n,) bool where no normal could be told.
+
+    With `settle` the normals, all of them estimated, are turned so that neighbours agree on which side is out."""
 
     partition: Path
+    settle: bool = False
     name = "neighbours"
 
     def init(self, folder: Path) -> int:
@@ -64,8 +68,25 @@ class Neighbourhoods:
             [arrays.read(folder, "spacing", *arrays.block_range(i, n))[::stride] for i in range(arrays.n_blocks(n))]
         )
         finite = values[np.isfinite(values)]
+        if self.settle:
+            self._settle(folder, n)
         median = float(np.median(finite)) if len(finite) else None
-        return Spacings(median, sum(r["n_degenerate"] for r in results))
+        return Spacings(median, sum(r["n_degenerate"] for r in results), self.settle)
+
+    def _settle(self, folder: Path, n: int) -> None:
+        normal = arrays.read(folder, "normal", 0, n)
+        signs = settled_signs(arrays.read(self.partition, "position", 0, n), normal.astype(np.float64))
+        for i in range(arrays.n_blocks(n)):
+            start, stop = arrays.block_range(i, n)
+            arrays.write(folder, "normal", start, normal[start:stop] * signs[start:stop, None])
+
+
+def signs_are_open(scan: ScanRead, partition: Path) -> bool:
+    """Whether nothing but the points says which side of a surface is out: a scan, as its ingest has it, without normals,
+    photographs or stations, not from the air, and of so few points that one process settles them."""
+    told = any(arrays.exists(partition, name) for name in ("normal", "station"))
+    told = told or scan.cameras or scan.format == "las"
+    return not told and work.summary(partition, Points).n_splats <= MOST_POINTS
 
 
 def radius_of(neighbours: Spacings, asked: float | None, scan: str) -> float:

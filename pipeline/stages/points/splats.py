@@ -16,7 +16,7 @@ from pipeline.splats.colors import point_colors
 from pipeline.splats.decoded import seen_by_cameras, splat_radii
 from pipeline.splats.normals import turned_to, usable_normals
 from pipeline.stages.points.sizes import create_sizes
-from pipeline.summaries import Points, ScanRead, SplatsMade
+from pipeline.summaries import Points, ScanRead, Spacings, SplatsMade
 from storage.packed.schema import CHUNK, ELLIPSOID_FIELDS, NO_CAMERA
 from storage.work import arrays, work
 
@@ -138,8 +138,10 @@ class Splats:
         self, scan: ScanRead, absolute: np.ndarray, normal: np.ndarray, camera: np.ndarray, start: int, stop: int
     ) -> np.ndarray:
         """The directions (n, 3) that normals are turned to: the splat's camera; else the scan's own normal; else its
-        station; else up (airborne scans), or away from the middle."""
-        if scan.format == "las":
+        station; else as neighbours settled it; else up (airborne scans), or away from the middle."""
+        if work.summary(self.neighbours, Spacings).settled:
+            towards = normal.copy()
+        elif scan.format == "las":
             towards = np.tile([0.0, 0.0, 1.0], (len(absolute), 1))
         else:
             towards = absolute - (np.array(scan.low) + scan.high) / 2
