@@ -192,9 +192,13 @@ async function showReport(id, artifacts) {
   $("view").replaceChildren(...views.map((v, i) => element("option", v.camera, { value: i })));
   const showView = guard(async () => {
     const view = views[$("view").value];
-    const baseline = hrefs[view.pictures.baseline] || hrefs[view.pictures.packed];
-    [$("packed").src, $("baseline").src] = await Promise.all([objectUrl(hrefs[view.pictures.packed]), objectUrl(baseline)]);
-    $("view-figures").textContent = view.psnr_vs_baseline_db === null ? "" :
+    const baseline = hrefs[view.pictures.baseline];  // points alone have none: one picture, and nothing to compare with
+    $("compare-title").textContent = baseline ? "Packed beside baseline" : "Packed";
+    for (const part of document.getElementsByClassName("of-two")) part.hidden = !baseline;
+    const both = [hrefs[view.pictures.packed], baseline || hrefs[view.pictures.packed]];  // the one below gives the pair its height
+    [$("packed").src, $("baseline").src] = await Promise.all(both.map(objectUrl));
+    if (!baseline) $("slider").value = 100;
+    $("view-figures").textContent = !baseline ? `splats cover ${(100 * view.coverage).toFixed(1)} % of the picture` :
       `against the baseline ${view.psnr_vs_baseline_db.toFixed(2)} dB, SSIM ${view.ssim_vs_baseline.toFixed(4)}`;
     slide();
   });
