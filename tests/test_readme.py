@@ -12,7 +12,7 @@ from tests.services.scans import photo_scan
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "README.md").read_text()
 LINES = [shlex.split(line, comments=True)[1:] for line in re.findall(r"^    (\.venv/bin/splatpress .*)$", TEXT, re.M)]
-SERVICE = {"serve", "submit", "fetch", "ls", "regress"}  # tests/services/test_service.py has these
+SERVICE = {"serve", "submit", "fetch", "ls", "regress", "token", "login"}  # tests/services/test_service.py has these
 WAITS = {"view"}  # until it is stopped; tests/services/web has it
 WITH_WORKERS = {"compress", "report", "estimate", "tradeoff", "effects"}
 HERE = ["--executor", "serial"]  # workers take seconds to start

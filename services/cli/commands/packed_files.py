@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import socket
+import sys
 from dataclasses import asdict
 from pathlib import Path
 
@@ -81,6 +82,7 @@ def _view(options: argparse.Namespace) -> int:
     with socket.create_server(("127.0.0.1", options.port)) as listener:
         url = f"http://127.0.0.1:{listener.getsockname()[1]}/"
         print(url, flush=True)
+        print("open that address in a browser on this machine; Ctrl-C ends it", file=sys.stderr, flush=True)
         if not options.no_open:
             webbrowser.open(url)
         uvicorn.Server(uvicorn.Config(viewer_app(packed), log_level="warning")).run(sockets=[listener])
