@@ -227,8 +227,8 @@ export class Viewer {
 
   say() {
     const s = this.statistics(), count = (n) => (n >= 1e6 ? (n / 1e6).toFixed(2) + " M" : n.toLocaleString("en"));
-    $("statistics").textContent = `${count(s.splats)} of ${count(s.allSplats)} splats · ${(s.received / 1e6).toFixed(1)} of ${(s.size / 1e6).toFixed(1)} MB`
-      + ` · ${s.frameMs.toFixed(0)} ms`;
+    $("statistics").textContent = `${count(s.splats)} of ${count(s.allSplats)} splats · ${(Math.min(s.received, s.size) / 1e6).toFixed(1)} of ${(s.size / 1e6).toFixed(1)} MB`
+      + ` · ${s.frameMs.toFixed(0)} ms a frame`;
     $("loading").hidden = s.complete;
     $("loading").value = s.received / s.size;
   }
