@@ -29,6 +29,15 @@ SECONDS = 10.0
 MEMORY_BYTES = 1 << 30
 FINE = (0, 3, 5)
 HUGE = (0xFF, 0x7F, 0x80)
+TUS_HEADERS = {  # all that a request of the protocol may say, so that each of them is mutated
+    "tus-resumable": "1.0.0",
+    "upload-length": "123456",
+    "upload-offset": "0",
+    "upload-metadata": "filename c2Nhbi5wbHk=,sha256 YWJj",
+    "upload-checksum": "sha256 YWJjZGVmZ2hpamtsbW5vcHFyc3R1dnd4eXo=",
+    "upload-concat": "final;/v1/uploads/0123456789abcdef /v1/uploads/fedcba9876543210",
+    "content-type": "application/offset+octet-stream",
+}
 
 
 # --- what is mutated ---
@@ -70,6 +79,8 @@ def originals(folder: Path) -> list[Path]:
     inside = ["fused.ply.vis", "sparse/cameras.bin", "sparse/images.bin", "images/0000.jpg"]
     files += [folder / "bin" / name for name in inside]
     files += [folder / "txt" / name for name in ("sparse/cameras.txt", "sparse/images.txt", "images/0000.png")]
+    (folder / "a.tus").write_text("\n".join(f"{name}: {value}" for name, value in TUS_HEADERS.items()))
+    files.append(folder / "a.tus")
     return files
 
 
@@ -145,14 +156,37 @@ class Outcome:
         return f"left {self.left}" if self.left else ""
 
 
+def ask_tus(lines: bytes) -> None:
+    """All that is read out of the headers of a request, as a server hands them over. Raises Problem."""
+    from starlette.requests import Request
+
+    from services.uploads import tus
+
+    pairs = (line.partition(b":") for line in lines.split(b"\n"))
+    headers = [(name.strip().lower(), value.strip()) for name, _, value in pairs]
+    request = Request(
+        {"type": "http", "method": "POST", "path": "/v1/uploads", "query_string": b"", "headers": headers}
+    )
+    tus.check_version(request)
+    tus.length_of(request)
+    tus.number(request, "upload-offset")
+    tus.metadata(request.headers.get("upload-metadata", ""))
+    tus.checksum(request)
+    tus.concat(request)
+
+
 def answer(path: str) -> tuple[int, str]:
     """Exit code and error of `check`, and of decoding what it found."""
     from pipeline.readers import open_scan
     from pipeline.readers.check import check_scan
+    from services.problems import Problem
     from storage.errors import SplatpressError
     from storage.packed.packed import PackedFile
 
     try:
+        if path.endswith(".tus"):
+            ask_tus(Path(path).read_bytes())
+            return 0, ""
         if path.endswith(".splatpress"):
             with PackedFile(Path(path)) as packed:
                 packed.load()
@@ -164,6 +198,8 @@ def answer(path: str) -> tuple[int, str]:
         for i in range(len(source.cameras)):
             source.read_photo(i)
         return 0, ""
+    except Problem as problem:
+        return 3 if problem.status < 500 else 4, f"{problem.detail}\n"
     except SplatpressError as error:
         return error.exit_code, f"{error}\n"
     except FileNotFoundError as error:

@@ -78,9 +78,12 @@ def find_photos(members: Members, photos: tuple[RegisteredPhoto, ...]) -> Photos
 def read_photo(members: Members, files: tuple[PhotoFile, ...], i: int) -> np.ndarray:  # (height, width, 3)
     """Photo i as uint8 sRGB, undistorted."""
     photo, name = files[i].photo, files[i].member
-    _check(members, photo, name)  # the file may have changed since the scan was opened
+    where = shown(members.label(name))
+    if not members.size(name):
+        raise _empty(members, name)
     with members.local(name) as path:
-        pixels = decode_photo(path, shown(members.label(name)))
+        pixels = decode_photo(path, where)
+    _check_size(photo, where, pixels.shape[1], pixels.shape[0])  # it may have changed since the scan was opened
     if photo.model in PINHOLE:
         return pixels
     options, bitmap = pycolmap.UndistortCameraOptions(), pycolmap.Bitmap.from_array(pixels)
@@ -119,15 +122,23 @@ def _find(members: Members, photo: RegisteredPhoto) -> str:
 def _check(members: Members, photo: RegisteredPhoto, name: str) -> None:
     where = shown(members.label(name))
     if not members.size(name):
-        raise InvalidScan(where, "an empty file, or none" if members.size(name) is None else "0 bytes", "a photo")
-    width, height = _header_size(members, name)
-    if (width, height) != (photo.width_px, photo.height_px):
-        found = f"a photo of {width}x{height} pixels, registered with {_registered_with(photo)}"
-        raise InvalidScan(where, found, "the same size")
+        raise _empty(members, name)
+    _check_size(photo, where, *_header_size(members, name))
     end = _ENDS.get("." + name.lower().rpartition(".")[2])
     tail = members.tail(name, _TAIL_BYTES) if end else None
     if tail is not None and end not in tail:
         raise InvalidScan(where, "a photo that is cut off", "a whole JPEG or PNG")
+
+
+def _empty(members: Members, name: str) -> InvalidScan:
+    found = "an empty file, or none" if members.size(name) is None else "0 bytes"
+    return InvalidScan(shown(members.label(name)), found, "a photo")
+
+
+def _check_size(photo: RegisteredPhoto, where: str, width: int, height: int) -> None:
+    if (width, height) != (photo.width_px, photo.height_px):
+        found = f"a photo of {width}x{height} pixels, registered with {_registered_with(photo)}"
+        raise InvalidScan(where, found, "the same size")
 
 
 def _header_size(members: Members, name: str) -> tuple[int, int]:

@@ -20,7 +20,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import PurePosixPath
 from typing import BinaryIO
 
@@ -117,7 +117,7 @@ class Archive:
     @contextmanager
     def open(self, name: str) -> Iterator[BinaryIO]:
         try:
-            with zipfile.ZipFile(self.path) as archive, archive.open(self.filed_as[name]) as member:
+            with _directory_of(self.path, _state_of(self.path)).open(self.filed_as[name]) as member:
                 yield io.BufferedReader(member, _BLOCK_BYTES)  # type: ignore[type-var]
         except (*_DAMAGE, OSError) as error:
             if isinstance(error, OSError) and error.errno != errno.EINVAL:  # a place that no file has
@@ -141,6 +141,17 @@ class Archive:
 
 
 Members = Folder | Archive
+
+
+def _state_of(path: str) -> tuple[int, int, int]:
+    found = os.stat(path)
+    return found.st_ino, found.st_size, found.st_mtime_ns
+
+
+@lru_cache(maxsize=4)
+def _directory_of(path: str, state: tuple[int, int, int]) -> zipfile.ZipFile:
+    """An archive with its list of members, which is read once a process: else n photographs would read n * n entries."""
+    return zipfile.ZipFile(path)
 
 
 def _check_entry(path: str, entry: zipfile.ZipInfo, name: str) -> None:
@@ -183,8 +194,7 @@ def open_archive(path: str) -> Archive:
     Raises: InvalidScan for names that escape, links, duplicates, overlaps and bombs; UnsupportedScan for encryption.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            entries = archive.infolist()
+        entries = _directory_of(path, _state_of(path)).infolist()
     except _DAMAGE as error:
         raise InvalidScan(path, f"not a whole .zip ({error})", "a .zip archive") from error
     _check_sizes(path, entries)

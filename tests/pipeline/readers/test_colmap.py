@@ -419,7 +419,7 @@ def test_colmap__refuses_a_truncated_photo_when_it_is_read(tmp_path, suffix):
     source = open_scan(made.path)
     file = made.path / "images" / f"0001{suffix}"
     file.write_bytes(file.read_bytes()[:-200])
-    with pytest.raises(InvalidScan, match=rf"0001{suffix}: a photo that is cut off"):
+    with pytest.raises(InvalidScan, match=rf"0001{suffix}: a damaged photo"):
         source.read_photo(1)
     assert source.read_photo(0).shape == (48, 64, 3)
 
