@@ -1,81 +1,67 @@
-"""The quality report as data: what the packed file itself tells, what the run recorded, what the views showed.
-
-The run record is a dict that the stages leave behind. Every key may be missing or None, as all are where a packed file
-is all there is:
-
-    scan      {name, format, n_points, unit, n_cameras, warnings: [text]}, of a volume with volume {shape, dtype, spacing,
-              origin, directions, frame, unit, low, high, cell, method, border, surfaces: [{iso, color, n_points, n_added,
-              n_off, n_flat, mean_off_cells}]}, see pipeline/stages/volumes/iso_surface.py
-    quality   {texture_psnr_db, visible_psnr_db, resampling_psnr_db,
-               geometry: {mean_position_error (in the scan's unit), mean_position_error_in_radii,
-                          mean_normal_error_degrees}}
-    learning  [{seconds, psnr_db, replaced_atoms}], one a k-SVD pass, seconds since learning began
-    stages    [{name, seconds, peak_rss_bytes, splats_per_second, tasks}] in order of running
-    numerics  {dropped_points, degenerate_normals, flagged_projections, replaced_atoms, safeguard_steps}: counts of the
-              hard cases that were met, see docs/NUMERICS.md
-    settings  {name: value}
-    estimate  {seconds, peak_memory_bytes, gpu_bytes, texture_psnr_db: {value, low, high, happened}}, up to the packed
-    file effects   [{effect, enabled, share, measure, threshold, reason, ...}]: the plan, see
-    pipeline/effects/plan/plan.py edges     [{camera, left_px, top_px, side_px, with_db, without_db, pictures: {with,
-    without, photo}}], see renderer/evaluate/edges.py
-"""
+"""The quality report as data: what the packed file itself tells, what the run recorded, what the views showed."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from pipeline.effects.plan.request import OFF, asked_by
 from renderer.files import strict, write_json
+from renderer.report.document import Report, RunRecord
 from storage.packed.groups import FIRST_WORDS
 from storage.packed.packed import PackedScene
 from storage.packed.schema import BY_NAME, Camera, Header
 
 REPORT_NAME = "report.json"
 GPU_PARTS = ("geometry", "codes", "colors", "dictionary")
-NUMERICS = ("dropped_points", "degenerate_normals", "flagged_projections", "replaced_atoms", "safeguard_steps")
 SOURCE_BYTES_PER_PIXEL = 4  # three channels, times 4/3 for the mip levels
 
 
-def build_report(scene: PackedScene, file_bytes: int, record: dict | None = None, views: Sequence[dict] = ()) -> dict:
-    """The report of one packed scene, ready for JSON; docs of each figure stand in `sizes_of` and `atoms_of`.
+def build_report(
+    scene: PackedScene, file_bytes: int, record: RunRecord = RunRecord(), views: Sequence[dict] = ()
+) -> Report:
+    """The report of one packed scene; docs of each figure stand in `sizes_of` and `atoms_of`.
 
-    `file_bytes` is the length of the packed file on disk, `record` the run record (above), `views` what
+    `file_bytes` is the length of the packed file on disk, `record` what its run knows, `views` what
     `renderer.evaluate.previews` returned.
 
-    Guarantees: the keys scan, splats, sizes, quality, atoms, learning, numerics, stages, settings, effects, edges,
-    estimate and warnings are always there; what was not measured is None or an empty list, never a guess; nothing is
-    NaN or infinite.
+    Guarantees: what was not measured is None or empty, never a guess; nothing is NaN or infinite.
     """
-    header, record = scene.header, record or {}
-    scan = dict.fromkeys(("name", "format", "n_points")) | {"unit": header.unit, "n_cameras": len(header.cameras)}
-    scan |= header.scan | (record.get("scan") or {})
-    quality = dict.fromkeys(("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db", "geometry"))
-    return strict(
-        {
-            "scan": {key: value for key, value in scan.items() if key != "warnings"},
-            "splats": header.n_splats,
-            "radius": header.radius,
-            "sizes": sizes_of(scene, file_bytes),
-            "quality": quality | (record.get("quality") or {}) | {"views": list(views)},
-            "atoms": atoms_of(scene),
-            "learning": [{"seconds": None, "psnr_db": None} | entry for entry in record.get("learning") or ()],
-            "numerics": dict.fromkeys(NUMERICS)
-            | (record.get("numerics") or {})
-            | {"accumulation": _accumulation(header, views)},
-            "stages": [
-                {"name": None, "seconds": None, "peak_rss_bytes": None} | stage for stage in record.get("stages") or ()
-            ],
-            "settings": record.get("settings") or header.settings,
-            "estimate": record.get("estimate"),
-            "effects": list(record.get("effects") or ()),
-            "edges": list(record.get("edges") or ()),
-            "programs": sorted({name for view in views for name in view.get("programs") or ()}),
-            "warnings": list(scan.get("warnings") or ()),
-        }
+    header, known = scene.header, msgspec.to_builtins(record)
+    of_run = known["scan"]
+    warnings = of_run.pop("warnings")
+    scan = _scan_of(header) | {"unit": header.unit, "n_cameras": len(header.cameras)} | of_run
+    return msgspec.convert(
+        strict(
+            {
+                "scan": scan,
+                "splats": header.n_splats,
+                "radius": header.radius,
+                "sizes": sizes_of(scene, file_bytes),
+                "quality": known["quality"] | {"views": list(views)},
+                "atoms": atoms_of(scene),
+                "learning": known["learning"],
+                "numerics": known["numerics"] | {"accumulation": _accumulation(header, views)},
+                "stages": known["stages"],
+                "settings": record.settings or header.settings,
+                "estimate": known["estimate"],
+                "effects": known["effects"],
+                "edges": known["edges"],
+                "programs": sorted({name for view in views for name in view.get("programs") or ()}),
+                "warnings": warnings,
+            }
+        ),
+        Report,
     )
+
+
+def _scan_of(header: Header) -> dict:
+    """What a packed file says of its scan; None where it does not, or not rightly."""
+    kinds: dict[str, type] = {"name": str, "format": str, "n_points": int}
+    return {name: value if isinstance(value := header.scan.get(name), kind) else None for name, kind in kinds.items()}
 
 
 def _accumulation(header: Header, views: Sequence[dict]) -> str | None:
@@ -147,6 +133,11 @@ def atoms_of(scene: PackedScene) -> dict:
     n_atoms = [batch.n_atoms for batch in scene.header.batches]
     histogram = np.bincount(n_atoms, weights=splats, minlength=scene.header.n_ranks + 1).astype(np.int64)
     return {"histogram": histogram.tolist(), "mean": float(histogram @ np.arange(len(histogram)) / histogram.sum())}
+
+
+def as_json(report: Report) -> dict:
+    """The report as report.json has it."""
+    return strict(msgspec.to_builtins(report))
 
 
 def write_report(folder: Path, report: dict) -> Path:

@@ -11,7 +11,20 @@ from sqlalchemy.exc import InterfaceError, OperationalError
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 
-from services.api import artifacts, dashboard, estimates, events, health, jobs, ogc, owners, page, scans, uploads, words
+from services.api import (
+    artifacts,
+    dashboard,
+    estimates,
+    events,
+    health,
+    jobs,
+    ogc,
+    owners,
+    page,
+    published,
+    scans,
+    uploads,
+)
 from services.api.context import owner_of
 from services.api.door.body import CHANGING, MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyGuard, Guard, cap, first_look, room
 from services.api.door.head import Head
@@ -62,7 +75,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         responses={"4XX": _PROBLEM},
     )
     app.state.settings, app.state.store = settings, Store(settings.database_url)
-    for module in (scans, uploads, estimates, ogc, jobs, events, artifacts, words, owners):
+    for module in (scans, uploads, estimates, ogc, jobs, events, artifacts, published, owners):
         app.include_router(module.router, prefix="/v1")
     app.include_router(health.router)
     app.include_router(page.router)

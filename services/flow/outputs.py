@@ -11,16 +11,20 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
+
 from pipeline.catalogue import RENDER
 from pipeline.execution.stage import StageRecord
 from renderer.evaluate.edges import draw_edges
-from renderer.report.report import build_report, write_report
+from renderer.files import strict
+from renderer.report.document import EdgeShown, RunRecord, StageCost
+from renderer.report.report import as_json, build_report, write_report
 from services.flow.run import Run
 from storage.packed.packed import PackedFile
 
 
-def write_outputs(run: Run, path: Path, photos: Path, record: dict, out: Path, render: bool) -> dict:
-    """previews/, edges/, report.json and report.html beside each other in `out`. Returns the report."""
+def write_outputs(run: Run, path: Path, photos: Path, record: RunRecord, out: Path, render: bool) -> dict:
+    """previews/, edges/, report.json and report.html beside each other in `out`. Returns the report, as report.json has it."""
     from renderer.report.report_page import write_page  # Bokeh takes 2 s to import, which an estimate does without
 
     with PackedFile(path) as packed:
@@ -31,8 +35,12 @@ def write_outputs(run: Run, path: Path, photos: Path, record: dict, out: Path, r
         if render and "cliplines" in scene.arrays and scene.header.cameras
         else []
     )
-    record = record | {"edges": edges, "stages": [stage_row(r) for r in merged(run.records)]}
-    report = build_report(scene, path.stat().st_size, record, views)
+    known = msgspec.structs.replace(
+        record,
+        edges=msgspec.convert(strict(edges), tuple[EdgeShown, ...]),
+        stages=tuple(stage_row(r) for r in merged(run.records)),
+    )
+    report = as_json(build_report(scene, path.stat().st_size, known, views))
     write_report(out, report)
     write_page(out, report, scene)
     return report
@@ -73,17 +81,17 @@ def merged(records: list[StageRecord]) -> list[StageRecord]:
     return list(rows.values())
 
 
-def stage_row(record: StageRecord) -> dict:
+def stage_row(record: StageRecord) -> StageCost:
     """A stage as the report lists it."""
     rate = record.n_splats / record.seconds if record.n_splats and record.seconds > 0 and not record.reused else None
-    return {
-        "name": record.name,
-        "seconds": record.seconds,
-        "peak_rss_bytes": record.peak_rss_bytes or None,
-        "splats_per_second": rate,
-        "tasks": record.n_tasks,
-        "reused": record.reused,
-    }
+    return StageCost(
+        name=record.name,
+        seconds=record.seconds,
+        peak_rss_bytes=record.peak_rss_bytes or None,
+        splats_per_second=rate,
+        tasks=record.n_tasks,
+        reused=record.reused,
+    )
 
 
 @contextmanager

@@ -6,10 +6,23 @@ import shutil
 from dataclasses import asdict
 from pathlib import Path
 
+import msgspec
+from msgspec import UNSET
+
 from pipeline.execution.stage import Executor, Progress
 from pipeline.planning.settings import Settings
 from pipeline.readers.files.spelling import shown
 from pipeline.stages.packed.pack import write_packed
+from renderer.files import strict
+from renderer.report.document import (
+    EstimatedFigure,
+    GeometryErrors,
+    HardCases,
+    LearningPass,
+    Quality,
+    RunRecord,
+    ScanKnown,
+)
 from renderer.report.report import sizes_of
 from services.flow.budget import check_budget
 from services.flow.code import code
@@ -98,15 +111,15 @@ def finish(
     run: Run, path: Path, prepared: Prepared, coded: Coded | None, settings: Settings, out: Path, render: bool
 ) -> dict:
     """Previews and report of a packed file just made."""
-    record = {
-        "scan": _scan_record(prepared),
-        "quality": _quality(prepared, coded),
-        "learning": coded.learning if coded else [],
-        "numerics": _numerics(prepared, coded),
-        "settings": asdict(settings),
-        "effects": prepared.effects.to_json(),
-        "estimate": _estimate(run, path, coded, settings),
-    }
+    record = RunRecord(
+        scan=_scan_record(prepared),
+        quality=_quality(prepared, coded),
+        learning=msgspec.convert(strict(coded.learning if coded else []), tuple[LearningPass, ...]),
+        numerics=_numerics(prepared, coded),
+        settings=asdict(settings),
+        effects=prepared.effects.rows,
+        estimate=msgspec.convert(_estimate(run, path, coded, settings), dict[str, EstimatedFigure] | None),
+    )
     return write_outputs(run, path, prepared.photos, record, out, render)
 
 
@@ -128,7 +141,7 @@ def _estimate(run: Run, path: Path, coded: Coded | None, settings: Settings) -> 
     )
 
 
-def _scan_record(prepared: Prepared) -> dict:
+def _scan_record(prepared: Prepared) -> ScanKnown:
     scan = prepared.scan.summary
     warnings = list(scan.warnings)
     n_bad = prepared.neighbours.summary.n_degenerate
@@ -144,32 +157,37 @@ def _scan_record(prepared: Prepared) -> dict:
     n_blind = prepared.splats.summary.n_without_camera
     if scan.cameras and n_blind:
         warnings.append(f"{n_blind} of {scan.n_points} splats are seen by no camera and have the scan's colour")
-    found = {"unit": scan.unit, "n_points": scan.n_read, "n_cameras": len(scan.cameras), "warnings": warnings}
-    found["unused"] = list(scan.unused)
-    return found | ({"volume": asdict(scan.volume)} if scan.volume else {})
+    return ScanKnown(
+        unit=scan.unit,
+        n_points=scan.n_read,
+        n_cameras=len(scan.cameras),
+        warnings=tuple(warnings),
+        unused=scan.unused,
+        volume=scan.volume or UNSET,
+    )
 
 
-def _numerics(prepared: Prepared, coded: Coded | None) -> dict:
+def _numerics(prepared: Prepared, coded: Coded | None) -> HardCases:
     """The hard cases that were met, counted."""
     scan = prepared.scan.summary
     blind = prepared.splats.summary.n_without_camera if scan.cameras else 0
-    return {
-        "dropped_points": scan.n_dropped,
-        "degenerate_normals": prepared.neighbours.summary.n_degenerate,
-        "flagged_projections": coded.patches.summary.n_flagged if coded else blind,
-        "replaced_atoms": sum(row["replaced_atoms"] for row in coded.learning) if coded else 0,
-        "safeguard_steps": coded.safeguard_steps if coded else 0,
-    }
+    return HardCases(
+        dropped_points=scan.n_dropped,
+        degenerate_normals=prepared.neighbours.summary.n_degenerate,
+        flagged_projections=coded.patches.summary.n_flagged if coded else blind,
+        replaced_atoms=sum(row["replaced_atoms"] for row in coded.learning) if coded else 0,
+        safeguard_steps=coded.safeguard_steps if coded else 0,
+    )
 
 
-def _quality(prepared: Prepared, coded: Coded | None) -> dict:
+def _quality(prepared: Prepared, coded: Coded | None) -> Quality:
     splats = prepared.splats.summary
-    geometry = {
-        "mean_position_error": splats.mean_position_error,
-        "mean_position_error_in_radii": splats.mean_position_error / prepared.radius,
-        "mean_normal_error_degrees": splats.mean_normal_error_degrees,
-    }
-    texture = dict.fromkeys(("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db"))
-    if coded:
-        texture = {k: (vars(coded.patches.summary) | vars(coded.codes.summary))[k] for k in texture}
-    return texture | {"geometry": geometry}
+    geometry = GeometryErrors(
+        mean_position_error=splats.mean_position_error,
+        mean_position_error_in_radii=splats.mean_position_error / prepared.radius,
+        mean_normal_error_degrees=splats.mean_normal_error_degrees,
+    )
+    if coded is None:
+        return Quality(geometry=geometry)
+    codes, patches = coded.codes.summary, coded.patches.summary
+    return Quality(codes.texture_psnr_db, codes.visible_psnr_db, patches.resampling_psnr_db, geometry)

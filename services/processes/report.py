@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import asdict
 from pathlib import Path
+
+from msgspec import UNSET
 
 from pipeline.effects.exposure import exposed
 from pipeline.execution.stage import Executor, Progress
@@ -12,6 +13,7 @@ from pipeline.planning.settings import settings_for
 from pipeline.stages.packed.measure import Measure, ingest_fits
 from pipeline.volumes.open import is_volume
 from pipeline.volumes.request import SurfaceRequest
+from renderer.report.document import HardCases, Quality, RunRecord, ScanKnown
 from services.flow.fingerprint import fingerprint
 from services.flow.outputs import write_outputs
 from services.flow.prepare import ingest_of
@@ -28,7 +30,7 @@ def report(packed: Path, scan: Path, out: Path, executor: Executor, progress: Pr
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".work.", dir=out) as work:
         run = Run(Path(work), executor, progress)
-        quality, numerics = {}, {}
+        quality, n_flagged = Quality(), None
         ingest = surface_points(run, scan, _surface(header.settings)) if is_volume(scan) else ingest_of(run, scan)
         if not ingest_fits(ingest.folder, [c.name for c in header.cameras]):
             raise InvalidScan(
@@ -41,14 +43,14 @@ def report(packed: Path, scan: Path, out: Path, executor: Executor, progress: Pr
             photos = run.do(exposed(ingest.folder, header.effects["exposure"])).folder
         if header.cameras:
             measured = run.do(Measure(photos, packed.resolve(), fingerprint(packed))).summary
-            numerics = {"flagged_projections": measured.n_flagged}
-            quality = {k: getattr(measured, k) for k in ("texture_psnr_db", "visible_psnr_db", "resampling_psnr_db")}
-        volume = {"volume": asdict(ingest.summary.volume)} if ingest.summary.volume else {}
-        record = {
-            "scan": {"n_cameras": len(header.cameras), "warnings": list(ingest.summary.warnings), **volume},
-            "quality": quality,
-            "numerics": numerics | {"dropped_points": ingest.summary.n_dropped},
-        }
+            n_flagged = measured.n_flagged
+            quality = Quality(measured.texture_psnr_db, measured.visible_psnr_db, measured.resampling_psnr_db)
+        read = ingest.summary
+        record = RunRecord(
+            scan=ScanKnown(n_cameras=len(header.cameras), warnings=read.warnings, volume=read.volume or UNSET),
+            quality=quality,
+            numerics=HardCases(dropped_points=read.n_dropped, flagged_projections=n_flagged),
+        )
         return write_outputs(run, packed, photos, record, out, render)
 
 

@@ -11,7 +11,7 @@ import pytest
 from pipeline.planning.knobs import BY_NAME, KNOBS, VIEW_KNOBS, Knob
 from pipeline.planning.settings import PRESETS, Settings, settings_for
 from services.api.jobs import JobOptions
-from services.api.words import get_options
+from services.api.published import get_options
 from services.cli.arguments import WrongArgument, add_settings, settings_of
 from services.docs.knobs import PATH, document
 

@@ -626,6 +626,13 @@ def test_api__health_and_metrics(api, scan):
     assert re.search(r'splatpress_jobs\{status="accepted"\} \d', text) and "splatpress_scan_bytes" in text
 
 
+def test_api__schemas_of_documents_are_published(api):
+    for name in ("report.json", "evaluate.json"):
+        schema = api.get(f"/v1/schemas/{name}").json()
+        assert schema["$id"] == f"/v1/schemas/{name}" and schema["$ref"].removeprefix("#/$defs/") in schema["$defs"]
+    assert api.get("/v1/schemas/other").status_code == 404
+
+
 def test_api__the_page_needs_no_other_host(api):
     for path in ("/", "/docs", "/web/page.js", "/web/page.css", "/web/docs.js"):
         answer = api.get(path)

@@ -10,6 +10,7 @@ import pytest
 from services.cli.main import main
 from storage.errors import ResourceExhausted
 from storage.packed.schema import MAX_ATOMS
+from tests.services.processes.published_schemas import misfits
 from tests.services.scans import photo_scan, point_scan
 
 
@@ -198,6 +199,7 @@ def test_cli__points_alone_go_through_with_previews(tmp_path, capsys, renderer):
     scan = point_scan(tmp_path / "ball.ply")
     code, out, _ = run(capsys, "compress", scan, "--out", tmp_path / "o", "--executor", "serial")
     assert code == 0 and "previews" in out and len(list((tmp_path / "o" / "previews").glob("*.png"))) == 4
+    assert not misfits(tmp_path / "o" / "report.json")
 
 
 def test_cli__report_has_views_beside_the_photographs(scan, compressed, tmp_path, capsys, renderer):

@@ -22,6 +22,7 @@ from services.processes.report import report
 from storage.errors import InvalidScan, ResourceExhausted
 from storage.packed.packed import PackedFile
 from tests.pipeline.execution.test_stage import Heard
+from tests.services.processes.published_schemas import misfits
 from tests.services.scans import photo_scan, point_scan
 
 SETTINGS = settings_for("draft", target_psnr_db=32.0, training_splats=2000, iterations=2)
@@ -58,7 +59,15 @@ def test_workflow__leaves_packed_file_and_report_and_nothing_else(packed_seriall
     out, made = packed_serially
     assert sorted(p.name for p in out.iterdir()) == ["report.html", "report.json", "wavy plane.splatpress"]
     assert [p.name for p in out.parent.iterdir()] == ["serial"]
-    assert json.loads((out / "report.json").read_text()) == made
+    assert json.loads((out / "report.json").read_text()) == json.loads(json.dumps(made))
+    assert not misfits(out / "report.json")
+
+
+def test_schemas__say_what_does_not_fit(packed_serially, tmp_path):
+    document = json.loads((packed_serially[0] / "report.json").read_text())
+    for wrong in ({"splats": "many"}, {"scan": document["scan"] | {"colour": "red"}}, {"quality": None}):
+        (tmp_path / "report.json").write_text(json.dumps(document | wrong))
+        assert misfits(tmp_path / "report.json")
 
 
 def test_workflow__the_report_has_its_keys_and_its_figures_agree(packed_serially):
@@ -209,6 +218,7 @@ def test_workflow__points_without_photographs_have_colours_and_no_dictionary(tmp
     with PackedFile(tmp_path / "out" / "ball.splatpress") as packed:
         colors = packed.read("color")
     assert len(np.unique(colors, axis=0)) > 1000
+    assert not misfits(tmp_path / "out" / "report.json")
 
 
 def test_workflow__a_failure_leaves_nothing_behind_and_the_old_output_alone(scan, tmp_path, monkeypatch):

@@ -16,6 +16,7 @@ from services.processes.evaluate import evaluate
 from storage.errors import InvalidScan
 from tests.pipeline.execution.test_stage import Heard
 from tests.renderer.report.test_report import Elements
+from tests.services.processes.published_schemas import misfits
 from tests.services.scans import photo_scan, point_scan
 
 SETTINGS = settings_for("draft", target_psnr_db=32.0, training_splats=1500, iterations=2)
@@ -47,6 +48,7 @@ def made(scan, tmp_path_factory, renderer):
 def test_evaluate__leaves_the_document_the_page_and_its_pictures(made):
     out, document, _ = made
     assert json.loads((out / "evaluate.json").read_text())["rows"] == json.loads(json.dumps(document["rows"]))
+    assert not misfits(out / "evaluate.json")
     assert sorted(p.name for p in out.iterdir()) == ["close-ups", "evaluate.html", "evaluate.json", "held-out"]
     assert [p.name for p in out.parent.iterdir()] == ["out"]
 

@@ -24,6 +24,7 @@ from tests.hard_cases.scans import write_points
 from tests.pipeline.execution.test_stage import Heard
 from tests.pipeline.readers.shared_data import shared_scan
 from tests.pipeline.volumes.made import ball, middle_of, write_nrrd
+from tests.services.processes.published_schemas import misfits
 
 SHAPE, SPACING = (30, 28, 40), (0.5, 0.5, 0.4)
 LPS = "space: left-posterior-superior\nspace directions: (-0.5,0,0) (0,0.5,0) (0,0,0.4)\nspace origin: (100,-20,7)\n"
@@ -51,6 +52,7 @@ def made(volume: Path, out: Path, executor=None, **settings) -> dict:
 
 def test_compress__a_volume_becomes_the_surfaces_asked_for_in_the_frame_of_the_file(volume, tmp_path):
     told = made(volume, tmp_path / "out", iso="20=#ff0000,50")
+    assert not misfits(tmp_path / "out" / "report.json")
     position, color, scene = packed_of(tmp_path / "out")
     middle = np.array([100, -20, 7]) + middle_of(SHAPE, SPACING) * [-1, 1, 1]
     radius = np.linalg.norm(position - middle, axis=1)

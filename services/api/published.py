@@ -1,7 +1,8 @@
-"""/v1/options, /v1/presets, /v1/webhook-secret: what may be asked for, and how answers are signed."""
+"""What the service tells of itself: options, presets, the schemas of documents, and how webhooks are signed."""
 
 from __future__ import annotations
 
+import functools
 from dataclasses import asdict
 
 from fastapi import APIRouter
@@ -11,8 +12,10 @@ from pipeline.planning.settings import DEFAULT_PRESET, PRESETS
 from services.api.context import Owner
 from services.api.context import Settings as ServiceSettings
 from services.jobs.webhooks import owner_secret
+from services.problems import Problem
 
-router = APIRouter(tags=["words"])
+router = APIRouter(tags=["published"])
+SCHEMAS = ("report.json", "evaluate.json")
 _TYPES = {int: "integer", float: "number", str: "string"}
 
 
@@ -37,6 +40,7 @@ def _option(knob: Knob) -> dict:
 
 @router.get("/presets")
 def get_presets() -> list[dict]:
+    """Every preset with all of its settings."""
     return [
         {"name": name, "default": name == DEFAULT_PRESET, "settings": asdict(settings)}
         for name, settings in PRESETS.items()
@@ -47,3 +51,20 @@ def get_presets() -> list[dict]:
 def get_webhook_secret(owner: Owner, settings: ServiceSettings) -> dict:
     """What the caller's webhooks are signed with, by Standard Webhooks."""
     return {"secret": owner_secret(settings, owner)}
+
+
+@router.get("/schemas/{name}")
+def get_schema(name: str) -> dict:
+    """The JSON Schema (2020-12) of report.json, which every job leaves, and of evaluate.json, which `splatpress evaluate`
+    writes."""
+    if name not in SCHEMAS:
+        raise Problem(404, "not-found", f"no schema {name[:80]!r}", hint=f"allowed: {', '.join(SCHEMAS)}")
+    return _schemas()[name]
+
+
+@functools.cache
+def _schemas() -> dict[str, dict]:
+    from renderer.report.document import Report, schema_of
+    from renderer.report.evaluation_document import EvaluationDocument
+
+    return {name: schema_of(kind, name) for name, kind in zip(SCHEMAS, (Report, EvaluationDocument))}
