@@ -74,6 +74,7 @@ def png_uri(rgb: np.ndarray) -> str:
 
 
 def data_uri(data: bytes, media_type: str) -> str:
+    """Bytes as a data URI, in base64."""
     return f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}"
 
 

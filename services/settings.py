@@ -17,6 +17,8 @@ DAY_S = 86_400
 
 @dataclass(frozen=True)
 class ServiceSettings:
+    """All settings of the service; the environment has each as SPLATPRESS_ and its name."""
+
     data: Path = Path(
         "splatpress-data"
     )  # scans, uploads, work folders, results; shared by API, runner and workers; or s3://BUCKET/PREFIX

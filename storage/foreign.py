@@ -13,6 +13,7 @@ MARKS = ("zarr.json", ".zgroup", ".zarray")
 
 
 def is_store(folder: Path) -> bool:
+    """Whether a folder is a zarr store, by the file that describes it."""
     return any((folder / mark).is_file() for mark in MARKS)
 
 

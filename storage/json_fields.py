@@ -29,14 +29,17 @@ def plain(value, kind: str, name: str):
 
 
 def listed(value, n: int | None = None) -> list | tuple:
+    """The value, a list of `n` values or of any number. Raises TypeError where it is none."""
     if not isinstance(value, (list, tuple)) or n not in (None, len(value)):
         raise TypeError(f"{value!r} is no list of {'any number of' if n is None else n} values")
     return value
 
 
 def numbers(value, n: int) -> tuple[float, ...]:
+    """`n` finite numbers. Raises TypeError where they are not."""
     return tuple(plain(x, "float", "a coordinate") for x in listed(value, n))
 
 
 def whole_numbers(value, n: int) -> tuple[int, ...]:
+    """`n` whole numbers. Raises TypeError where they are not."""
     return tuple(plain(x, "int", "a component") for x in listed(value, n))

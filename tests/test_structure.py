@@ -176,3 +176,16 @@ def test_structure__a_file_holds_one_idea():
         "services/processes/estimate.py": "a pilot, and what it says of the whole",
     }
     assert set(files_that(lambda path: len(path.read_text().splitlines()) > MOST_LINES)) <= set(allowed)
+
+
+def test_structure__every_public_function_and_class_says_what_it_is():
+    """Of modules. Methods are left out: most are those of a protocol (`init`, `run`, `finalise` of a stage), which says
+    what they do."""
+    kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+    silent = [
+        f"{path.relative_to(ROOT).as_posix()}: {node.name}"
+        for path in CODE
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, kinds) and not node.name.startswith("_") and not ast.get_docstring(node)
+    ]
+    assert not silent

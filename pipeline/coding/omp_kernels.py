@@ -28,6 +28,7 @@ ONLY_IDENTITY = np.zeros((1, 1), np.int64)  # the quotients of a dictionary of o
 
 @part(fastmath=FAST)
 def dot(x, y):
+    """The inner product of two float32 vectors, summed in float32, in order."""
     total = np.float32(0)
     for i in range(x.shape[0]):
         total += x[i] * y[i]
@@ -108,6 +109,7 @@ def bound_groups(product, rest, rho, upper):
 
 @part(fastmath=FAST)
 def largest_of(values):
+    """The largest of float32 values, and 0 where none is above it."""
     largest = np.float32(0)
     for i in range(values.shape[0]):
         largest = max(largest, values[i])

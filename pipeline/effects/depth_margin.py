@@ -35,6 +35,7 @@ def _measure_block(block: Block) -> dict:
 
 
 def histogram_of(off: np.ndarray) -> list[int]:
+    """Distances in radii, counted in BINS bins up to OVERLAP_RADII; what is farther counts as the last."""
     return np.histogram(np.minimum(off, OVERLAP_RADII), BINS, (0, OVERLAP_RADII))[0].tolist()
 
 

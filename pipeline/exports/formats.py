@@ -9,6 +9,8 @@ POINTS, GAUSSIANS, PAGE = "points", "Gaussians", "splats"
 
 @dataclass(frozen=True)
 class Format:
+    """A format that packed files are exported to: what its files are called, consist of, and are good for."""
+
     suffix: str
     kind: str  # what it consists of
     media_type: str

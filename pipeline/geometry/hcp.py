@@ -29,6 +29,7 @@ IN_SLICE = 6  # of the 12, the first
 
 @part()
 def parity(row, slice_):
+    """0 or 1: whether a row of a slice is shifted by half a cell."""
     return (row ^ slice_) & 1
 
 
@@ -84,6 +85,7 @@ def cell_of(x, y, z, size):
 
 @part()
 def key_of(column, row, slice_):
+    """One int64 for a cell, ascending by slice, row and column; each from -2^20 to 2^20 - 1."""
     return ((slice_ + (1 << 20)) << 42) | ((row + (1 << 20)) << 21) | (column + (1 << 20))
 
 

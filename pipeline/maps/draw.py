@@ -38,6 +38,7 @@ class Canvas:
 
 
 def empty_canvas(height: int) -> Canvas:
+    """A canvas of `height` rows that nothing has been drawn on: all depths are infinite."""
     shape = (height, COLUMNS * height)
     return Canvas(np.full(shape, np.inf, np.float32), np.zeros((*shape, CHANNELS), np.float32))
 

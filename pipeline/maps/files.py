@@ -51,6 +51,7 @@ def write_map(folder: Path, station_map: StationMap, unit: str) -> list[str]:
 
 
 def has_map(folder: Path, station: int) -> bool:
+    """Whether a folder has the picture of a station's map."""
     return (folder / (name_of(station) + COLOR)).is_file()
 
 

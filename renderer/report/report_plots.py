@@ -104,10 +104,12 @@ def view_dots(views: list[dict]) -> figure:
 
 
 def source_of(data: dict) -> ColumnDataSource:
+    """Columns as Bokeh takes them."""
     return ColumnDataSource({key: list(values) for key, values in data.items()})
 
 
 def plain_figure(height_px: int, **options) -> figure:
+    """A figure in the report's dress: no frame, no tools, as wide as its place."""
     plot = figure(height=height_px, sizing_mode="stretch_width", toolbar_location=None, tools="", **options)
     plot.outline_line_color = None
     plot.background_fill_alpha = plot.border_fill_alpha = 0

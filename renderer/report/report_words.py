@@ -51,20 +51,24 @@ PASSES = {
 
 
 def decibels(value: float | None) -> str:
+    """A PSNR in words; "identical" from BEST_DB on."""
     if value is None:
         return NOT_MEASURED
     return "identical" if value >= BEST_DB else f"{value:.2f} dB"
 
 
 def similarity(value: float | None) -> str:
+    """An SSIM or a FLIP in words, to four places."""
     return NOT_MEASURED if value is None else f"{value:.4f}"
 
 
 def factor(value: float | None) -> str:
+    """A compression factor in words."""
     return NOT_MEASURED if value is None else f"{value:.1f} ×"
 
 
 def percent(value: float | None) -> str:
+    """A share from 0 to 1 in percent."""
     return NOT_MEASURED if value is None else f"{100 * value:.1f} %"
 
 
@@ -118,10 +122,12 @@ ESTIMATE = (  # key, title, in words
 
 
 def in_unit(value: float | None, unit: str) -> str:
+    """A length in words, with the scan's unit."""
     return NOT_MEASURED if value is None else f"{number(value)} {unit}"
 
 
 def setting(value) -> str:
+    """A setting's value as it is typed."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 

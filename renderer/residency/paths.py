@@ -80,6 +80,7 @@ def read_path(path: Path) -> Path90:
 
 
 def path_json(path: Path90) -> dict:
+    """A recorded path as JSON: world-to-camera rotations and centres, a pose a frame."""
     poses = [{"rotation": pose.rotation.tolist(), "centre": pose.centre.tolist()} for pose in path.poses]
     return {"frames_per_second": FRAMES_PER_SECOND, "poses": poses}
 

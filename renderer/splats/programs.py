@@ -39,6 +39,7 @@ class Programs:
 
 
 def variant_name(name: str, defines: dict[str, int]) -> str:
+    """What a shader program is called in the report: its name, and what it was compiled with."""
     words = [name]
     if "N_ATOMS" in defines:
         words.append(f"atoms={defines['N_ATOMS']}")

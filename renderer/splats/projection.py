@@ -22,6 +22,7 @@ def view_block(view: Camera, header: Header) -> bytes:
 
 
 def eye_against_origin(view: Camera, header: Header) -> np.ndarray:
+    """The camera's centre (3,) float64 against the packed file's origin."""
     return np.subtract(view.centre, header.origin, dtype=np.float64)  # (3,)
 
 

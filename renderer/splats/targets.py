@@ -19,6 +19,8 @@ _TYPES = {NARROW: "f2", WIDE: "f4"}
 
 @dataclass(frozen=True)
 class Targets:
+    """What the passes of a picture draw into."""
+
     size: tuple[int, int]  # width and height in px
     visibility: moderngl.Framebuffer  # depth alone
     attribute: moderngl.Framebuffer  # sums, tested against the same depth
@@ -37,6 +39,7 @@ class Targets:
 def make_targets(
     context: moderngl.Context, size: tuple[int, int], accumulation: str = NARROW, smooth: bool = False
 ) -> Targets:
+    """Targets of a size in px. Raises: ResourceExhausted for one that the driver has no textures for."""
     limit = context.info["GL_MAX_TEXTURE_SIZE"]
     if max(size) > limit:
         raise ResourceExhausted("picture", f"{size[0]}x{size[1]} px", f"{limit} px to a side")

@@ -65,6 +65,7 @@ _SECURITY = {
 
 
 def create_app(settings: ServiceSettings) -> FastAPI:
+    """The application of a service with these settings, on its database."""
     app = FastAPI(
         title="splatpress",
         version=VERSION,

@@ -88,6 +88,7 @@ _FILE = {
 @router.head("/jobs/{id}/artifacts/{name:path}", response_class=FileResponse, responses=_FILE)  # type: ignore[arg-type]
 @router.get("/jobs/{id}/artifacts/{name:path}", response_class=FileResponse, responses=_FILE)  # type: ignore[arg-type]
 def get_artifact(job: Job, name: str, settings: Settings, store: Database, request: Request) -> Response:
+    """An artifact of a job, whole or in ranges; 304 where the caller has it already."""
     artifact = store.artifact(job["id"], name) if len(name) <= 300 and name.isprintable() else None
     if artifact is None:
         raise _absent(job, repr(name))

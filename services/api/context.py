@@ -18,10 +18,12 @@ _FORWARDED = {"forwarded", "via", "x-forwarded-for", "x-forwarded-host", "x-forw
 
 
 def settings_of(request: Request) -> ServiceSettings:
+    """The service's settings, of any request."""
     return request.app.state.settings
 
 
 def store_of(request: Request) -> Store:
+    """The service's store, of any request."""
     return request.app.state.store
 
 

@@ -79,11 +79,13 @@ def _checked(path: str) -> str:
 @router.get(PATH)
 @router.get(PATH + "/")
 def get_first(visitor: Visitor) -> RedirectResponse:
+    """The first page of Dask's dashboard."""
     return RedirectResponse(PATH + "/status")
 
 
 @router.get(PATH + "/{path:path}")
 async def get_page(path: str, request: Request, visitor: Visitor, settings: Settings) -> StreamingResponse:
+    """A page of Dask's dashboard."""
     client = httpx.AsyncClient(timeout=30, trust_env=False)
     url = httpx.URL(f"{_base(settings)}/{_checked(path)}", query=request.url.query.encode())
     passed = {name: request.headers[name] for name in _PASSED if name in request.headers}

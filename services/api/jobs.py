@@ -35,6 +35,8 @@ JobOptions = create_model(  # type: ignore[call-overload]
 
 
 class JobRequest(BaseModel):
+    """What a job is asked for with."""
+
     model_config = ConfigDict(extra="forbid")
 
     scan: str = Field(pattern="^[0-9a-f]{64}$")
@@ -51,6 +53,8 @@ class JobRequest(BaseModel):
 
 
 class JobChange(BaseModel):
+    """What its owner may change of a job at any time."""
+
     model_config = ConfigDict(extra="forbid")
 
     pinned: bool | None = None
@@ -143,6 +147,7 @@ def get_jobs(
 
 @router.get("/jobs/{id}")
 def get_job(job: Job, settings: Settings) -> dict:
+    """A job's status, by OGC API - Processes, and what this service adds."""
     return job_document(job, settings)
 
 

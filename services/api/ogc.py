@@ -58,6 +58,7 @@ def _link(rel: str, href: str, kind: str = "application/json") -> dict:
 
 @router.get("/")
 def get_landing_page() -> dict:
+    """Where everything is, by OGC API - Processes."""
     return {
         "title": "splatpress",
         "description": "Turns textured scans into small packed files that a GPU renders directly.",
@@ -74,11 +75,13 @@ def get_landing_page() -> dict:
 
 @router.get("/conformance")
 def get_conformance() -> dict:
+    """The conformance classes that the service meets."""
     return {"conformsTo": [_CONFORMS + name for name in _CLASSES]}
 
 
 @router.get("/processes")
 def get_processes() -> dict:
+    """The kinds of job that there are."""
     return {"processes": [_summary(id) for id in PROCESSES], "links": [_link("self", "/v1/processes")]}
 
 

@@ -17,6 +17,8 @@ DAY_S = 86_400
 
 
 class TokenRequest(BaseModel):
+    """What a token is made with."""
+
     model_config = ConfigDict(extra="forbid")
 
     label: str = Field("", max_length=100, pattern=r"^[^\x00-\x1f\x7f]*$")
@@ -24,12 +26,14 @@ class TokenRequest(BaseModel):
 
 
 def token_document(row: dict) -> dict:
+    """A token as the API shows it: never itself, but by its id."""
     times = {name: timestamp(row[name]) for name in ("created", "expires", "used")}
     return {"id": row["hash"][:ID_LENGTH], "label": row["label"], **times}
 
 
 @router.get("/tokens")
 def get_tokens(owner: Owner, store: Database) -> dict:
+    """The caller's tokens, by their ids."""
     return {"tokens": [token_document(row) for row in tokens_of(store, owner)]}
 
 
@@ -45,6 +49,7 @@ def post_token(request: TokenRequest, owner: Owner, store: Database) -> dict:
 def delete_token(
     id: Annotated[str, Path(pattern=f"^[0-9a-f]{{{ID_LENGTH}}}$")], owner: Owner, store: Database
 ) -> Response:
+    """Revoke a token of the caller's."""
     if not revoke_token(store, owner, id):
         raise Problem(404, "no-such-token", f"no token {id}")
     return Response(status_code=204)

@@ -19,11 +19,13 @@ _FILES = ("page.js", "ask.js", "job.js", "uploads.js", "page.css", "docs.html", 
 
 @router.get("/")
 def get_page() -> FileResponse:
+    """The job page."""
     return FileResponse(_FOLDER / "index.html")
 
 
 @router.get("/docs")
 def get_docs() -> FileResponse:
+    """The API's documentation, made in the browser from the OpenAPI document."""
     return FileResponse(_FOLDER / "docs.html")
 
 
@@ -36,6 +38,7 @@ def get_viewer() -> Response:
 
 @router.get("/web/viewer/{name}")
 def get_viewer_file(name: str) -> Response:
+    """A file of the viewer."""
     found = viewer_file(name)
     if found is None:
         raise Problem(404, "not-found", f"no file {name!r}")
@@ -44,6 +47,7 @@ def get_viewer_file(name: str) -> Response:
 
 @router.get("/web/{name}")
 def get_file(name: str) -> FileResponse:
+    """A file of the job page."""
     if name not in _FILES:
         raise Problem(404, "not-found", f"no file {name!r}")
     return FileResponse(_FOLDER / name)

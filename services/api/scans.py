@@ -38,6 +38,8 @@ async def post_scan(
 
 
 class ScanAddress(BaseModel):
+    """Where a scan is to be fetched from."""
+
     model_config = ConfigDict(extra="forbid")
 
     url: str = Field(max_length=2000, pattern=r"^(https?|s3)://[\x21-\x7e]+$")
@@ -76,6 +78,7 @@ def get_scans(
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
     offset: Annotated[int, Query(ge=0, le=1 << 31)] = 0,
 ) -> dict:
+    """The caller's scans, newest first, a page at a time."""
     rows, n_matched = store.scans(owner, limit, offset)
     documents = [scan_document(row, settings) for row in rows]
     return {"scans": documents, "numberMatched": n_matched, "numberReturned": len(rows)}

@@ -36,11 +36,13 @@ _ABILITIES = {
 
 @router.options("", status_code=204)
 def get_abilities(settings: Settings) -> Response:
+    """What of tus the service does."""
     return Response(status_code=204, headers={**_ABILITIES, "Tus-Max-Size": str(settings.max_upload_bytes)})
 
 
 @router.options("/{id}", status_code=204)
 def get_abilities_of_one(id: JobID, settings: Settings) -> Response:
+    """What of tus the service does, asked of one upload."""
     return get_abilities(settings)
 
 
@@ -109,6 +111,7 @@ def _check_file(file: str) -> None:
 
 
 def upload_of(id: JobID, owner: Owner, settings: Settings, store: Database) -> dict:
+    """The caller's upload of that id. Raises: Problem 404 where there is none."""
     upload = store.upload(id, owner)
     if upload is None:
         raise tus.refusal(404, "no-such-upload", f"no upload {id}")
@@ -122,6 +125,7 @@ Upload = Annotated[dict, Depends(upload_of)]
 
 @router.head("/{id}", dependencies=_versioned)
 def head(upload: Upload, settings: Settings) -> Response:
+    """How far an upload is."""
     metadata = {"Upload-Metadata": upload["metadata"]} if upload["metadata"] else {}
     return Response(headers={**state(upload, settings), "Cache-Control": "no-store", **metadata})
 
@@ -134,6 +138,7 @@ def get_upload(upload: Upload, settings: Settings) -> dict:
 
 @router.delete("/{id}", status_code=204, dependencies=_versioned)
 async def delete(upload: Upload, settings: Settings, store: Database) -> Response:
+    """End an upload and forget what has arrived."""
     async with only_writer(upload_path(settings, upload).parent):
         await run_in_threadpool(discard, upload, settings, store)
     return Response(status_code=204, headers=tus.TUS)

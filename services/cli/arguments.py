@@ -35,6 +35,7 @@ def add_knobs(command: argparse.ArgumentParser, names: Collection[str]) -> None:
 
 
 def add_preset(command: argparse.ArgumentParser) -> None:
+    """The option `--preset`."""
     command.add_argument("--preset", default=DEFAULT_PRESET, metavar="|".join(PRESETS))
 
 

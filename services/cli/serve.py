@@ -20,6 +20,7 @@ PARTS = ("api", "runner")
 
 
 def run_api(settings: ServiceSettings) -> None:
+    """The web part of the service, until it is stopped."""
     import uvicorn
 
     from services.api.app import create_app

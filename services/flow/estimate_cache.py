@@ -16,6 +16,7 @@ FIGURES = ("seconds", "peak_memory_bytes", "gpu_bytes", "texture_psnr_db")
 
 
 def keep_estimate(work_folder: Path, settings: Settings, estimate: dict) -> None:
+    """Keep an estimate in the work folder that it was made in, under its settings."""
     path = _path(work_folder, settings)
     place.make_folder(path.parent)
     work.write_json(path, estimate)

@@ -63,4 +63,5 @@ def take_ballast(data: Path) -> None:
 
 
 def drop_ballast(data: Path) -> None:
+    """Free what was set aside for a full disk."""
     (data / "ballast").unlink(missing_ok=True)

@@ -10,6 +10,7 @@ from services.store.store import LIVE
 
 
 def timestamp(seconds: float | None) -> str | None:
+    """Seconds since 1970 as RFC 3339 in UTC, to a millisecond; None of None."""
     return None if seconds is None else datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
 
 
@@ -84,6 +85,7 @@ def calls_for(header: dict) -> list[str]:
 
 
 def artifact_document(artifact: dict, job: dict, settings: ServiceSettings) -> dict:
+    """An artifact as the API shows it."""
     return {
         "name": artifact["name"],
         "bytes": artifact["bytes"],
@@ -94,6 +96,7 @@ def artifact_document(artifact: dict, job: dict, settings: ServiceSettings) -> d
 
 
 def upload_document(upload: dict, offset: int) -> dict:
+    """An upload as the API shows it, of which `offset` bytes have arrived."""
     return {
         "id": upload["id"],
         "file": upload["file"],

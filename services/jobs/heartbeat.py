@@ -25,6 +25,7 @@ class Heartbeat:
 
 
 def show_gone(folder: Path) -> None:
+    """Say that the runner has ended."""
     place.remove(folder / _ALIVE)
 
 
@@ -34,10 +35,12 @@ def runner_age_s(folder: Path) -> float | None:
 
 
 def show_dashboard(folder: Path, url: str) -> None:
+    """Note the address of Dask's dashboard."""
     place.write_text(folder / _DASHBOARD, url)
 
 
 def dashboard(folder: Path) -> str:
+    """The address of Dask's dashboard; "" where there is none."""
     try:
         return place.read_text(folder / _DASHBOARD).strip()
     except FileNotFoundError:

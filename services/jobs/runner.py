@@ -82,6 +82,7 @@ def run_forever(settings: ServiceSettings, stop: threading.Event | None = None) 
 
 
 def dbos_config(settings: ServiceSettings) -> dict:
+    """The configuration of DBOS: its database, and the version that workflows must be of to go on."""
     url = settings.database_url
     if not settings.database:
         url = f"sqlite:///{settings.data / 'workflows.sqlite'}"

@@ -48,6 +48,7 @@ class Dismissed(Exception):
 
 
 def job_folder(settings: ServiceSettings, id: str) -> Path:
+    """Where all attempts of a job leave what they make."""
     return settings.place / "jobs" / id
 
 

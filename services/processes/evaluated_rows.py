@@ -71,6 +71,7 @@ def average_row(e: Evaluation) -> None:
 
 
 def coded_row(e: Evaluation, key: str, coder: str, **changes) -> None:
+    """A row of our own: the scan coded by `coder`, with the bits that the key names or other changes of settings."""
     if key in CODED_ROWS:
         changes |= dict(zip(("dictionary_bits", "weight_bits"), CODED_ROWS[key]))
     settings = replace(e.settings, **(changes | ({"coder": coder} if coder else {})))
@@ -102,10 +103,12 @@ def coded_row(e: Evaluation, key: str, coder: str, **changes) -> None:
 
 
 def coded_name(key: str, coder: str) -> str:
+    """What a coded row is called: its key, with its coder where there are several."""
     return f"{key}-{coder}" if coder else key
 
 
 def photo_row(e: Evaluation, key: str, lod: int, codec: str, bytes_per_pixel: float | None = None) -> None:
+    """A row of the photographs, halved `lod` times and left as a codec leaves them."""
     variant = e.run.do(PhotoVariant(e.prepared.photos, lod, codec, bytes_per_pixel))
     errors = e.run.do(
         VariantErrors(

@@ -29,6 +29,7 @@ def stored(settings: Settings, process: str, knobs: Mapping[str, Sequence] | Non
 
 
 def settings_of_job(job: dict) -> dict:
+    """A job's settings, without what else its row keeps beside them."""
     return {name: value for name, value in job["settings"].items() if name != _KEY}
 
 

@@ -46,6 +46,7 @@ def migrate(engine: sa.Engine) -> None:
 
 
 def newest() -> str:
+    """The latest revision of the schema."""
     return ScriptDirectory(str(_FOLDER)).get_current_head()
 
 

@@ -16,6 +16,7 @@ NOTE_USE_S = 60.0
 
 
 def token_hash(token: str) -> str:
+    """What is kept of a token: its SHA-256, as hexadecimal digits."""
     return hashlib.sha256(token.encode()).hexdigest()
 
 
@@ -40,15 +41,18 @@ def owner_of(store, token: str) -> str | None:
 
 
 def tokens_of(store, owner: str) -> list[dict]:
+    """An owner's tokens, oldest first."""
     return store._all(sa.select(TOKENS).where(TOKENS.c.owner == owner).order_by(TOKENS.c.created))
 
 
 def revoke_token(store, owner: str, id: str) -> bool:
+    """Whether a token of the owner's began with this id, of ID_LENGTH digits or more; it is gone then."""
     mine = TOKENS.c.hash.startswith(id, autoescape=True) & (TOKENS.c.owner == owner)
     return len(id) >= ID_LENGTH and store._write(TOKENS.delete().where(mine)) == 1
 
 
 def note_action(store, owner: str, action: str, target: str, client: str) -> None:
+    """Write who did what into the log of deeds; texts are cut to what its columns hold."""
     row = {"time": time.time(), "owner": owner, "action": action[:40], "target": target[:100], "client": client[:100]}
     store._write(AUDIT.insert().values(row))
 
@@ -61,4 +65,5 @@ def actions_of(store, owner: str, limit: int, before: int | None = None) -> list
 
 
 def forget_actions(store, before: float) -> None:
+    """Forget deeds from before a time."""
     store._write(AUDIT.delete().where(AUDIT.c.time < before))

@@ -12,6 +12,7 @@ from services.uploads.tus import refusal
 
 
 def upload_path(settings: ServiceSettings, upload: dict) -> Path:
+    """Where an upload arrives."""
     return settings.data / "uploads" / upload["id"] / upload["file"]
 
 

@@ -37,6 +37,7 @@ def safe_name(name: str) -> str:
 
 
 def incoming_folder(settings: ServiceSettings) -> Path:
+    """A new folder for what arrives and is not yet a scan."""
     folder = settings.data / "incoming" / secrets.token_hex(16)
     folder.mkdir(parents=True)
     return folder
@@ -48,10 +49,12 @@ def disk_name(file: str) -> str:
 
 
 def scan_path(settings: ServiceSettings, scan: dict) -> Path:
+    """Where a scan lies."""
     return settings.place / "scans" / scan["id"] / scan["path_name"]
 
 
 def work_folder(settings: ServiceSettings, scan_id: str) -> Path:
+    """Where the stages of a scan's jobs leave their outputs."""
     return settings.place / "work" / scan_id
 
 
@@ -87,6 +90,7 @@ def scans_alone(settings: ServiceSettings) -> AbstractContextManager[None]:
 
 
 def file_hash(path: Path) -> str:
+    """The SHA-256 of a file, as hexadecimal digits."""
     with open(path, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

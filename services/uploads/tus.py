@@ -32,6 +32,7 @@ def refusal(status: int, slug: str, detail: str, **how) -> Problem:
 
 
 def check_version(request: Request) -> None:
+    """Raises: Problem 412 for a request of another version of tus."""
     found = request.headers.get("tus-resumable")
     if request.method not in ("GET", "OPTIONS") and found != VERSION:
         headers = {"Tus-Version": VERSION}
@@ -39,6 +40,7 @@ def check_version(request: Request) -> None:
 
 
 def number(request: Request, name: str) -> int:
+    """A header that is a whole number. Raises: Problem 400 where it is none."""
     text = request.headers.get(name, "")
     if not (text.isascii() and text.isdigit() and len(text) <= 18):
         raise refusal(400, "wrong-header", f"{name.title()} is {text!r}; allowed: a whole number")
@@ -67,6 +69,7 @@ def metadata(text: str) -> dict[str, str]:
 
 
 def checksum(request: Request) -> tuple[str, bytes] | None:
+    """Algorithm and digest of Upload-Checksum; None without it. Raises: Problem 400 where it is not well formed."""
     text = request.headers.get("upload-checksum")
     if text is None:
         return None

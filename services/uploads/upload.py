@@ -100,6 +100,7 @@ def joined(upload: dict, parts: list[dict], settings: ServiceSettings, store: St
 
 
 def accept(upload: dict, settings: ServiceSettings, store: Store) -> dict:
+    """Make a scan of an upload that is whole. Raises: Problem; what is no scan is discarded."""
     path = upload_path(settings, upload)
     try:
         scan, _ = accept_scan(path, upload["owner"], settings, store)
@@ -114,11 +115,13 @@ def accept(upload: dict, settings: ServiceSettings, store: Store) -> dict:
 
 
 def discard(upload: dict, settings: ServiceSettings, store: Store) -> None:
+    """Forget an upload and what has arrived of it."""
     store.forget_upload(upload["id"])
     shutil.rmtree(upload_path(settings, upload).parent, ignore_errors=True)
 
 
 def offset_of(upload: dict, settings: ServiceSettings) -> int:
+    """How many bytes of an upload have arrived."""
     return upload["length"] if upload["scan"] else received(settings, upload)
 
 

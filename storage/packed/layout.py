@@ -37,6 +37,7 @@ def chunk_shape(array: Array, shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def chunk_count(array: Array, shape: tuple[int, ...]) -> int:
+    """How many chunks an array of that shape is kept in."""
     return -(-shape[0] // chunk_shape(array, shape)[0])
 
 
@@ -46,6 +47,7 @@ def chunk_member(array: Array, index: int) -> str:
 
 
 def metadata_member(array: Array) -> str:
+    """The member of the archive that describes an array."""
     return f"{array.name}/{ROOT_MEMBER}"
 
 

@@ -79,6 +79,7 @@ def scan_digest(cameras: Sequence[Camera]) -> str:
 
 
 def page_check(page: bytes) -> bytes:
+    """The check of a page's bytes: blake2b, CHECK_BYTES long."""
     return hashlib.blake2b(page, digest_size=CHECK_BYTES).digest()
 
 

@@ -85,6 +85,7 @@ def put_folder(folder: Path, path: Path) -> None:
 
 
 def is_file(path: Path) -> bool:
+    """Whether a file, or an object of a bucket, is there."""
     return objects.head(path) is not None if is_remote(path) else path.is_file()
 
 
@@ -159,6 +160,7 @@ def scratch(folder: Path) -> Path:
 
 
 def remove(path: Path) -> None:
+    """Remove a file, or an object of a bucket; one that is not there is none to remove."""
     if is_remote(path):
         objects.remove([path])
         cache().forget(path)
@@ -183,6 +185,7 @@ def read_text(path: Path) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
+    """Write text as UTF-8, in a bucket as one object."""
     if is_remote(path):
         objects.put(path, text.encode())
     else:
@@ -190,6 +193,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def touch(path: Path) -> None:
+    """Let an empty file, or object, be there; its folder is made."""
     if is_remote(path):
         objects.put(path, b"")
     else:

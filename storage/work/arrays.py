@@ -74,6 +74,7 @@ def _give_name(folder: Path, aside: str, name: str) -> None:
 
 
 def exists(folder: Path, name: str) -> bool:
+    """Whether a stage's folder has an array of that name."""
     return place.is_file(folder / f"{name}.zarr" / METADATA)
 
 
@@ -240,6 +241,7 @@ def block_range(index: int, n: int, rows: int = BLOCK) -> tuple[int, int]:
 
 
 def n_blocks(n: int, rows: int = BLOCK) -> int:
+    """How many blocks of `rows` rows `n` rows are; the last may be shorter."""
     return -(-n // rows)
 
 

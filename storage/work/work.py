@@ -46,6 +46,7 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
+    """What a JSON file of a work folder holds."""
     return json.loads(place.here(path).read_text())
 
 
@@ -92,6 +93,7 @@ def _plain(value: Any) -> Any:
 
 
 def is_complete(folder: Path) -> bool:
+    """Whether a stage is done: its summary is written last."""
     return place.is_file(folder / "summary.json")
 
 
@@ -103,10 +105,12 @@ def last_complete(work: Path, name: str) -> Path | None:
 
 
 def begin(folder: Path) -> None:
+    """Make a stage's folder, where it is not there."""
     place.make_folder(folder / "results")
 
 
 def parts(folder: Path) -> Path:
+    """The folder for what tasks leave for `finalise` alone."""
     return folder / "parts"
 
 
@@ -134,6 +138,7 @@ def finished_task(folder: Path, index: int) -> dict | None:
 
 
 def record_task(folder: Path, index: int, result: dict) -> None:
+    """Keep the result of a task: it is not run again."""
     write_json(_result_path(folder, index), result)
 
 
@@ -166,4 +171,5 @@ def made_seconds(folder: Path) -> float:
 
 
 def discard(folder: Path) -> None:
+    """Remove a stage's folder with all in it."""
     place.remove_folder(folder)

@@ -62,6 +62,7 @@ class Products(NamedTuple):
 
 @part()
 def new_pool(width, candidates, most):
+    """An empty pool for `width` nodes of at most `most` atoms, with `candidates` each."""
     n = width * candidates
     return Pool(
         np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n), np.empty(n), np.empty((n, most)),

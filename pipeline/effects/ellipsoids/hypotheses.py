@@ -25,4 +25,5 @@ def three_members(hypothesis, count):
 
 @kernel()
 def cross(p0, p1, p2, q0, q1, q2):
+    """The vector product p x q, by components."""
     return p1 * q2 - p2 * q1, p2 * q0 - p0 * q2, p0 * q1 - p1 * q0

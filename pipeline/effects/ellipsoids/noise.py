@@ -23,6 +23,7 @@ def thirds_of(around: Neighbourhood) -> np.ndarray:
 
 
 def histogram_of(third_radii: np.ndarray) -> np.ndarray:
+    """Third radii, as shares of a splat's radius, counted in BINS bins from 0 to 1."""
     return np.histogram(np.minimum(third_radii, 1.0), BINS, (0.0, 1.0))[0]
 
 

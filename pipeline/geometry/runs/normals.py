@@ -136,6 +136,7 @@ def _evenly(target: np.ndarray, goal: np.ndarray, start: np.ndarray) -> tuple[np
 
 
 def companded(d: np.ndarray, scale: float) -> np.ndarray:
+    """Vectors (n, d) with lengths l drawn in to asinh(l / scale): fine steps near 0, coarse ones far out."""
     length = np.linalg.norm(d, axis=-1, keepdims=True)
     return d * np.arcsinh(length / scale) / np.maximum(length, 1e-12)
 

@@ -37,6 +37,8 @@ class PhotoFile:
 
 @dataclass(frozen=True)
 class Photos:
+    """The photographs of a workspace that are there, a camera each, and what is to be said of the others."""
+
     files: tuple[PhotoFile, ...]
     cameras: tuple[Camera, ...]
     warnings: tuple[str, ...]

@@ -33,10 +33,12 @@ Rows = dict[str, np.ndarray]
 
 
 def usual_top(station: Station) -> float:
+    """What white usually is, by a station's declared limits or the type of its colours."""
     return station.color_limits[0][1] if station.color_limits else 1.0 if station.color_is_float else 255.0
 
 
 def decide_station(station: Station, look: Look) -> Decision:
+    """What a station's colours and intensities are taken for, from values that were looked at."""
     attributes = (station.has_colors, station.color_is_float, usual_top(station), station.has_intensity)
     decision = decide(look, *attributes)
     if decision.top is not None and _trusts_limits(station, look, decision.top):
@@ -55,6 +57,7 @@ def _trusts_limits(station: Station, look: Look, top: float) -> bool:
 
 
 def color_of(rows: Rows, station: Station, top: float) -> np.ndarray:  # (n, 3) uint8
+    """Colours (n, 3) uint8; `top` is what white is, 0 by the declared limits."""
     values = np.stack([rows[c] for c in COLOR], axis=1)
     if top:
         return to_8_bits(values, top)
@@ -67,6 +70,7 @@ def color_of(rows: Rows, station: Station, top: float) -> np.ndarray:  # (n, 3) 
 
 
 def local_of(rows: Rows, station: Station) -> np.ndarray:  # (n, 3) float64
+    """Positions (n, 3) float64 in the station's own frame, from Cartesian or spherical coordinates."""
     a, b, c = (rows[name] for name in station.coordinates)
     if station.coordinates == CARTESIAN:
         return np.stack([a, b, c], axis=1)

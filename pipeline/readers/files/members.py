@@ -45,6 +45,8 @@ def escapes(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Folder:
+    """The files below a folder, as `Archive` has those of a .zip."""
+
     path: str
 
     @cached_property
@@ -94,6 +96,8 @@ def _files_below(path: str) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class Archive:
+    """The files of a .zip, as `Folder` has those below a folder."""
+
     path: str
     root: str  # the folder inside that is looked at, with its "/", or ""
     sizes: dict[str, int]  # unpacked bytes by member name below the root

@@ -70,6 +70,7 @@ def _answer(connection: Connection, function: Callable, arguments: tuple, second
 
 
 def main() -> None:
+    """Answer calls on the connection that argv names until it closes, each within its own limits."""
     connection = Connection(int(sys.argv[1]))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever asks decides when to stop
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

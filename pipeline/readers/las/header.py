@@ -50,6 +50,8 @@ class ExtraField:
 
 @dataclass(frozen=True)
 class LasHeader:
+    """The header of a LAS or LAZ file, checked against its length."""
+
     version: str
     point_format: int
     record_size: int

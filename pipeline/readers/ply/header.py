@@ -48,6 +48,8 @@ END = re.compile(rb"(?:^|[\r\n])[ \t]*end_header[ \t]*(?=[\r\n])")
 
 @dataclass(frozen=True)
 class Property:
+    """A property of a PLY element: a scalar, or a list with its count."""
+
     name: str
     dtype: str  # numpy code without byte order; of a list, that of its items
     count_dtype: str = ""  # of a list, that of its length; "" for a scalar
@@ -59,6 +61,8 @@ class Property:
 
 @dataclass(frozen=True)
 class Element:
+    """An element of a PLY file: so many rows of the same properties."""
+
     name: str
     count: int
     properties: tuple[Property, ...]
@@ -80,6 +84,8 @@ class Element:
 
 @dataclass(frozen=True)
 class PlyHeader:
+    """The header of a PLY file, and where its rows begin."""
+
     encoding: str
     elements: tuple[Element, ...]
     comments: tuple[str, ...]

@@ -69,6 +69,7 @@ def part_rows(ingest: Path) -> int:
 
 
 def n_parts(ingest: Path) -> int:
+    """How many tasks the points of an ingest are parted into."""
     return arrays.n_blocks(n_rows(ingest), part_rows(ingest))
 
 

@@ -68,6 +68,7 @@ class Atoms:
 
 
 def store_atoms(folder: Path, dictionary: np.ndarray, form: AtomForm = AtomForm()) -> None:
+    """Write a dictionary (k, d) into a stage's folder, with what the search of its form takes besides."""
     stored = {"dictionary": dictionary}
     if form.n_turns > 1:
         stored["turned"] = dictionary = form.in_turns(dictionary)

@@ -9,12 +9,14 @@ from services.cli.arguments import add_knobs
 
 
 def count(text: str) -> int:
+    """A whole number from 1 on."""
     if not text.isdigit() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 on")
     return int(text)
 
 
 def large_count(text: str) -> int:
+    """A number of splats from 1 to 1e12, as 71e6."""
     try:
         number = float(text)
     except ValueError:
@@ -25,6 +27,7 @@ def large_count(text: str) -> int:
 
 
 def color(text: str) -> tuple[int, int, int]:
+    """A colour (red, green, blue) of #RRGGBB."""
     digits = text.removeprefix("#")
     try:
         if len(digits) != 6:
@@ -36,6 +39,7 @@ def color(text: str) -> tuple[int, int, int]:
 
 
 def size(text: str) -> tuple[int, int]:
+    """Width and height in px, from 1x1 to 16384x16384."""
     try:
         width, height = (int(part) for part in text.lower().split("x"))
     except ValueError:
@@ -46,6 +50,7 @@ def size(text: str) -> tuple[int, int]:
 
 
 def direction(text: str) -> tuple[float, float, float]:
+    """Three finite numbers, right, up and towards the viewer, that are not all 0."""
     try:
         right, up, towards = (float(part) for part in text.split(","))
     except ValueError:
@@ -62,31 +67,37 @@ def add_reading(command: argparse.ArgumentParser) -> None:
 
 
 def add_strict(command: argparse.ArgumentParser) -> None:
+    """The option `--strict`."""
     command.add_argument("--strict", action="store_true", help="warnings about the scan are errors: exit with 3")
 
 
 def add_output(command: argparse.ArgumentParser) -> None:
+    """Where a command writes: `--out`, `--overwrite`, `--work`."""
     command.add_argument("--out", required=True, metavar="DIR")
     command.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
     add_work(command)
 
 
 def add_work(command: argparse.ArgumentParser) -> None:
+    """The option `--work`."""
     command.add_argument("--work", metavar="DIR", help="keep the stages' outputs there, and use what is there already")
 
 
 def add_running(command: argparse.ArgumentParser) -> None:
+    """Options of commands that make a report: where they run, and the gate that it has to pass."""
     add_measuring(command)
     command.add_argument("--require-psnr-db", type=float, metavar="DB", help="exit with 7 below this texture PSNR")
 
 
 def add_executor(command: argparse.ArgumentParser) -> None:
+    """Where a command runs: `--workers`, `--executor`, `--scheduler`."""
     command.add_argument("--workers", type=count, metavar="N", help="worker processes; default: one a core")
     command.add_argument("--executor", choices=("dask", "serial"), default="dask")
     command.add_argument("--scheduler", metavar="tcp://...", help="a running Dask scheduler")
 
 
 def add_measuring(command: argparse.ArgumentParser) -> None:
+    """Options of commands that measure: where they run, `--no-render`, `--json`."""
     add_executor(command)
     command.add_argument("--no-render", action="store_true", help="no pictures: needs no OpenGL")
     command.add_argument("--json", action="store_true", help="what was measured as the last line of stdout")

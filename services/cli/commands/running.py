@@ -11,6 +11,7 @@ from storage.errors import InvalidScan, ResourceExhausted
 
 
 def executor_for(options: argparse.Namespace):
+    """What runs the tasks of a command with these options."""
     from pipeline.execution.executors import DaskExecutor, SerialExecutor
 
     if options.executor == "serial":
@@ -19,12 +20,14 @@ def executor_for(options: argparse.Namespace):
 
 
 def progress_bars():
+    """What shows on the terminal how stages come on."""
     from services.cli.progress import ProgressBars
 
     return ProgressBars()
 
 
 def scan_path(text: str) -> Path:
+    """The path of a file or folder. Raises: FileNotFoundError where it is not there."""
     path = Path(text)
     if not path.exists():
         raise FileNotFoundError(f"{text}: no such file or folder")
@@ -61,10 +64,12 @@ def needs_photographs(scan: Path, settings: Settings, why: str) -> None:
 
 
 def made_folder(folder: Path) -> Path:
+    """The folder, made with its parents where it was not there."""
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
 def refuse_to_overwrite(out: Path, overwrite: bool) -> None:
+    """Raises: WrongArgument where `out` has something in it, and nobody said that it may go."""
     if out.exists() and not overwrite and (not out.is_dir() or any(out.iterdir())):
         raise WrongArgument(f"--out {out} exists and is not empty; choose another, or say --overwrite")

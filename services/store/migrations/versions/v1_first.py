@@ -12,6 +12,7 @@ def _job(**how) -> sa.Column:
 
 
 def upgrade() -> None:
+    """The first tables."""
     op.create_table(
         "tokens",
         sa.Column("hash", sa.String(64), primary_key=True),

@@ -9,6 +9,7 @@ down_revision = "1"
 
 
 def upgrade() -> None:
+    """Scans are known to each owner under that owner's name for them."""
     op.add_column("scan_owners", sa.Column("file", sa.String(200), nullable=False, server_default=""))
     op.add_column("scan_owners", sa.Column("header", sa.JSON, nullable=False, server_default="{}"))
     op.add_column("scan_owners", sa.Column("created", sa.Float, nullable=False, server_default="0"))
