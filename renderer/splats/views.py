@@ -34,25 +34,28 @@ def view_of(camera: Camera, size: tuple[int, int] | None = None) -> Camera:
     )
 
 
-def orbit_views(scene: PackedScene, n: int, size: tuple[int, int]) -> list[Camera]:
-    """`n` cameras in a circle around the scene, looking slightly down on its middle, which fills the picture.
+def orbit_views(
+    scene: PackedScene, n: int, size: tuple[int, int], up: tuple[float, float, float] | None = None
+) -> list[Camera]:
+    """`n` cameras in a circle around the scene, looking slightly down on its middle, which fills the picture. `up` is
+    where the picture's top is, of a scene that lies otherwise than its header says.
 
     The first one stands where the photographs were taken from, if there are any.
     """
     has_strays = not has_own_lamp(scene.header)  # surfaces of a volume have none: all of them is to be seen
     low, high = trimmed_box(scene, TRIMMED_SHARE if has_strays else 0.0)
     middle = (low + high) / 2 + scene.header.origin
-    up = up_direction(scene.header)
-    start = _start_direction(scene.header, middle, up)
-    side = np.cross(up, start)
+    above = up_direction(scene.header) if up is None else np.array(up) / np.linalg.norm(up)
+    start = _start_direction(scene.header, middle, above)
+    side = np.cross(above, start)
     field = np.radians(ORBIT_FIELD_DEGREES)
     distance = max(np.linalg.norm(high - low) / 2, scene.header.radius) / np.sin(field / 2)
     height = np.radians(ORBIT_HEIGHT_DEGREES)
     views = []
     for index, angle in enumerate(np.arange(n) * 2 * np.pi / n):
         level = np.cos(angle) * start + np.sin(angle) * side
-        centre = middle + distance * (np.cos(height) * level + np.sin(height) * up)
-        views.append(_camera_at(f"orbit_{index:03d}", centre, middle, up, field, size))
+        centre = middle + distance * (np.cos(height) * level + np.sin(height) * above)
+        views.append(_camera_at(f"orbit_{index:03d}", centre, middle, above, field, size))
     return views
 
 
@@ -83,6 +86,10 @@ def _start_direction(header: Header, middle: np.ndarray, up: np.ndarray) -> np.n
         level = mean - (mean @ up) * up
         if np.linalg.norm(level) > 1e-6 * np.linalg.norm(mean):
             towards = level
+    if abs(towards @ up) > 1e-9 * np.linalg.norm(towards):  # another up than the header's
+        towards = towards - (towards @ up) * up
+    if np.linalg.norm(towards) < 1e-6:
+        towards = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     return towards / np.linalg.norm(towards)
 
 

@@ -34,6 +34,7 @@ def render_views(
     light: Light | None = None,
     background: tuple[int, int, int] | None = None,
     animated: bool = False,
+    up: tuple[float, float, float] | None = None,
 ) -> list[Path]:
     """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`, with their coverage as alpha or on a
     `background`, and where `animated` into turntable.webp beside them; returns their paths. `precision`
@@ -44,7 +45,7 @@ def render_views(
     if camera is not None:
         views = [view_of(_camera_named(scene.header, camera, packed), size)]
     else:
-        views = orbit_views(scene, n_orbit, size or DEFAULT_SIZE)
+        views = orbit_views(scene, n_orbit, size or DEFAULT_SIZE, up)
     renderer = Renderer()
     gpu_scene = GpuScene(scene, renderer.context)
     if precision != "auto":

@@ -54,7 +54,9 @@ def direction(text: str) -> tuple[float, float, float]:
     try:
         right, up, towards = (float(part) for part in text.split(","))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not RIGHT,UP,TOWARDS, as 1,1,1") from None
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no direction; allowed: three numbers with commas, as 1,1,1"
+        ) from None
     if not 0 < right * right + up * up + towards * towards < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is no direction; allowed: three finite numbers, one of them not 0")
     return right, up, towards

@@ -32,6 +32,12 @@ def add_render(commands) -> None:
         metavar="RIGHT,UP,TOWARDS",
         help="a distant lamp that way from the viewer, as 1,1,1; default: as photographed",
     )
+    render.add_argument(
+        "--up",
+        type=direction,
+        metavar="X,Y,Z",
+        help="of --orbit: the scan's direction that is up, as 0,1,0; default: 0,0,1, or as photographed",
+    )
     add_view_knobs(render)
     render.add_argument("--out", required=True, metavar="DIR")
     render.set_defaults(command=_render)
@@ -52,6 +58,7 @@ def _render(options: argparse.Namespace) -> int:
         max_atoms=options.atoms,
         precision=options.precision,
         light=lamp(*options.light) if options.light else None,
+        up=options.up,
     )
     for path in paths:
         print(path)

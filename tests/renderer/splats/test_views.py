@@ -61,6 +61,15 @@ def test_orbit_views__begin_where_the_photographs_were_taken():
     assert away[1] < -1 and abs(away[0]) < 0.3
 
 
+@pytest.mark.parametrize("up", [(0, 1, 0), (0, 3, 4), (-1, 0, 0), (1, 0, 0)])
+def test_orbit_views__stand_upright_in_the_direction_that_is_asked_for(up):
+    for view in orbit_views(scene_with_strays(), 5, (120, 80), up):
+        assert np.linalg.det(view.rotation) == pytest.approx(1)
+        higher = np.add((10, 20, 30), np.array(up) / np.linalg.norm(up) * 0.5)
+        middle = project(view, (10, 20, 30))
+        assert project(view, higher)[1] < middle[1] and project(view, higher)[0] == pytest.approx(middle[0], abs=6)
+
+
 def test_up_direction__points_to_the_tops_of_the_photographs():
     upright = camera_looking((0, -3, 0), (0, 0, 0))
     hanging = replace(upright, rotation=tuple(map(tuple, (np.diag([-1, -1, 1]) @ upright.rotation).tolist())))
