@@ -155,6 +155,15 @@ CATALOGUE = (
         when="station maps, and the plan has cliplines on",
     ),
     StageEntry(
+        "map-pictures", "stages/maps/map_pictures.py", Phase.TEXTURE, Task.STATION,
+        "each map as the packed file holds it: WebP for the target's PSNR, codes of depth", ("panoramas",), share=3,
+        when="station maps and `--texture map`, or auto",
+    ),
+    StageEntry(
+        "mapped-splats", "stages/maps/mapped_splats.py", Phase.TEXTURE, Task.BLOCK,
+        "which map textures each splat, and its mean colour", ("panoramas", "splats"), share=8, when="`--texture map`",
+    ),
+    StageEntry(
         "resample-maps", "stages/maps/resample_maps.py", Phase.TEXTURE, Task.BLOCK,
         "32x32 patches from the map that shows a splat best", ("panoramas", "splats"), share=12, when="station maps",
     ),

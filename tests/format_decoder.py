@@ -1,4 +1,4 @@
-"""A decoder and a renderer of packed files made from docs/FORMAT.md alone: numpy and zarr, nothing of the product.
+"""A decoder and a renderer of packed files made from docs/FORMAT.md alone: numpy, zarr and Pillow, nothing of the product.
 
 What this file needs and the page lacks is a mistake of the page. Slow: one splat after the other, in float64.
 """
@@ -6,10 +6,12 @@ What this file needs and the page lacks is a mistake of the page. Slow: one spla
 from __future__ import annotations
 
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import zarr
+from PIL import Image
 from zarr.storage import ZipStore
 
 NEAR_IN_RADII, NUDGE, LEAST_WEIGHT, SMALLEST_PX = 0.01, 1e-5, 1 / 1024, 1e-3
@@ -39,7 +41,65 @@ class Decoded:
     color: np.ndarray  # (3,) sRGB
     atoms: list[tuple[int, int, float]]  # atom, turn, what its texels are times
     clipline: np.ndarray | None  # a, b, c
+    station: int  # the map that it is textured from, -1 for none
     axes: np.ndarray | None  # (3, 3) half axes of an ellipsoid as rows
+
+
+@dataclass(frozen=True)
+class Map:
+    """What a station saw."""
+
+    centre: np.ndarray
+    height: int
+    nearest: float
+    step: float
+    color: np.ndarray  # (h, 6 h, 3)
+    codes: np.ndarray  # (h, 6 h)
+
+    def place(self, x: float, y: float, z: float) -> tuple[int, float, float]:
+        """Chart (0 bottom, 1 top, 2 band), column and row of a direction."""
+        h, rho = self.height, np.hypot(x, y)
+        if abs(z) <= rho:
+            turn = np.arctan2(y, x) / (2 * np.pi)
+            return 2, h * (4 * (turn - np.floor(turn)) + 2), h * (2 / np.pi * np.arctan2(z, rho) + 0.5)
+        r = 2 / np.pi * np.arctan2(rho, abs(z)) / max(rho, 1e-30)
+        return int(z > 0), h * (x * r + 0.5 + (z > 0)), h * (y * r + 0.5)
+
+    def taps(self, chart: int, column: float, row: float, level: int = 0) -> list[tuple[int, int, float]]:
+        """Row, column and weight of the four texels of a level about a place of level 0."""
+        h, column, row = self.height >> level, column / 2**level - 0.5, row / 2**level - 0.5
+        found = []
+        for dy in (0, 1):
+            for dx in (0, 1):
+                c, r = int(np.floor(column)) + dx, int(np.floor(row)) + dy
+                weight = (1 - abs(column - c)) * (1 - abs(row - r))
+                c = 2 * h + (c - 2 * h) % (4 * h) if chart == 2 else min(max(c, chart * h), chart * h + h - 1)
+                found.append((min(max(r, 0), h - 1), c, weight))
+        return found
+
+    def shown(self, f: np.ndarray, slack: float) -> tuple[str, list]:
+        """Whether it shows a fragment at `f` from the station, hides it, or leaves it free, and the taps that fit."""
+        away = np.linalg.norm(f)
+        if slack > away / 2:
+            return "hidden", []
+        code, off = 1 + np.log(away / self.nearest) / self.step, slack / away / self.step
+        taps = [tap for tap in self.taps(*self.place(*f)) if self.codes[tap[:2]] > 0]
+        fit = [tap for tap in taps if abs(self.codes[tap[:2]] - code) <= off]
+        before = sum(w for r, c, w in taps if self.codes[r, c] < code - off)
+        if sum(w for *_, w in fit) >= 0.25:
+            return "shown", fit
+        return ("hidden" if before >= 0.25 else "free"), []
+
+    def look_up(self, f: np.ndarray, fit: list, level: int) -> np.ndarray:
+        """(3,) sRGB, 255 is white."""
+        taps, n = (fit, 1) if level == 0 else (self.taps(*self.place(*f), level), 2**level)
+        total, weights = np.zeros(3), 0.0
+        for row, column, weight in taps:
+            block = slice(row * n, row * n + n), slice(column * n, column * n + n)
+            known = self.codes[block] > 0
+            total += weight * (self.color[block] * known[..., None]).sum(axis=(0, 1)) / n**2
+            weights += weight * known.mean()
+        return total / max(weights, 1e-9)
 
 
 @dataclass(frozen=True)
@@ -188,6 +248,19 @@ class Packed:
             )
         return found
 
+    def map(self, k: int) -> Map:
+        """Colours and depth codes of a map."""
+        frames = self.header["maps"]
+        at_color = sum(f["color_bytes"] for f in frames[:k])
+        at_texel = sum(6 * f["height_px"] ** 2 for f in frames[:k])
+        height, n = frames[k]["height_px"], 6 * frames[k]["height_px"] ** 2
+        with Image.open(BytesIO(self.arrays["map_colors"][at_color : at_color + frames[k]["color_bytes"]])) as picture:
+            color = np.array(picture.convert("RGB"))
+        q = [self.arrays[f"map_depth_{name}"][at_texel : at_texel + n].astype(int) for name in ("low", "high")]
+        q = q[0] + 256 * q[1]
+        codes = np.where(q % 2, -(q + 1) // 2, q // 2).reshape(height, 6 * height).cumsum(axis=0) % 65536
+        return Map(np.array(frames[k]["centre"]), height, frames[k]["nearest"], frames[k]["depth_step"], color, codes)
+
     def splat(self, i: int) -> Decoded:
         frame, batch, line, axes = self.frame(i), self.batches[self.batch[i]], None, None
         if batch["clipline"]:
@@ -199,7 +272,9 @@ class Packed:
             lengths = self.radius(i) * 2.0 ** ((np.array([word >> 8 & 255, word >> 16 & 255, word >> 24]) - 191) / 32)
             u, v, normal = frame
             axes = lengths[:, None] * np.array([np.cos(t) * u + np.sin(t) * v, np.cos(t) * v - np.sin(t) * u, normal])
-        return Decoded(self.position(i), self.radius(i), frame, self.color(i), self.atoms(i), line, axes)
+        station = int(self.arrays["station"][i]) if "station" in self.arrays else 255
+        station = -1 if station == 255 else station
+        return Decoded(self.position(i), self.radius(i), frame, self.color(i), self.atoms(i), line, station, axes)
 
     def sum_of_atoms(self, atoms: list[tuple[int, int, float]], place: np.ndarray, level: int) -> np.ndarray:
         """(m, 3) at the places (m, 2), at a level: 0 has 32 texels to a side."""
@@ -248,20 +323,50 @@ def render(packed: Packed, view: View) -> tuple[np.ndarray, np.ndarray]:
         fragments(splat, view, NEAR_IN_RADII * packed.header["radius"], packed.header["margin_radii"])
         for splat in splats
     ]
+    tiers, colors = zip(*(map_tiers(packed, *pair) for pair in zip(splats, drawn, strict=True)), strict=True)
     n_pixels = view.width_px * view.height_px
     surface, light, weights = np.full(n_pixels, np.inf), np.zeros((n_pixels, 3)), np.zeros(n_pixels)
-    for found in drawn:
+    for found, tier in zip(drawn, tiers, strict=True):
         hides = found.d2 < 0.7
-        np.minimum.at(surface, found.pixel[hides], found.pushed_z[hides])
-    for splat, found in zip(splats, drawn, strict=True):
+        np.minimum.at(surface, found.pixel[hides], (found.pushed_z * tier)[hides])
+    for found, tier, color in zip(drawn, tiers, colors, strict=True):
         if len(found.pixel):
-            weight = (1 - found.d2) * (found.z <= surface[found.pixel])
-            np.add.at(light, found.pixel, weight[:, None] * packed.patch_color(splat, found.place, found.area_px))
+            weight = (1 - found.d2) * (found.z * tier <= surface[found.pixel]) * np.isfinite(tier)
+            np.add.at(light, found.pixel, weight[:, None] * color)
             np.add.at(weights, found.pixel, weight)
     covered = weights >= LEAST_WEIGHT
     picture = np.zeros((n_pixels, 3))
     picture[covered] = to_srgb((light[covered] / weights[covered, None]).clip(0, 1))
     return picture.reshape(view.height_px, view.width_px, 3), covered.reshape(view.height_px, view.width_px)
+
+
+SECOND = 2.0**40  # what depths of the second tier are times, to lie behind all of the first
+
+
+def map_tiers(packed: Packed, splat: Decoded, found: Fragments) -> tuple[np.ndarray, np.ndarray]:
+    """What depths of fragments are times, infinite where the map leaves them free, and their colours (m, 3) in linear light."""
+    color = packed.patch_color(splat, found.place, found.area_px)
+    tier = np.ones(len(color))
+    if splat.station < 0:
+        return tier, color
+    seen = packed.map(splat.station)
+    middle = splat.position - seen.centre
+    axes = splat.radius * splat.frame[:2] if splat.axes is None else splat.axes[:2]
+    across, away, texel = np.cross(*axes), np.linalg.norm(middle), np.pi / 2 / seen.height
+    along = abs(middle @ across) / np.linalg.norm(across)
+    slope = min(10, np.sqrt(max(away**2 - along**2, 0)) / max(along, 1e-30))
+    slack = 0.0075 * away + 0.5 * splat.radius + texel * away * slope
+    level = 0
+    if found.area_px is not None:
+        n_texels = abs(middle @ across) / (away * (texel * away) ** 2)
+        level = int(np.floor(max(0.0, 0.5 * np.log2(n_texels / 2 / max(found.area_px, 0.25))) + 0.45))
+    for i, place in enumerate(found.place):
+        f = middle + place @ axes
+        what, fit = seen.shown(f, slack)
+        tier[i] = {"shown": 1.0, "hidden": SECOND, "free": np.inf}[what]
+        if what == "shown":
+            color[i] = to_linear(seen.look_up(f, fit, min(level, 4)) / 255)
+    return tier, color
 
 
 def fragments(splat: Decoded, view: View, near: float, margin_radii: float) -> Fragments:

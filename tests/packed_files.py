@@ -6,11 +6,13 @@ Any bits make a valid position, normal, colour or code, so nothing here goes thr
 from __future__ import annotations
 
 import shutil
+from base64 import b64decode
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from storage.maps import NO_MAP, StoredMap
 from storage.packed.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.packed.scene import streams_of
 from storage.packed.schema import BOXES, CHUNK, FORMS, GROUP, NO_CAMERA, RUNS, Batch, Camera, Header, RunGrid, arrays_of
@@ -41,6 +43,15 @@ class Case:
     color_step: int = 0
     size_bits: int = 0
     runs: bool = False
+    n_maps: int = 0
+
+
+# A WebP of 96 x 16 pixels, as encoders differ: waves of red along the columns, green along the rows.
+WEBP = b64decode(
+    "UklGRrIAAABXRUJQVlA4IKYAAADwBQCdASpgABAAPtFapku/paOhqqwD8BoJbACdMoR3N7d+QHJUlA/w0Oy7YtmpMRreVzKnlTQr"
+    "AAD+7hmtEz4RTSHIyO71Zrf/pvSCZm1qhQgr8o+kY527HIPJBh+t1pHRe9Lw+wHfi7XMlnljN1X/s1KCZ1RRZpnbldYPAu0krY0i"
+    "LwuHaE5JCdx6Rz5q9wJZecLLPp0BDDq8y02AWBiHHQbNJmAA"
+)
 
 
 def noise(n: int, seed: int, below: int, period: int = 1 << 40) -> np.ndarray:
@@ -80,6 +91,9 @@ def header_of(case: Case) -> Header:
         color_step=case.color_step,
         geometry=RUNS if case.runs else BOXES,
         runs=RunGrid(0.7, 1, len(_sections(case)), len(_run_lengths(case))) if case.runs else None,
+        maps=tuple(
+            StoredMap((450000.0 + i, 5400000.5, 90.0), 16, 2.0, 0.005 * (i + 1), len(WEBP)) for i in range(case.n_maps)
+        ),
     )
 
 
@@ -105,6 +119,8 @@ def arrays_for(case: Case, header: Header) -> dict[str, np.ndarray]:
     arrays |= _streams(case, header, arrays["batch_count"])
     if header.n_dictionary:
         arrays |= _dictionary(header)
+    if header.maps:
+        arrays |= _maps(case, header)
     if header.cameras:
         camera = noise(n, 7, len(header.cameras) + 1, case.period)
         arrays["camera"] = np.where(camera < len(header.cameras), camera, NO_CAMERA).astype(np.uint16)
@@ -274,6 +290,21 @@ def _packed(field: np.ndarray, width: int) -> np.ndarray:
     whole = np.zeros(-(-len(bits) // 32) * 32, np.uint8)
     whole[: len(bits)] = bits
     return np.packbits(whole, bitorder="little").view("<u4").astype(np.uint32)
+
+
+def _maps(case: Case, header: Header) -> dict[str, np.ndarray]:
+    """The same picture for each map; surfaces at the distances that their splats lie at, more or less, with holes."""
+    n_texels, station = 6 * 16**2, noise(case.n_splats, 17, case.n_maps + 1, case.period)
+    folded = np.zeros((case.n_maps, 16, 96), np.uint16)
+    folded[:, 0] = 2 * (500 + noise(96, 18, 40))
+    folded[:, 1:] = noise(case.n_maps * 15 * 96, 19, 9).reshape(case.n_maps, 15, 96)
+    assert folded.size == case.n_maps * n_texels
+    return {
+        "station": np.where(station < case.n_maps, station, NO_MAP).astype(np.uint8),
+        "map_colors": np.frombuffer(WEBP * case.n_maps, np.uint8),
+        "map_depth_low": (folded & 255).astype(np.uint8).ravel(),
+        "map_depth_high": (folded >> 8).astype(np.uint8).ravel(),
+    }
 
 
 def _dictionary(header: Header) -> dict[str, np.ndarray]:

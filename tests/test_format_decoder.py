@@ -14,6 +14,7 @@ from storage.packed.packed import PackedFile
 from storage.packed.schema import Camera
 from tests import format_decoder
 from tests.format_decoder import Packed, View, render
+from tests.mapped_scenes import STATION, wall_map, with_maps
 from tests.packed_files import Case, write_arrays, write_packed_file
 from tests.reference_packed import decode_clipline, decode_patch, decode_position, decode_radius
 from tests.renderer.reference_renderer import agreement_db
@@ -25,6 +26,7 @@ CASES = [
     Case(size_bits=3, ellipsoids=True, runs=True),
     Case(dictionary_bits=12, n_dictionary=300, atom_size=8, n_turns=8, cliplines=True),
     Case(n_dictionary=0, atom_counts=(0,), color_step=112, cliplines=True, ellipsoids=True),
+    Case(n_dictionary=0, atom_counts=(0,), n_maps=2),
     Case(
         atom_counts=(0, 5, 16),
         n_ranks=16,
@@ -41,7 +43,7 @@ def test_format_decoder__knows_nothing_of_the_product():
     tree = ast.parse(Path(format_decoder.__file__).read_text())
     names = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     names |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
-    assert names == {"__future__", "dataclasses", "pathlib", "numpy", "zarr", "zarr.storage"}
+    assert names == {"__future__", "dataclasses", "io", "pathlib", "numpy", "zarr", "zarr.storage", "PIL"}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -101,12 +103,15 @@ def scene_of(name):
         return build_scene(sheet(rng, 100, **sizes, **coded(rng, 100)), Settings(radius=0.12), plain)
     if name == "ellipsoids":
         return build_scene(sheet(rng, 100, axes=thin_axes(rng, 100), **coded(rng, 100)), Settings(radius=0.1), plain)
+    if name == "maps":
+        scene = build_scene(sheet(rng, 80, axes=thin_axes(rng, 80), tilt=0.1), Settings(radius=0.15))
+        return with_maps(scene, wall_map(), wall_map(STATION + [0.5, 0.2, 0.1], 112), station=rng.integers(-1, 2, 80))
     scene = build_scene(sheet(rng, 100, **coded(rng, 100)), Settings(radius=0.15), plain)
     return replace(scene, header=replace(scene.header, effects={"level_blending": {}})) if name == "blended" else scene
 
 
 @pytest.mark.parametrize("distance", [0.9, 4.0, 12.0])
-@pytest.mark.parametrize("name", ["atoms", "turned", "cliplines", "ellipsoids", "sizes", "blended"])
+@pytest.mark.parametrize("name", ["atoms", "turned", "cliplines", "ellipsoids", "sizes", "blended", "maps"])
 def test_format_decoder__draws_what_the_product_does(renderer, name, distance, tmp_path):
     scene = scene_of(name)
     packed = Packed(write_arrays(scene.header, scene.arrays, tmp_path / "a.splatpress"))

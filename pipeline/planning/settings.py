@@ -68,7 +68,7 @@ class Settings:
         """What is asked of effects, with what `texture` says of station maps, and a number of `levels` of these."""
         from pipeline.effects.plan.request import canonical_request  # finds all effects, which `inspect` can do without
 
-        asked = {"color": "off", "atoms": "on"}.get(self.texture)
+        asked = {"color": "off", "atoms": "on", "map": "on"}.get(self.texture)
         parts = [f"station_maps={asked}"] if asked else []
         parts += [] if self.levels is None else [f"levels={'on' if self.levels else 'off'}"]
         return canonical_request([self.effects, *parts])

@@ -42,6 +42,7 @@ class Sizes(Part, frozen=True):
     codes_bytes: int
     colors_bytes: int
     dictionary_bytes: int
+    maps_bytes: int
     provenance_bytes: int
     gpu_bytes: int
     file_bytes: int

@@ -12,11 +12,12 @@ from pipeline.effects.plan.request import OFF, asked_by
 from renderer.files import strict, write_json
 from renderer.report.document import Report, RunRecord
 from storage.packed.groups import FIRST_WORDS
+from storage.packed.layout import bytes_on_gpu
 from storage.packed.packed import PackedScene
 from storage.packed.schema import BY_NAME, Camera, Header
 
 REPORT_NAME = "report.json"
-GPU_PARTS = ("geometry", "codes", "colors", "dictionary")
+GPU_PARTS = ("geometry", "codes", "colors", "dictionary", "maps")
 SOURCE_BYTES_PER_PIXEL = 4  # three channels, times 4/3 for the mip levels
 
 
@@ -81,14 +82,15 @@ def accumulation_of(views: Sequence[dict]) -> str | None:
 def sizes_of(scene: PackedScene, file_bytes: int) -> dict:
     """Bytes by part and the compression factors, as Table 1 of the paper counts them.
 
-    - `geometry_bytes`, `codes_bytes`, `colors_bytes`, `dictionary_bytes`: the arrays of each part of
-      `storage.packed.schema`, uncompressed, which is what a GPU takes; `arrays` has them one by one.
+    - `geometry_bytes`, `codes_bytes`, `colors_bytes`, `dictionary_bytes`, `maps_bytes`: the arrays of each
+      part of `storage.packed.schema`, uncompressed, which is what a GPU takes (pictures of maps as textures); `arrays` has
+      them one by one.
     - `gpu_bytes`: their sum. The camera of each splat (`provenance_bytes`) is not among them: no shader reads it.
     - `file_bytes`: the packed file on disk, where zarr has compressed the arrays once more.
     - `bytes_per_splat`: gpu_bytes / splats.
     - `source_texture_bytes`: the photographs as a renderer would hold them, RGB8 with mip levels (LOD 0 of Table 1):
       the sum of width * height * 3 * 4/3.
-    - `compression_factor_texture`: source_texture_bytes / (codes + colors + dictionary).
+    - `compression_factor_texture`: source_texture_bytes / (codes + colors + dictionary + maps).
     - `compression_factor_total`: (geometry_bytes + source_texture_bytes) / gpu_bytes. The geometry is quantised on
       both sides, so this factor shows what the textures alone give to the whole.
 
@@ -97,7 +99,10 @@ def sizes_of(scene: PackedScene, file_bytes: int) -> dict:
 
     References: HPG 2021, section 4 and Table 1.
     """
-    arrays = {name: int(array.nbytes) for name, array in scene.arrays.items()}
+    arrays = {
+        name: bytes_on_gpu(scene.header, BY_NAME[name], a.nbytes) if name in BY_NAME else int(a.nbytes)
+        for name, a in scene.arrays.items()
+    }
     part_of = FIRST_WORDS | {name: array.part for name, array in BY_NAME.items()}
     part = {p: sum(size for name, size in arrays.items() if part_of[name] == p) for p in (*GPU_PARTS, "provenance")}
     gpu_bytes = sum(part[p] for p in GPU_PARTS)

@@ -3,6 +3,10 @@
 #include "view.glsl"
 #include "srgb.glsl"
 #include "atom_texture.glsl"
+#elif defined(MAPPED)
+#define MAP_COLORS
+#include "srgb.glsl"
+#include "station_map.glsl"
 #endif
 
 flat in vec3 average;
@@ -22,6 +26,18 @@ void main() {
 #endif
 #ifdef N_ATOMS
     vec3 color = to_linear(clamp(average + sum_of_atoms(on_square()), 0.0, 1.0));
+#elif defined(MAPPED)
+    vec3 color = average;
+#ifndef ELLIPSOID
+    gl_FragDepth = gl_FragCoord.z;
+#endif
+    if (map_place.x >= 0) {
+        MapLookup found = look_up_depth(on_square());
+        if (found.what == FREE) discard;
+        if (found.what == SHOWN) color = look_up_color(found);
+        else gl_FragDepth *= BEHIND_ALL;
+    }
+    color = to_linear(color);
 #else
     vec3 color = average;
 #endif

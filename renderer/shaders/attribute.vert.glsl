@@ -8,6 +8,10 @@
 #include "ellipsoid.glsl"
 #endif
 #include "splat_quad.glsl"
+#ifdef MAPPED
+#include "polar_capped.glsl"
+#include "map_of_splat.glsl"
+#endif
 #include "srgb.glsl"
 #if defined(N_ATOMS) || defined(CLIPLINE) || defined(ELLIPSOID)
 #include "bits.glsl"
@@ -35,7 +39,9 @@ out vec4 place;
 #ifdef DETAIL
 flat out float share;
 #endif
-flat out vec3 average;  // in linear light where there are no atoms, else sRGB
+const float MAP_COARSEST = 4.0;  // mip level of maps: heights are whole numbers of 16 rows
+
+flat out vec3 average;  // in linear light where there are neither atoms nor maps, else sRGB
 
 void main() {
     uint group = drawn_group(), row = drawn_row();
@@ -46,8 +52,14 @@ void main() {
     }
 #ifdef ELLIPSOID
     Disc disc = outline_of(decode_ellipsoid(splat, ellipsoids[first_ellipsoid(group) + row]));
+#ifdef MAPPED
+    set_map(splat, square_u, square_v);
+#endif
 #else
     Disc disc = decode_disc(splat);
+#ifdef MAPPED
+    set_map(splat, disc.u, disc.v);
+#endif
 #endif
 #ifdef DETAIL
     share = share_of(group);
@@ -65,6 +77,9 @@ void main() {
 #endif
 #endif
     read_atoms(group, row);
+#elif defined(MAPPED)
+    average = decode_color(splat);
+    if (map_place.x >= 0) map_depth.w = min(floor(mip_level(0.5 * texels_of_map(), quad.area_px) + TO_COARSER), MAP_COARSEST);
 #else
     average = to_linear(decode_color(splat));
 #endif

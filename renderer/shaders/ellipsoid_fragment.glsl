@@ -1,6 +1,5 @@
 // Depth and place of a fragment on an ellipsoid, see ellipsoid.glsl. Needs `place`.
 
-layout(depth_less) out float gl_FragDepth;  // reversed: the disc lies nearer, so early tests against it are right
 flat in float eye_distance;
 flat in mat3 facing;
 

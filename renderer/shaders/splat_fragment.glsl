@@ -4,6 +4,9 @@ in vec4 place;
 #ifdef CLIPLINE
 flat in vec3 clipline;
 #endif
+#if defined(ELLIPSOID) || defined(MAPPED)
+layout(depth_less) out float gl_FragDepth;  // reversed: what is written lies behind, so early tests against the splat's own are right
+#endif
 #ifdef ELLIPSOID
 #include "ellipsoid_fragment.glsl"
 #endif

@@ -17,9 +17,9 @@ uvec2 splat_words(uint splat) {
     return uvec2(word << 24, word >> 8);
 }
 
-vec3 decode_position(uint splat, uint code) {
+vec3 position_against(vec3 place_high, vec3 place_low, uint splat, uint code) {
     uint first = 4u * splat;
-    return against_eye(uintBitsToFloat(uvec3(splats[first], splats[first + 1u], splats[first + 2u])));
+    return against(place_high, place_low, uintBitsToFloat(uvec3(splats[first], splats[first + 1u], splats[first + 2u])));
 }
 #elif defined(COLOR_BOXES)
 #include "bits.glsl"
@@ -64,7 +64,8 @@ struct Disc {
 };
 
 #ifndef RUNS
-vec3 decode_position(uint splat, uint code) {
+// Against a place that is the sum of two floats, part by part.
+vec3 position_against(vec3 place_high, vec3 place_low, uint splat, uint code) {
     uint box = splat / CHUNK * BOX_WORDS;
     vec3 low = uintBitsToFloat(uvec3(boxes[box], boxes[box + 1u], boxes[box + 2u]));
     vec3 size = uintBitsToFloat(uvec3(boxes[box + 3u], boxes[box + 4u], boxes[box + 5u]));
@@ -72,9 +73,11 @@ vec3 decode_position(uint splat, uint code) {
     uvec3 bits = uvec3(bits_xy, 24u - bits_xy.x - bits_xy.y);
     uvec3 cells = uvec3(1u) << bits;
     uvec3 cell = (uvec3(code) >> uvec3(0u, bits.x, bits.x + bits.y)) & (cells - 1u);
-    return against_eye(low) + (vec3(cell) + 0.5) * (size / vec3(cells));
+    return against(place_high, place_low, low) + (vec3(cell) + 0.5) * (size / vec3(cells));
 }
 #endif
+
+vec3 decode_position(uint splat, uint code) { return position_against(view.eye_high.xyz, view.eye_low.xyz, splat, code); }
 
 ivec3 octahedron_of(ivec2 code) {
     int c = 127 - abs(code.x) - abs(code.y);

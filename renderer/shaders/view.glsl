@@ -29,12 +29,14 @@ const uint CHUNK = 128u;
 const uint CHUNKS_PER_GROUP = 64u;
 const uint GROUP = CHUNK * CHUNKS_PER_GROUP;
 
-// Differences to the nearby eye are taken part by part, so that large coordinates do not jitter.
-vec3 against_eye(vec3 point) {
-    precise vec3 near_eye = point - view.eye_high.xyz;
-    precise vec3 result = near_eye - view.eye_low.xyz;
+// Differences to a nearby place, as the eye, are taken part by part, so that large coordinates do not jitter.
+vec3 against(vec3 place_high, vec3 place_low, vec3 point) {
+    precise vec3 near_place = point - place_high;
+    precise vec3 result = near_place - place_low;
     return result;
 }
+
+vec3 against_eye(vec3 point) { return against(view.eye_high.xyz, view.eye_low.xyz, point); }
 
 vec3 world_to_camera(vec3 v) {
     return vec3(dot(view.camera_x.xyz, v), dot(view.camera_y.xyz, v), dot(view.camera_z.xyz, v));

@@ -9,6 +9,10 @@
 #include "ellipsoid.glsl"
 #endif
 #include "splat_quad.glsl"
+#ifdef MAPPED
+#include "polar_capped.glsl"
+#include "map_of_splat.glsl"
+#endif
 #if defined(CLIPLINE) || defined(ELLIPSOID)
 #include "bits.glsl"
 #include "groups.glsl"
@@ -26,10 +30,17 @@ void main() {
         return;
     }
 #ifdef ELLIPSOID
-    Quad quad = splat_quad(outline_of(decode_ellipsoid(splat, ellipsoids[first_ellipsoid(drawn_group()) + drawn_row()])));
-#else
-    Quad quad = splat_quad(decode_disc(splat));
+    Disc disc = outline_of(decode_ellipsoid(splat, ellipsoids[first_ellipsoid(drawn_group()) + drawn_row()]));
+#ifdef MAPPED
+    set_map(splat, square_u, square_v);
 #endif
+#else
+    Disc disc = decode_disc(splat);
+#ifdef MAPPED
+    set_map(splat, disc.u, disc.v);
+#endif
+#endif
+    Quad quad = splat_quad(disc);
     gl_Position = quad.clip;
     place = quad.place;
 #ifdef CLIPLINE

@@ -23,6 +23,8 @@ _HEAD = f"""precision highp float;
 precision highp int;
 precision highp sampler2D;
 precision highp usampler2D;
+precision highp sampler2DArray;
+precision highp usampler2DArray;
 #define precise
 #define load(buffer, i) texelFetch(buffer, ivec2(int(i) & {2**LINE_BITS - 1}, int(i) >> {LINE_BITS}), 0).r
 #define load_pair(buffer, i) texelFetch(buffer, ivec2(int(i) & {2**LINE_BITS - 1}, int(i) >> {LINE_BITS}), 0).rg

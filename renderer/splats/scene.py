@@ -13,6 +13,7 @@ from renderer.splats.atlas import atlas_layout, upload_atlas
 from renderer.splats.detail import Detail, GroupTree, group_tree, shares_of
 from renderer.splats.stacks import has_stacks
 from renderer.splats.targets import NARROW, WIDE
+from renderer.splats.upload.maps import GpuMaps, map_frames, upload_maps
 from renderer.splats.upload.runs import GpuRuns, upload_runs
 from renderer.splats.upload.tables import (
     box_words,
@@ -32,6 +33,7 @@ from storage.packed.schema import MIP_SIZES, Camera, Header
 SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS, ELLIPSOIDS, COLORS, SHARES = (
     range(12)
 )
+SPLAT_MAPS, MAP_FRAMES = 12, 13
 DRAW_BYTES = 20
 
 
@@ -43,7 +45,7 @@ class GpuScene:
     """The buffers and the texture of one packed scene, in one context.
 
     `bytes_by_part` counts what they take under the names of the report's size table: geometry, codes, colors,
-    dictionary. Commands and targets of a frame are not counted.
+    dictionary, maps. Commands and targets of a frame are not counted.
     """
 
     scene: PackedScene
@@ -55,6 +57,7 @@ class GpuScene:
     bytes_by_part: dict[str, int] = field(default_factory=dict)
     accumulation: str = NARROW  # of its colours: wide where splats are copies, and once the renderer finds overdraw
     watched: bool = True  # whether the renderer looks for overdraw, and may widen: not where the job asked for 16 bits
+    maps: GpuMaps | None = None  # of a scene that is textured from stations
     tree: GroupTree | None = None  # of a scene with levels
     n_chosen: int = 0  # splats of the groups that were chosen last, in view or not
     drawn: frozenset[str] = frozenset()  # effects whose shader parts its programs have
@@ -72,7 +75,7 @@ class GpuScene:
         self.watched = asked_by(header.settings)["accumulation"] != OFF
         if "accumulation" in self.drawn or (self.watched and has_stacks(self.scene)):
             self.accumulation = WIDE
-        self.bytes_by_part = dict.fromkeys(("geometry", "codes", "colors", "dictionary"), 0)
+        self.bytes_by_part = dict.fromkeys(("geometry", "codes", "colors", "dictionary", "maps"), 0)
         with self.context:
             self._upload_splats(header, arrays)
             self._upload(GROUP_BOXES, "geometry", group_boxes(self.scene), "group boxes")
@@ -87,6 +90,11 @@ class GpuScene:
                 self._upload(WEIGHTS, "dictionary", weight_table(arrays), "weights")
                 self.atlas, n_bytes = upload_atlas(self.context, [arrays[f"atoms_{size}"] for size in header.mip_sizes])
                 self.bytes_by_part["dictionary"] += n_bytes
+            if header.maps:
+                self._upload(SPLAT_MAPS, "maps", arrays["station"], "maps of splats")
+                self._upload(MAP_FRAMES, "maps", map_frames(header), "frames of maps")
+                self.maps = upload_maps(self.context, self.scene)
+                self.bytes_by_part["maps"] += self.maps.n_bytes
             if header.levels:
                 self.tree = group_tree(self.scene)
                 self.buffers[SHARES] = self.context.buffer(reserve=4 * header.n_groups)
@@ -113,7 +121,8 @@ class GpuScene:
         """What the programs that decode its splats are compiled with."""
         with_boxes, with_levels = int(bool(self.scene.header.color_step)), int(self.tree is not None)
         header, of_boxes = self.scene.header, {"COLOR_BOXES": with_boxes, "DETAIL": with_levels}
-        return {**of_boxes, "SIZE_BITS": header.size_bits, "RUNS": int(header.runs is not None)}
+        sources = {"RUNS": int(header.runs is not None), "MAPPED": int(bool(header.maps))}
+        return {**of_boxes, "SIZE_BITS": header.size_bits, **sources}
 
     def show(self, view: Camera, detail: Detail) -> None:
         """Choose the groups that the next passes draw of it."""
@@ -136,13 +145,15 @@ class GpuScene:
             buffer.bind_to_storage_buffer(binding)
         if self.atlas is not None:
             self.atlas.use(0)
+        if self.maps is not None:
+            self.maps.use()
 
     def release(self) -> None:
         """Free the GPU memory now; the scene cannot be drawn any more."""
-        for resource in (*self.buffers.values(), self.uniforms, self.atlas, self.runs):
+        for resource in (*self.buffers.values(), self.uniforms, self.atlas, self.runs, self.maps):
             if resource is not None:
                 resource.release()
-        self.buffers, self.uniforms, self.atlas, self.runs = {}, None, None, None
+        self.buffers, self.uniforms, self.atlas, self.runs, self.maps = {}, None, None, None, None
 
     def _upload_splats(self, header: Header, arrays: dict[str, np.ndarray]) -> None:
         boxes, spare = box_words(arrays), np.zeros(1, np.uint32)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
 from pipeline.planning.settings import Settings
@@ -10,10 +12,15 @@ from pipeline.stages.texture.prices import price_for
 from pipeline.stages.texture.resample import Resample
 from pipeline.summaries import Ladder, PatchesMade, Training
 from services.flow.budget import NO_ATOMS, Trial, check_budget, within_budget
+from services.flow.maps import Mapped, map_pictures, map_textures
 from services.flow.pack import pack, packed_gpu_bytes, texels_of_levels
-from services.flow.prepare import Prepared
+from services.flow.prepare import Prepared, wants_texture
 from services.flow.run import Run
 from services.flow.textures import Coded, code_patches
+from storage.maps import MOST_MAPS
+
+# On disk, of textures by atoms at 36 to 40 dB, the dictionary counted in: measured at tenths of two scans. See docs/DECISIONS.md.
+ATOM_BYTES_A_SPLAT = 8.0
 
 
 def resample(run: Run, prepared: Prepared, kept: bool = True) -> StageRecord[PatchesMade]:
@@ -34,6 +41,45 @@ def resample(run: Run, prepared: Prepared, kept: bool = True) -> StageRecord[Pat
             kept,
         )
     )
+
+
+@dataclass(frozen=True)
+class Texture:
+    """Where the colours of a packed file come from: patches that are coded, or maps; neither: one colour a splat."""
+
+    coded: Coded | None = None
+    mapped: Mapped | None = None
+    choice: str = ""  # why, of a scan with station maps
+
+    @property
+    def psnr_db(self) -> float | None:
+        """Of all texels of what is coded, or of the maps where they show a surface."""
+        if self.coded:
+            return self.coded.codes.summary.texture_psnr_db
+        return self.mapped.texture_psnr_db if self.mapped else None
+
+
+def texture(run: Run, prepared: Prepared, settings: Settings) -> Texture:
+    """The texture that the settings ask for; `auto`, of a scan with station maps, that of fewer bytes at the target's PSNR."""
+    if not wants_texture(prepared, settings.texture):
+        return Texture()
+    if prepared.maps is None or settings.texture == "atoms":
+        return Texture(code(run, prepared, settings))
+    if settings.texture == "auto" and settings.budget_bytes is not None:
+        return Texture(
+            code(run, prepared, settings), choice="atoms: a budget of bytes a splat has no room for pictures"
+        )
+    maps, target = prepared.maps, settings.target_psnr_db
+    pictures = map_pictures(run, maps, target)
+    n_splats, psnr = prepared.splats.summary.n_splats, pictures.summary.texture_psnr_db or 0.0
+    sizes = pictures.summary.color_bytes + pictures.summary.depth_bytes, ATOM_BYTES_A_SPLAT * n_splats
+    words = f"maps take about {sizes[0] / 1e3:,.0f} kB at {psnr:.1f} dB, atoms about {sizes[1] / 1e3:,.0f} kB at {target:g} dB"
+    if settings.texture == "auto" and (sizes[1] <= sizes[0] or psnr < target or len(maps.log_gain) > MOST_MAPS):
+        return Texture(code(run, prepared, settings), choice=f"atoms: {words}")
+    directions = directions_of(prepared.scan.summary.cameras)
+    partition, splats = prepared.partition.folder, prepared.splats.folder
+    mapped = map_textures(run, maps, pictures, partition, splats, prepared.radius, directions)
+    return Texture(mapped=mapped, choice=f"map: {words}" + ("" if settings.texture == "auto" else "; asked for"))
 
 
 def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:

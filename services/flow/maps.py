@@ -9,10 +9,14 @@ from pipeline.effects.exposure.stations import StationGains, StationLight
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import Direction
 from pipeline.stages.maps.edited_maps import EditedMaps
+from pipeline.stages.maps.map_pictures import MapPictures, PicturesMade
+from pipeline.stages.maps.mapped_splats import StationOfSplats, StationsChosen
 from pipeline.stages.maps.panoramas import Panoramas
 from pipeline.summaries import MapsDrawn
 from services.flow.fingerprint import fingerprint
 from services.flow.run import Run
+from storage.errors import InvalidScan
+from storage.maps import MOST_MAPS
 from storage.work import work
 
 
@@ -23,6 +27,19 @@ class StationMaps:
     folder: Path  # color_<i> and depth_<i> of each station
     log_gain: tuple[tuple[float, float, float], ...]  # of each station's light, by channel
     light: StationGains | None  # what the gains were told from; None for one station
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """Maps as the packed file holds them, and which of them each splat has."""
+
+    pictures: StageRecord[PicturesMade]
+    stations: StageRecord[StationsChosen]
+
+    @property
+    def texture_psnr_db(self) -> float | None:
+        """Of the colours of maps, over what shows a surface."""
+        return self.pictures.summary.texture_psnr_db
 
 
 def draw_maps(run: Run, ingest: StageRecord, partition: StageRecord, neighbours: StageRecord) -> StageRecord[MapsDrawn]:
@@ -48,3 +65,27 @@ def maps_for(
         return StationMaps(maps, ((0.0, 0.0, 0.0),) * n_stations, None)
     light = run.do(StationLight(maps, partition, splats, radius, *directions)).summary
     return StationMaps(maps, light.log_gain, light)
+
+
+def map_pictures(run: Run, maps: StationMaps, target_psnr_db: float) -> StageRecord[PicturesMade]:
+    """The maps' pictures as the packed file would hold them, as sharp as the target asks."""
+    return run.do(MapPictures(maps.folder, maps.log_gain, target_psnr_db))
+
+
+def map_textures(
+    run: Run,
+    maps: StationMaps,
+    pictures: StageRecord[PicturesMade],
+    partition: Path,
+    splats: Path,
+    radius: float,
+    directions: tuple[Direction, Direction],
+) -> Mapped:
+    """The maps themselves as texture.
+
+    Raises: InvalidScan for more stations than a packed file has numbers for.
+    """
+    if len(maps.log_gain) > MOST_MAPS:
+        raise InvalidScan("texture", f"maps of {len(maps.log_gain)} stations", f"at most {MOST_MAPS}", "take atoms")
+    stations = StationOfSplats(maps.folder, partition, splats, radius, *directions, maps.log_gain)
+    return Mapped(pictures, run.do(stations))

@@ -12,8 +12,10 @@ from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
 from pipeline.geometry.sizes import BITS
 from pipeline.planning.settings import Settings
+from pipeline.stages.maps.map_pictures import stored_maps
 from pipeline.stages.packed.pack import Pack, batches_of, write_packed
 from pipeline.summaries import Packed
+from services.flow.maps import Mapped
 from services.flow.prepare import Prepared
 from services.flow.run import Run
 from services.flow.textures import Coded, color_step
@@ -48,9 +50,16 @@ def _stored_form(coded: Coded | None, coarsest: int) -> dict:
 
 
 def pack(
-    run: Run, prepared: Prepared, coded: Coded | None, settings: Settings, name: str, path: Path | None
+    run: Run,
+    prepared: Prepared,
+    coded: Coded | None,
+    settings: Settings,
+    name: str,
+    path: Path | None,
+    mapped: Mapped | None = None,
 ) -> StageRecord[Packed]:
-    """Write the packed file to `path`; None leaves it a folder of the work folder's."""
+    """Write the packed file to `path`; None leaves it a folder of the work folder's. Splats are textured by what is `coded`, by
+    maps, or by nothing."""
     scan = prepared.scan.summary
     flag_of = {extra.stream: extra.flag for extra in EXTRAS}  # an effect is named as its stream
     extras = tuple((flag_of[name], folder) for name, folder in prepared.built if name in flag_of)
@@ -76,6 +85,7 @@ def pack(
         effects=prepared.effects.outcomes,
         n_ranks=max([1, *(batch.n_atoms for batch in batches)]),
         color_step=color_step(settings) if coded else 0,
+        maps=stored_maps(mapped.pictures.folder)[1] if mapped else (),
         cameras=scan.cameras,
         scan={"name": name, "format": scan.format, "n_points": scan.n_read},
         settings=asdict(settings),
@@ -84,10 +94,12 @@ def pack(
         Pack(
             header,
             prepared.splats.folder,
-            coded.colors.folder if coded else None,
+            coded.colors.folder if coded else mapped.stations.folder if mapped else None,
             coded.codes.folder if coded else None,
             coded.quantized.folder if coded and coded.quantized else None,
             extras,
+            mapped.stations.folder if mapped else None,
+            mapped.pictures.folder if mapped else None,
         )
     )
     if path is not None:

@@ -271,8 +271,15 @@ def is_textured(prepared: Prepared) -> bool:
 def wants_texture(prepared: Prepared, texture: str) -> bool:
     """Whether splats are to be textured, as the knob `texture` has it.
 
-    Raises: InvalidScan where atoms are asked for, and there is nothing that they could show.
+    Raises: InvalidScan where atoms or maps are asked for, and there is nothing that they could show.
     """
+    if texture == "map" and prepared.maps is None:
+        raise InvalidScan(
+            "texture",
+            "map, of a scan without stations and colours of its own, or with photographs",
+            "auto, color, atoms",
+            "--station x,y,z says where the scanner of a merged scan stood",
+        )
     if texture == "atoms" and not is_textured(prepared):
         raise InvalidScan(
             "texture",

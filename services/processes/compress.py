@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import msgspec
 from msgspec import UNSET
 
+from pipeline.effects.plan.plan import Row
 from pipeline.execution.stage import Executor, Progress
 from pipeline.planning.settings import Settings
 from pipeline.readers.files.spelling import shown
@@ -25,11 +26,11 @@ from renderer.report.document import (
 )
 from renderer.report.report import sizes_of
 from services.flow.budget import check_budget
-from services.flow.code import code
+from services.flow.code import Texture, texture
 from services.flow.estimate_cache import against, known_estimate
 from services.flow.outputs import placed_whole, write_outputs
 from services.flow.pack import pack, packed_gpu_bytes
-from services.flow.prepare import Prepared, prepare, wants_texture
+from services.flow.prepare import Prepared, prepare
 from services.flow.run import Run
 from services.flow.textures import Coded
 from services.flow.volumes import surface_request
@@ -99,31 +100,37 @@ def make(
         edited_maps=edited_maps,
         levels=settings.levels,
     )
-    coded = code(run, prepared, settings) if wants_texture(prepared, settings.texture) else None
-    packed = pack(run, prepared, coded, settings, name, None)
+    textured = texture(run, prepared, settings)
+    packed = pack(run, prepared, textured.coded, settings, name, None, textured.mapped)
     if settings.budget_bytes is not None:
         check_budget(settings.budget_bytes, prepared.splats.summary.n_splats, packed_gpu_bytes(packed))
     write_packed(packed.folder, path)
-    return finish(run, path, prepared, coded, settings, out, render)
+    return finish(run, path, prepared, textured, settings, out, render)
 
 
 def finish(
-    run: Run, path: Path, prepared: Prepared, coded: Coded | None, settings: Settings, out: Path, render: bool
+    run: Run, path: Path, prepared: Prepared, textured: Texture, settings: Settings, out: Path, render: bool
 ) -> dict:
     """Previews and report of a packed file just made."""
+    coded = textured.coded
     record = RunRecord(
         scan=_scan_record(prepared),
-        quality=_quality(prepared, coded),
+        quality=_quality(prepared, textured),
         learning=msgspec.convert(strict(coded.learning if coded else []), tuple[LearningPass, ...]),
         numerics=_numerics(prepared, coded),
         settings=asdict(settings),
-        effects=prepared.effects.rows,
-        estimate=msgspec.convert(_estimate(run, path, coded, settings), dict[str, EstimatedFigure] | None),
+        effects=tuple(_with_choice(row, textured) for row in prepared.effects.rows),
+        estimate=msgspec.convert(_estimate(run, path, textured, settings), dict[str, EstimatedFigure] | None),
     )
     return write_outputs(run, path, prepared.photos, record, out, render)
 
 
-def _estimate(run: Run, path: Path, coded: Coded | None, settings: Settings) -> dict | None:
+def _with_choice(row: Row, textured: Texture) -> Row:
+    """The row of station maps says besides whether atoms or maps, and why."""
+    return replace(row, choice=textured.choice) if row.effect == "station_maps" else row
+
+
+def _estimate(run: Run, path: Path, textured: Texture, settings: Settings) -> dict | None:
     """What was estimated for this job, beside what happened up to its packed file, in stages run now or before."""
     estimate = known_estimate(run.work, settings)
     if estimate is None:
@@ -136,7 +143,7 @@ def _estimate(run: Run, path: Path, coded: Coded | None, settings: Settings) -> 
             "seconds": sum(r.made_seconds for r in run.records),
             "peak_memory_bytes": max(r.peak_rss_bytes for r in run.records),
             "gpu_bytes": n_bytes,
-            "texture_psnr_db": coded.codes.summary.texture_psnr_db if coded else None,
+            "texture_psnr_db": textured.psnr_db,
         },
     )
 
@@ -180,14 +187,15 @@ def _numerics(prepared: Prepared, coded: Coded | None) -> HardCases:
     )
 
 
-def _quality(prepared: Prepared, coded: Coded | None) -> Quality:
+def _quality(prepared: Prepared, textured: Texture) -> Quality:
     splats = prepared.splats.summary
     geometry = GeometryErrors(
         mean_position_error=splats.mean_position_error,
         mean_position_error_in_radii=splats.mean_position_error / prepared.radius,
         mean_normal_error_degrees=splats.mean_normal_error_degrees,
     )
+    coded = textured.coded
     if coded is None:
-        return Quality(geometry=geometry)
+        return Quality(textured.psnr_db, geometry=geometry)
     codes, patches = coded.codes.summary, coded.patches.summary
     return Quality(codes.texture_psnr_db, codes.visible_psnr_db, patches.resampling_psnr_db, geometry)

@@ -14,6 +14,7 @@ from zipfile import ZIP_STORED, ZipFile
 
 import numpy as np
 
+from storage.maps import MAP_ROWS, MOST_MAPS
 from storage.packed.groups import GroupTable, most_rows, ragged_in
 from storage.packed.layout import (
     LOCAL_HEADER_BYTES,
@@ -145,6 +146,9 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
         ),
         ("n_atoms", atoms, all(0 <= n <= h.n_ranks for n in atoms), f"0..{h.n_ranks}"),
         ("n_atoms", atoms, h.n_dictionary > 0 or not any(atoms), "0 where there is no dictionary"),
+        ("maps", len(h.maps), len(h.maps) <= MOST_MAPS, f"at most {MOST_MAPS}"),
+        ("maps", len(h.maps), not (h.maps and h.n_dictionary), "none beside a dictionary"),
+        ("maps", "of odd numbers", all(m.is_sound for m in h.maps), f"of finite numbers and whole {MAP_ROWS} rows"),
         ("cameras", len(cameras), len(cameras) <= NO_CAMERA, f"at most {NO_CAMERA}"),
         ("cameras", "of odd numbers", all(map(_camera_is_sound, cameras)), "of finite numbers and at least one pixel"),
     ]

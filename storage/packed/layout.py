@@ -15,6 +15,7 @@ from storage.packed.schema import GROUP, Array, Header, arrays_of, dimensions_of
 
 TABLE_ROWS_PER_ZARR_CHUNK = 4096
 ATOMS_PER_ZARR_CHUNK = 256
+MAP_BYTES_PER_ZARR_CHUNK = 1 << 20
 ZSTD_LEVEL = 9
 ROOT_MEMBER = "zarr.json"
 LOCAL_HEADER_BYTES = 30  # of a member of a zip, beside its name
@@ -33,6 +34,7 @@ def chunk_shape(array: Array, shape: tuple[int, ...]) -> tuple[int, ...]:
     if array.is_ragged:
         return 1, *(max(1, n) for n in shape[1:])
     rows = {"n": GROUP, "c": CHUNKS_PER_GROUP, "g": TABLE_ROWS_PER_ZARR_CHUNK, "k": ATOMS_PER_ZARR_CHUNK}
+    rows |= dict.fromkeys("xy", MAP_BYTES_PER_ZARR_CHUNK)
     return tuple(max(1, c) for c in (min(rows.get(array.dims[0], shape[0]), shape[0]), *shape[1:]))
 
 
@@ -82,6 +84,12 @@ def _chunks_of(header: Header, array: Array) -> list[str]:
 def chunk_bytes(array: Array, shape: tuple[int, ...]) -> int:
     """Bytes of a zarr chunk when decompressed; the last one is as long as the others."""
     return int(np.prod(chunk_shape(array, shape))) * np.dtype(array.dtype).itemsize
+
+
+def bytes_on_gpu(header: Header, array: Array, n_bytes: int) -> int:
+    """Of an array of `n_bytes` as a GPU takes it: as it stands, but the pictures of maps, which become textures with coarser
+    levels beside them, 9 heights squared of RGBA."""
+    return sum(36 * stored.height_px**2 for stored in header.maps) if array.name == "map_colors" else n_bytes
 
 
 def dimension_names(array: Array) -> list[str | None]:

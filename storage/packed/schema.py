@@ -2,7 +2,8 @@
 
 Dimensions: n splats; c chunks of CHUNK splats; g groups of GROUP splats; b batches; k atoms; r ranks (atoms a splat,
 at most); w weight levels; s words of a chunk's sizes; and of a group, as many as it has at most: e 32-bit words of a stream, q
-sections of m runs, with t steps; v arrays whose rows a group has any number of.
+sections of m runs, with t steps; v arrays whose rows a group has any number of; and y
+bytes of the pictures of stations' maps, x texels of these maps.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 
 from storage.json_fields import listed, numbers, plain, typed, whole_numbers
+from storage.maps import StoredMap
 
 FORMAT_NAME = "splatpress"
 FORMAT_VERSION = 1
@@ -125,6 +127,7 @@ class Header:
     n_ranks: int = MAX_ATOMS  # rows of weight levels: no splat has more atoms
     size_bits: int = 0  # of a splat's radius, one of SIZE_BITS
     levels: tuple[int, ...] = ()  # splats of each level, the coarsest first, which stand so; none: all are of one
+    maps: tuple[StoredMap, ...] = ()  # of laser stations, that splats are textured from fragment by fragment
     color_step: int = 0  # what cells of colours are no larger than, as a code; 0 where `color` has whole bytes
     geometry: str = BOXES  # one of GEOMETRIES
     runs: RunGrid | None = None  # of the geometry runs
@@ -164,7 +167,7 @@ class Header:
     def to_json(self) -> dict:
         header = {"format": FORMAT_NAME, "version": FORMAT_VERSION, **asdict(self)}
         header["batches"] = tuple({k: v for k, v in b.items() if v or k != "ellipsoid"} for b in header["batches"])
-        called_for = {name: getattr(self, name) for name in ("effects", "levels", "runs")}
+        called_for = {name: getattr(self, name) for name in ("effects", "levels", "maps", "runs")}
         called_for["geometry"] = self.geometry != BOXES
         return {name: value for name, value in header.items() if called_for.get(name, True)}
 
@@ -176,6 +179,7 @@ class Header:
             {"effects": {}, "geometry": BOXES} | data,
             runs=typed(RunGrid, data["runs"]) if data.get("geometry") == RUNS else None,
             levels=tuple(plain(n, "int", "a level") for n in listed(data.get("levels", ()))),
+            maps=tuple(map(StoredMap.from_json, listed(data.get("maps", ())))),
             origin=numbers(data["origin"], 3),
             up=whole_numbers(data["up"], 3),
             ahead=whole_numbers(data["ahead"], 3),
@@ -191,7 +195,7 @@ class Array:
     name: str
     dims: tuple[str, ...]
     dtype: str
-    part: str  # "geometry" | "codes" | "colors" | "dictionary" | "provenance"
+    part: str  # "geometry" | "codes" | "colors" | "dictionary" | "maps" | "provenance"
     meaning: str
 
     @property
@@ -213,9 +217,7 @@ ARRAYS = (
     Array("sizes", ("c", "s"), "uint32", "geometry", "radius of each splat between them, a chunk in whole words"),
     Array("position", ("n", "3"), "uint8", "geometry", "24-bit cell index, little-endian: x lowest, then y, then z"),
     Array("normal", ("n", "2"), "int8", "geometry", "octahedral normal, -127..127"),
-    Array(
-        "run_base", ("g", "q", "3"), "int32", "geometry", "column, row and slice that starts of each section count from"
-    ),
+    Array("run_base", ("g", "q", "3"), "int32", "geometry", "column, row, slice that each section's starts count from"),
     Array("run_first", ("g", "q"), "uint32", "geometry", "first run of each section, counted from its group's first"),
     Array("run_start", ("g", "m"), "uint32", "geometry", "11 bits of column, 11 of row, 5 of slice, 5 of length - 1"),
     Array("run_normal", ("g", "m", "2"), "int8", "geometry", "octahedral normal of each run's first cell, -127..127"),
@@ -225,9 +227,7 @@ ARRAYS = (
     Array("color", ("n", "3"), "uint8", "colors", "average of the patch, sRGB"),
     Array("color_low", ("c", "3"), "int16", "colors", "lowest corner of each chunk's box of colours, 32nds of a 255th"),
     Array("color_size", ("c", "3"), "uint8", "colors", "extents of that box, in sixteenths of an octave"),
-    Array(
-        "colors", ("g", "e"), "uint32", "colors", "cell of each splat's average in its chunk's box, lowest axis first"
-    ),
+    Array("colors", ("g", "e"), "uint32", "colors", "cell of each splat's average in its chunk's box"),
     Array("batch_count", ("c", "b"), "uint8", "codes", "how many splats of the chunk belong to each batch"),
     Array("codes", ("g", "e"), "uint32", "codes", "atoms and weights, a bit stream, lowest bit first"),
     Array("weight_levels", ("r", "w"), "float32", "dictionary", "the weight that a weight code stands for, by rank"),
@@ -238,14 +238,14 @@ ARRAYS = (
     ),
     Array("cliplines", ("g", "e"), "uint32", "geometry", "3 x 4 bits a splat of the batches that have cliplines"),
     Array("ellipsoids", ("g", "e"), "uint32", "geometry", "4 x 8 bits a splat of the batches that are ellipsoids"),
+    Array("station", ("n",), "uint8", "maps", "the map each splat is textured from; 255 none"),
+    Array("map_colors", ("y",), "uint8", "maps", "a WebP picture of each map's colours, one after the other"),
+    Array("map_depth_low", ("x",), "uint8", "maps", "low bytes of what depth codes are above those a row before"),
+    Array("map_depth_high", ("x",), "uint8", "maps", "high bytes of that"),
     Array("camera", ("n",), "uint16", "provenance", "the camera each splat was textured from; 65535 none"),
-    Array(
-        "group_low", ("g", "3"), "float32", "geometry", "lowest corner of what each group lies in, against the origin"
-    ),
+    Array("group_low", ("g", "3"), "float32", "geometry", "lowest corner of what each group lies in, from the origin"),
     Array("group_high", ("g", "3"), "float32", "geometry", "its highest corner"),
-    Array(
-        "group_cone", ("g", "4"), "int8", "geometry", "axis of a cone of its normals, and the cosine of its half angle"
-    ),
+    Array("group_cone", ("g", "4"), "int8", "geometry", "axis of a cone of its normals, cosine of its half angle"),
     Array("group_radius", ("g", "2"), "float32", "geometry", "mean and largest radius of its splats, unit"),
     Array("group_rows", ("g", "v"), "uint32", "geometry", "rows that count of each array of which it has any number"),
     Array("group_start", ("g",), "uint64", "provenance", "where its members begin in the file"),
@@ -261,8 +261,7 @@ FORMS = dict.fromkeys(("box_low", "box_size", "box_bits", "position", "normal"),
 def arrays_of(header: Header) -> tuple[Array, ...]:
     """The arrays that a file with this header holds: what a scan does not call for is not there."""
     absent = {name for name, form in FORMS.items() if form != header.geometry}
-    if len(header.batches) < 2:
-        absent.add("run_batch")
+    absent |= {"run_batch"} if len(header.batches) < 2 else set()
     if not header.n_dictionary:
         absent |= {a.name for a in ARRAYS if a.part == "dictionary"} | {"codes"}
     absent |= {f"atoms_{size}" for size in MIP_SIZES if size not in header.mip_sizes}
@@ -271,8 +270,8 @@ def arrays_of(header: Header) -> tuple[Array, ...]:
     for extra in EXTRAS:
         if not any(getattr(batch, extra.flag) for batch in header.batches):
             absent.add(extra.stream)
-    if not header.cameras:
-        absent.add("camera")
+    absent |= set() if header.cameras else {"camera"}
+    absent |= set() if header.maps else {array.name for array in ARRAYS if array.part == "maps"}
     if not any(array.is_ragged for array in ARRAYS if array.name not in absent):
         absent.add("group_rows")
     return tuple(array for array in ARRAYS if array.name not in absent)
@@ -289,6 +288,8 @@ def dimensions_of(header: Header) -> dict[str, int]:
         "r": header.n_ranks,
         "w": 2**header.weight_bits,
         "s": CHUNK * header.size_bits // 32,
+        "y": sum(m.color_bytes for m in header.maps),
+        "x": sum(m.n_texels for m in header.maps),
         "v": sum(array.is_ragged for array in arrays_of(header)),
     } | {str(s): s for s in (1, 2, 3, 4, 8, 16, 32)}
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 import shutil
 import zipfile
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -99,6 +100,19 @@ def write_group(folder: Path, header: Header, index: int, arrays: dict[str, np.n
 def write_array(folder: Path, name: str, rows: np.ndarray) -> None:
     """A whole array that is not of groups."""
     zarr.open_group(place.zarr_store(folder), mode="r+", zarr_format=3)[name][:] = rows
+
+
+def write_pieces(folder: Path, name: str, pieces: Iterable[np.ndarray]) -> None:
+    """A whole array (n,) that is not of groups, from its pieces one after the other, whole zarr chunks at a time: another task
+    that does this too then never writes less of one than this does."""
+    array = zarr.open_group(place.zarr_store(folder), mode="r+", zarr_format=3)[name]
+    at, waiting = 0, np.zeros(0, array.dtype)
+    for piece in pieces:
+        waiting = np.concatenate([waiting, piece])
+        n = len(waiting) if at + len(waiting) == array.shape[0] else len(waiting) - len(waiting) % array.chunks[0]
+        if n:
+            array[at : at + n] = waiting[:n]
+        at, waiting = at + n, waiting[n:]
 
 
 def write_table(folder: Path, header: Header, groups: list[WrittenGroup]) -> None:

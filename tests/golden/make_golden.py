@@ -38,6 +38,7 @@ CASES = {
     "sixteen-atoms": Case(atom_size=8, n_turns=8, atom_counts=(0, 7, 9, 16), n_ranks=16, color_step=133),
     "sizes": Case(size_bits=3, ellipsoids=True, cliplines=True, atom_counts=(0, 2, 5)),
     "sizes-of-two-bits": Case(size_bits=2, atom_size=8, color_step=100),
+    "maps": Case(n_dictionary=0, atom_counts=(0,), n_cameras=0, size_bits=3, n_maps=2),
     "boxes-of-two-groups": Case(
         n_splats=8192 + 130, period=128, n_dictionary=0, atom_counts=(0,), n_cameras=0, color_step=80
     ),

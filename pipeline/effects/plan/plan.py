@@ -27,6 +27,7 @@ class Row:
     costs: dict  # seconds, bytes, frame_share: of this scan if it is on, by what it cost on the scans of `measured_on`
     gives_db: float | None
     measured_on: str
+    choice: str = ""  # which of several ways was taken, and why, where the effect has several
 
 
 @dataclass(frozen=True)

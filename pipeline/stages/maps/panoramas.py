@@ -15,12 +15,14 @@ from pipeline.splats.colors import point_colors
 from pipeline.splats.normals import turned_to
 from pipeline.splats.sizes import needed_sizes
 from pipeline.summaries import MapsDrawn, Points, ScanRead
+from storage.maps import MAP_ROWS
 from storage.work import arrays, work
 
 # Of a station's spacings, in radians: that of surfaces that face it. Slanted ones, and thin ones, have wider ones.
 STEP_QUANTILE = 0.25
 BINS_AN_OCTAVE, OCTAVES = 64, 40  # of the histogram that it is read from, down from one radian
 MOST_TEXELS = 1 << 25  # of a map, 24 bytes each while it is drawn; steps down to 0.038 degrees
+HIGHEST = int((MOST_TEXELS / COLUMNS) ** 0.5) // MAP_ROWS * MAP_ROWS
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Panoramas:
         wanted, n_points = station.step_and_count()
         if wanted is None:
             return {"frame": None, "n_splats": 0, "n_left_out": n_points, "height_wanted": 0}
-        height = min(height_for(wanted), int((MOST_TEXELS / COLUMNS) ** 0.5))
+        height = min(-(-height_for(wanted) // MAP_ROWS) * MAP_ROWS, HIGHEST)
         canvas = empty_canvas(height)
         n_left_out = sum(draw_depth(canvas, *splats[:3]) for splats in station.splats(height))
         for splats in station.splats(height):

@@ -7,16 +7,25 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.stages.maps.map_pictures import NAMES, stored_maps
 from pipeline.summaries import Packed
 from storage.packed.batches import CHUNKS_PER_GROUP, count_batches, rows_of
 from storage.packed.bits import pack_bits, pack_sizes
 from storage.packed.codes import pack_codes
 from storage.packed.colors import pack_colors
 from storage.packed.groups import TABLE, ragged_in
-from storage.packed.layout import shape_of
+from storage.packed.layout import bytes_on_gpu, shape_of
 from storage.packed.scene import streams_of
 from storage.packed.schema import BY_NAME, CHUNK, EXTRAS, GROUP, Batch, Header, arrays_of, color_bits
-from storage.packed.writer import WrittenGroup, begin_packed, seal_packed, write_array, write_group, write_table
+from storage.packed.writer import (
+    WrittenGroup,
+    begin_packed,
+    seal_packed,
+    write_array,
+    write_group,
+    write_pieces,
+    write_table,
+)
 from storage.work import arrays
 
 TASK_GROUPS = 8
@@ -38,6 +47,8 @@ class Pack:
     extras: tuple[
         tuple[str, Path], ...
     ] = ()  # by flag of storage.packed.schema.EXTRAS: has_<flag>, <flag> of every splat
+    stations: Path | None = None  # of a scan with maps: which of them each splat has, and its mean colour
+    maps: Path | None = None  # their pictures
     name = "pack"
 
     def init(self, folder: Path) -> int:
@@ -66,6 +77,10 @@ class Pack:
             if array.part == "dictionary":
                 rows = arrays.read(self.quantized, array.name)[: shape_of(self.header, array)[0]]
                 write_array(folder / "packed", array.name, rows)
+        if self.maps is not None:
+            stations, _ = stored_maps(self.maps)
+            for name in NAMES:
+                write_pieces(folder / "packed", name, (arrays.read(self.maps, f"{name}_{i}").ravel() for i in stations))
         groups = [WrittenGroup(**group) for r in results for group in r["groups"]]
         write_table(folder / "packed", self.header, groups)
         return Packed(array_bytes(self.header, groups))
@@ -87,6 +102,8 @@ class Pack:
             rows["color"] = arrays.read(*color, start, stop)[order].astype(np.uint8)
         if self.header.cameras:
             rows["camera"] = arrays.read(self.splats, "camera", start, stop)[order]
+        if self.header.maps:
+            rows["station"] = arrays.read(self.stations, "station", start, stop)[order]
         if self.header.size_bits:
             rows["size_scale"] = arrays.read(self.splats, "size_scale", first, end)
             code = arrays.read(self.splats, "size_code", start, stop)[order]
@@ -176,7 +193,8 @@ def array_bytes(header: Header, groups: list[WrittenGroup]) -> dict[str, int]:
     found, tables = {}, {"codes": "group_word"} | {extra.stream: extra.table for extra in EXTRAS}
     for array in arrays_of(header):
         if array.name not in TABLE and not array.is_ragged:
-            found[array.name] = int(np.prod(shape_of(header, array))) * np.dtype(array.dtype).itemsize
+            n_bytes = int(np.prod(shape_of(header, array))) * np.dtype(array.dtype).itemsize
+            found[array.name] = bytes_on_gpu(header, array, n_bytes)
     for i, array in enumerate(ragged_in(header)):
         a_row = int(np.prod(shape_of(header, array)[2:])) * np.dtype(array.dtype).itemsize
         found[array.name] = a_row * (sum(group.rows[i] for group in groups) + ("e" in array.dims))

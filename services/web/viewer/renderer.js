@@ -4,7 +4,7 @@
 import { GROUP } from "./packed.js";
 import { radiusAt } from "./tables.js";
 
-const UNITS = ["splats", "boxes", "running_counts", "groups", "codes", "cliplines", "weights", "ellipsoids", "colors", "shares", "atlas", "sums", "normals"];
+const UNITS = ["splats", "boxes", "running_counts", "groups", "codes", "cliplines", "weights", "ellipsoids", "colors", "shares", "atlas", "sums", "normals", "splat_maps", "map_frames", "map_colors", "map_depths"];
 const NEAR_IN_RADII = 0.01;
 const SPARE_PX = 1;
 const AS_PHOTOGRAPHED = { towards: [0, 0, -1], ambient: 1, diffuse: 0 };
@@ -53,11 +53,12 @@ export class Renderer {
     }
     for (const [name, words] of Object.entries(scene.textures)) this.bind(name, words.texture);
     if (scene.atlas) this.bind("atlas", scene.atlas);
+    if (scene.maps) for (const name of ["map_colors", "map_depths"]) this.bind(name, scene.maps[name], gl.TEXTURE_2D_ARRAY);
   }
 
-  bind(name, texture) {
+  bind(name, texture, target = this.gl.TEXTURE_2D) {
     this.gl.activeTexture(this.gl.TEXTURE0 + UNITS.indexOf(name));
-    this.gl.bindTexture(this.gl.TEXTURE_2D, texture);
+    this.gl.bindTexture(target, texture);
     this.gl.activeTexture(this.gl.TEXTURE0 + UNITS.length);
   }
 
@@ -174,6 +175,7 @@ export class Renderer {
     const found = new Float32Array(4);
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, found);
     if (!(found[0] > 0)) return null;
+    if (found[0] < 2 ** -30) found[0] *= 2 ** 40; // of the second tier, see station_map.glsl
     const { header } = scene, ray = [(column + 0.5 - view.cx) / view.fx, (row + 0.5 - view.cy) / view.fy, 1];
     const pushed = (NEAR_IN_RADII * header.radius) / found[0];
     const pointOf = (radius) => {

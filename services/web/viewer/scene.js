@@ -2,6 +2,7 @@
 // their geometry is there, with their colours alone until their codes are. Mirrors renderer/splats/scene.py.
 
 import { groupTree, sharesOf } from "./detail.js";
+import { mapFrames, mapTextures } from "./maps.js";
 import { GROUP, MIP_SIZES } from "./packed.js";
 import { atlasBand, atlasLayout, firstWords, meanRadius, splatWords, tablesOf } from "./tables.js";
 
@@ -48,13 +49,13 @@ export class Scene {
     if (header.n_dictionary && header.coarsest_size < header.atom_size) this.drawn.add("mip_levels");
     const first = header.batches.findIndex((batch) => batch.clipline || batch.ellipsoid);
     this.nLeading = first < 0 ? header.batches.length : first;
-    this.defines = { COLOR_BOXES: header.color_step ? 1 : 0, SIZE_BITS: header.size_bits, DETAIL: header.levels ? 1 : 0 };
+    this.defines = { COLOR_BOXES: header.color_step ? 1 : 0, SIZE_BITS: header.size_bits, DETAIL: header.levels ? 1 : 0, MAPPED: 0 };
     this.geometryArrays = ["position", "normal", ...(header.color_step ? [] : ["color"])];
     this.shapeArrays = ["colors", "ellipsoids", "cliplines"].filter((name) => packed.has(name));
   }
 
   get bytes() {
-    return Object.values(this.textures).reduce((sum, words) => sum + words.bytes, 0);
+    return Object.values(this.textures).reduce((sum, words) => sum + words.bytes, this.maps?.bytes ?? 0);
   }
 
   isShown(group) {
@@ -86,6 +87,9 @@ export class Scene {
       const groups = wanted(), { stage, chunks } = this.missing(groups);
       if (stage === "atoms") {
         await this.loadAtoms(signal);
+      } else if (stage === "maps") {
+        await this.loadMaps(signal);
+        onChange(stage);
       } else if (stage) {
         await this.packed.read(chunks, (array, index, values) => { if (this.take(array, index, values)) onChange(stage); }, signal);
       } else {
@@ -99,6 +103,7 @@ export class Scene {
   missing(groups) {
     const geometry = this.batch(groups, [...this.geometryArrays, ...this.shapeArrays]);
     if (geometry.length) return { stage: "geometry", chunks: geometry };
+    if (this.header.maps && !this.maps) return { stage: "maps" };
     if (!this.header.n_dictionary) return {};
     if (!this.hasAtoms) return { stage: "atoms" };
     const codes = this.batch(groups, ["codes"]);
@@ -161,6 +166,17 @@ export class Scene {
     if (![...this.geometryArrays, ...this.shapeArrays].every(here)) return false;
     this.state[group] = this.hasAtoms && here("codes") ? CODED : FLAT;
     return this.state[group] !== was;
+  }
+
+  async loadMaps(signal) {
+    const { gl, packed, header } = this, names = ["station", "map_colors", "map_depth_low", "map_depth_high"];
+    const arrays = await packed.readWhole(names, signal), frames = mapFrames(header);
+    this.maps = await mapTextures(gl, header, arrays);
+    const stations = new Uint32Array(Math.ceil(header.n_splats / 4));
+    new Uint8Array(stations.buffer).set(arrays.station.subarray(0, header.n_splats));
+    this.textures.splat_maps = new Words(gl, stations.length).put(0, stations);
+    this.textures.map_frames = new Words(gl, frames.length).put(0, frames);
+    this.defines.MAPPED = 1;
   }
 
   async loadAtoms(signal) {

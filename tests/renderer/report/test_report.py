@@ -146,7 +146,7 @@ def test_report__counts_every_array_once_and_the_camera_not_at_all():
     sizes = built(scene, 1000)["sizes"]
     on_gpu = sum(array.nbytes for name, array in scene.arrays.items() if name != "camera")
     assert sizes["gpu_bytes"] == on_gpu
-    assert sum(sizes[f"{part}_bytes"] for part in ("geometry", "codes", "colors", "dictionary")) == on_gpu
+    assert sum(sizes[f"{part}_bytes"] for part in ("geometry", "codes", "colors", "dictionary", "maps")) == on_gpu
     assert sizes["colors_bytes"] == 3 * N and sizes["provenance_bytes"] == 2 * N
     assert sizes["geometry_bytes"] == 5 * N + 27 * 4  # 24 + 16 bits a splat, and four boxes
     assert sizes["bytes_per_splat"] == on_gpu / N

@@ -28,6 +28,7 @@ from tests.services.scans import point_scan
 from tests.stations import HALF, PILLAR, cast, room_color, scanned, write_e57
 
 SETTINGS = settings_for("draft", density=0.1, radius=0.25, training_splats=4000, iterations=2)
+THINNER = replace(SETTINGS, texture="map", density=0.03, radius=0.5)
 STATIONS = [[-1.0, -0.8, 0.2], [0.4, 1.3, -0.1]]
 MAP_STAGES = {"panoramas", "station-light", "resample-maps"}
 VIEW = Camera(
@@ -85,6 +86,31 @@ def test_maps__a_tenth_of_the_points_with_texture_is_4_db_above_one_colour_a_spl
     assert textured_db > flat_db + 4
 
 
+def test_maps__themselves_in_the_file_are_4_db_above_one_colour_where_splats_are_large(made, renderer):
+    """The map of each splat is looked up by its fragments; so points may go, and pictures stay."""
+    itself = made(THINNER)
+    assert stages_of(itself[0]) >= {"map-pictures", "mapped-splats"} and "resample-maps" not in stages_of(itself[0])
+    assert itself[0]["quality"]["texture_psnr_db"] >= 36 and itself[0]["sizes"]["maps_bytes"] > 0
+    with PackedFile(itself[1]) as packed:
+        header, station = packed.header, packed.read("station")
+    assert len(header.maps) == 2 and set(np.unique(station)) <= {0, 1, 255} and (station == 255).mean() < 0.02
+    assert header.maps[0].centre == pytest.approx(STATIONS[0])
+    flat = made(replace(THINNER, texture="color"))
+    assert picture_psnr_db(itself[1], renderer) > picture_psnr_db(flat[1], renderer) + 4
+
+
+def test_maps__auto_takes_the_fewer_bytes_and_says_why(made):
+    def choice(settings):
+        report = made(settings)[0]
+        row = next(row for row in report["effects"] if row["effect"] == "station_maps")
+        return row["choice"], report["sizes"]["maps_bytes"]
+
+    words, n_bytes = choice(SETTINGS)  # 8,000 splats of maps of 2 x 46,000 texels
+    assert words.startswith("atoms: maps take about") and n_bytes == 0
+    words, n_bytes = choice(THINNER)
+    assert words.startswith("map: maps take about") and words.endswith("asked for") and n_bytes > 0
+
+
 def test_maps__the_plan_says_whether_and_why(made):
     def row_of(report: dict) -> dict:
         return next(row for row in report["effects"] if row["effect"] == "station_maps")
@@ -107,10 +133,11 @@ def test_maps__stations_are_brought_to_one_light(made):
 
 
 def test_maps__bytes_do_not_depend_on_the_executor(made):
-    _, path, _ = made(SETTINGS)
-    with DaskExecutor(2) as executor:
-        _, other, _ = made(SETTINGS, executor, "dask")
-    assert path.read_bytes() == other.read_bytes()
+    for settings in (SETTINGS, replace(SETTINGS, texture="map")):
+        _, path, _ = made(settings)
+        with DaskExecutor(2) as executor:
+            _, other, _ = made(settings, executor, "dask")
+        assert path.read_bytes() == other.read_bytes()
 
 
 def test_maps__atoms_of_a_scan_without_stations_are_an_error_that_says_what_to_do(tmp_path):
@@ -118,6 +145,8 @@ def test_maps__atoms_of_a_scan_without_stations_are_an_error_that_says_what_to_d
     with pytest.raises(InvalidScan, match=r"texture.*neither photographs.*--station") as caught:
         compress(scan, tmp_path / "out", replace(SETTINGS, density=1.0, texture="atoms"), SerialExecutor(), Heard())
     assert caught.value.kind == "data" and not (tmp_path / "out").exists()
+    with pytest.raises(InvalidScan, match=r"texture.*without stations.*--station"):
+        compress(scan, tmp_path / "out", replace(SETTINGS, density=1.0, texture="map"), SerialExecutor(), Heard())
 
 
 # --- maps as pictures ------------------------------------------------------------------------------------------------

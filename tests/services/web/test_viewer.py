@@ -13,6 +13,7 @@ from renderer.effects.relighting import AS_PHOTOGRAPHED, USUAL_LAMP, lamp
 from renderer.splats.scene import GpuScene
 from renderer.splats.views import orbit_views, up_direction
 from storage.packed.schema import GROUP, MAX_ATOMS
+from tests.mapped_scenes import STATION, moved, wall_map, with_maps
 from tests.packed_files import write_arrays
 from tests.programs_of_others import node_module
 from tests.scenes import Dictionary, Settings, build_scene, camera_looking, coded, random_dictionary, sheet
@@ -39,6 +40,14 @@ def scene_of(name: str):
         cameras = tuple(replace(camera_looking(np.add(UTM, (x, -2, 0.3)), UTM), name=f"{x}.jpg") for x in (-0.4, 0.1))
         splats = replace(splats, size=0.02 * 2.5 ** rng.random(n))
         return build_scene(splats, Settings(radius=0.03, origin=UTM, cameras=cameras), dictionary)
+    if name == "maps":
+        axes = np.tile(np.diag([0.12, 0.06, 0.03])[[0, 2, 1]], (400, 1, 1))
+        axes[rng.random(400) < 0.7] = np.nan
+        splats = sheet(rng, 400, tilt=0.1, axes=axes)
+        splats = replace(splats, position=splats.position + UTM)
+        maps = [moved(wall_map(STATION + off, height), UTM) for off, height in ((0, 160), ([0.5, 0.2, 0.1], 112))]
+        scene = build_scene(splats, Settings(radius=0.12, origin=UTM))
+        return with_maps(scene, *maps, station=rng.integers(-1, 2, 400))
     axes = np.tile(np.diag([0.12, 0.06, 0.03])[[0, 2, 1]], (500, 1, 1))
     axes[rng.random(500) < 0.7] = np.nan
     line = np.tile([0.8, 0.6, 0.1], (500, 1))
@@ -69,7 +78,7 @@ def _without_complaints_of_others(page):
 def served(tmp_path_factory):
     """Addresses and scenes by name."""
     folder, running, found = tmp_path_factory.mktemp("files"), [], {}
-    for name in ("atoms", "everything", "groups"):
+    for name in ("atoms", "everything", "groups", "maps"):
         scene = scene_of(name)
         running.append(serving(write_arrays(scene.header, scene.arrays, folder / f"{name}.splatpress")))
         found[name] = running[-1].__enter__(), scene
@@ -109,7 +118,7 @@ VIEWS = {  # eye, size, focal length
 }
 
 
-@pytest.mark.parametrize("name", ["atoms", "everything", "groups"])
+@pytest.mark.parametrize("name", ["atoms", "everything", "groups", "maps"])
 def test_viewer__draws_what_render_does(page, served, renderer, name):
     url, scene = served[name]
     open_viewer(page, url)
@@ -125,12 +134,15 @@ def test_viewer__draws_what_render_does(page, served, renderer, name):
         assert {flag for flag in flags if f"{flag}=1" in " ".join(found["programs"])} == flags
 
 
-def test_viewer__writes_depth_itself_where_clip_space_cannot_end_at_zero(page, served, renderer):
-    url, scene = served["everything"]
+@pytest.mark.parametrize("name", ["everything", "maps"])
+def test_viewer__writes_depth_itself_where_clip_space_cannot_end_at_zero(page, served, renderer, name):
+    url, scene = served[name]
+    origin = scene.header.origin
     open_viewer(page, url + "?own-depth")
     assert not page.look("viewer.statistics().clipControl")
     for eye, size, focal in VIEWS.values():
-        assert_alike(page, renderer, scene, camera_looking(eye, (0, 0, 0), size, (focal, focal)))
+        view = camera_looking(np.add(origin, eye), origin, size, (focal, focal))
+        assert_alike(page, renderer, scene, view)
     assert page.complaints == []
 
 

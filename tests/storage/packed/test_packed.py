@@ -39,6 +39,7 @@ from tests.reference_packed import decode_code, decode_color
 
 SMALL = Case(n_splats=200, n_dictionary=3, cliplines=True, ellipsoids=True, size_bits=3)
 MANY_GROUPS = Case(n_splats=9 * GROUP + 500, cliplines=True, period=128)  # in two zarr chunks of splats
+MAPPED = Case(n_splats=300, n_dictionary=0, atom_counts=(0,), n_maps=2)
 BOXED = Case(n_splats=300, n_dictionary=3, atom_counts=(0, 1, 9, 16), n_ranks=16, color_step=112)
 WALKED = Case(n_splats=300, atom_counts=(0, 2), n_dictionary=3, runs=True)
 HUGE, NOT_A_NUMBER = 2**60, float("nan")
@@ -111,6 +112,7 @@ def same_arrays(found: dict, expected: dict) -> bool:
         Case(n_splats=1, size_bits=2),
         Case(n_splats=300, size_bits=4),
         Case(n_dictionary=0, atom_counts=(0,), n_cameras=0, color_step=255),
+        MAPPED,
     ],
 )
 def test_packed__header_and_arrays_come_back(case, tmp_path):
@@ -731,28 +733,37 @@ def test_packed__refuses_word_streams_of_another_length(small, tmp_path, n_words
     assert_refused(craft_json(small, tmp_path / "a.splatpress", "codes/zarr.json", lambda data: data.update(edit)))
 
 
-def one_with(name: str, small, boxed, walked):
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory):
+    return write_packed_file(MAPPED, tmp_path_factory.mktemp("packed") / "mapped.splatpress")
+
+
+def one_with(name: str, small, boxed, walked, mapped):
     """A file that has an array."""
     if name.startswith("run_"):
         return walked
+    if BY_NAME[name].part == "maps":
+        return mapped
     return boxed if name.startswith("color") and name != "color" else small
 
 
 @pytest.mark.parametrize("name", [array.name for array in ARRAYS])
-def test_packed__refuses_a_missing_array(small, boxed, walked, tmp_path, name):
+def test_packed__refuses_a_missing_array(small, boxed, walked, mapped, tmp_path, name):
     def drop(members):
         for member in [m for m in members if m.startswith(name + "/")]:
             del members[member]
 
-    assert_refused(craft(one_with(name, small, boxed, walked), tmp_path / "a.splatpress", drop))
+    assert_refused(craft(one_with(name, small, boxed, walked, mapped), tmp_path / "a.splatpress", drop))
 
 
 @pytest.mark.parametrize("name", [array.name for array in ARRAYS])
-def test_packed__refuses_a_missing_chunk(small, boxed, walked, tmp_path, name):
+def test_packed__refuses_a_missing_chunk(small, boxed, walked, mapped, tmp_path, name):
     def drop(members):
         del members[next(m for m in members if m.startswith(name + "/c/"))]
 
-    assert_refused(craft(one_with(name, small, boxed, walked), tmp_path / "a.splatpress", drop), match="members")
+    assert_refused(
+        craft(one_with(name, small, boxed, walked, mapped), tmp_path / "a.splatpress", drop), match="members"
+    )
 
 
 @pytest.mark.parametrize("renamed", ["position/c/1/0", "position/c/0/1", "../position", "/position/c/0/0"])
@@ -989,6 +1000,35 @@ def test_packed__batches_that_are_alike_are_refused(tmp_path):
     header = replace(header_of(SMALL), batches=(Batch(1), Batch(3), Batch(1)))
     path = write_arrays(header, arrays_for(SMALL, header), tmp_path / "a.splatpress")
     assert_refused(path, match="batches .*different from each other")
+
+
+@pytest.mark.parametrize(
+    "changed, what",
+    [
+        ({"height_px": 24}, "whole 16 rows"),
+        ({"height_px": 4096}, "whole 16 rows"),
+        ({"nearest": 0.0}, "finite"),
+        ({"depth_step": -0.005}, "finite"),
+        ({"centre": (0.0, float("inf"), 0.0)}, "finite"),
+        ({"color_bytes": 0}, "finite"),
+        ({"color_bytes": HUGE}, "members"),
+    ],
+)
+def test_packed__refuses_maps_of_odd_numbers(tmp_path, changed, what):
+    header = header_of(MAPPED)
+    arrays = arrays_for(MAPPED, header)
+    path = write_arrays(header, arrays, tmp_path / "a.splatpress")
+    odd = replace(header, maps=(replace(header.maps[0], **changed), *header.maps[1:]))
+    path = craft_json(path, tmp_path / "b.splatpress", "zarr.json", lambda data: data.update(attributes=odd.to_json()))
+    assert_refused(path, match=what)
+
+
+def test_packed__refuses_a_station_beyond_the_maps_and_maps_beside_a_dictionary(tmp_path):
+    header = header_of(MAPPED)
+    arrays = arrays_for(MAPPED, header) | {"station": np.full(300, 2, np.uint8)}
+    assert_refused(write_arrays(header, arrays, tmp_path / "a.splatpress"), match="station beyond the 2 maps")
+    both = replace(MAPPED, n_dictionary=5)
+    assert_refused(write_packed_file(both, tmp_path / "b.splatpress"), match="none beside a dictionary")
 
 
 def test_packed__atoms_without_a_dictionary_are_refused(tmp_path):

@@ -1,0 +1,79 @@
+"""Station maps -> which of them textures each splat, and the splat's mean colour: what stands for it where its map shows
+another surface, and in whatever draws no maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.geometry.frame import Direction
+from pipeline.maps.choice import NO_STATION, best_stations
+from pipeline.maps.light import levels_with
+from pipeline.maps.sample import sample_patches
+from pipeline.stages.maps.resample_maps import LEAST_SHARE, Gains, MappedSplats
+from pipeline.summaries import Counted, MapsDrawn, Points
+from pipeline.texture.resample import PATCH_DIM, disc_weights
+from storage.maps import NO_MAP
+from storage.work import arrays, work
+
+ROWS = 1024  # splats at a time: their patches take 3 MB
+
+
+@dataclass(frozen=True)
+class StationsChosen:
+    """Of the map that textures each splat."""
+
+    n_blind: int  # splats that no map shows
+
+
+@dataclass(frozen=True)
+class StationOfSplats:
+    """A task a block. Arrays: station (n,) uint8, numbers of stations with maps in their order, NO_MAP where no map shows the
+    splat; average (n, 3) uint8."""
+
+    maps: Path  # as those of `Panoramas`
+    partition: Path
+    splats: Path
+    radius: float
+    up: Direction
+    ahead: Direction
+    log_gain: Gains
+    name = "mapped-splats"
+
+    def init(self, folder: Path) -> int:
+        n = work.summary(self.splats, Counted).n_splats
+        arrays.create(folder, "station", (n,), "uint8")
+        arrays.create(folder, "average", (n, 3), "uint8")
+        return arrays.n_blocks(n)
+
+    def run(self, folder: Path, index: int) -> dict:
+        start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
+        splats = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
+        average = arrays.read(self.splats, "color", start, stop).astype(np.uint8)
+        station = np.full(stop - start, NO_MAP, np.uint8)
+        has_map = [frame is not None for frame in work.summary(self.maps, MapsDrawn).frames]
+        best = best_stations(splats.map_of, splats.n_stations, splats.squares, splats.own)
+        for i in np.unique(best[best != NO_STATION]):
+            station_map, rows = splats.map_of(int(i)), np.flatnonzero(best == i)
+            squares, levels = splats.squares(station_map), levels_with(self.log_gain[i])
+            for at in range(0, len(rows), ROWS):
+                some = rows[at : at + ROWS]
+                patches, shown = sample_patches(station_map, squares.only(some), levels)
+                seen = shown >= LEAST_SHARE
+                station[some[seen]] = sum(has_map[:i])
+                average[some[seen]] = _means(patches[seen])
+        arrays.write(folder, "station", start, station)
+        arrays.write(folder, "average", start, average)
+        return {"n_splats": stop - start, "n_blind": int((station == NO_MAP).sum())}
+
+    def finalise(self, folder: Path, results: list[dict]) -> StationsChosen:
+        return StationsChosen(sum(r["n_blind"] for r in results))
+
+
+def _means(patches: np.ndarray) -> np.ndarray:
+    """Mean colours (n, 3) uint8 of patches (n, s, s, 3) over their discs."""
+    weight = disc_weights().reshape(-1, 3)[:, 0]
+    rows = patches.reshape(len(patches), PATCH_DIM // 3, 3).astype(np.float64)
+    return np.rint(np.einsum("nkc,k->nc", rows, weight) / weight.sum()).astype(np.uint8)
