@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar, get_type_hints
 
 from pipeline.execution.calls import run_call
+from storage import place
 from storage.work import work
 
 S = TypeVar("S")
@@ -110,7 +111,7 @@ def summary_type(stage: Stage) -> Any:
 
 def _bring_into_being(stage: Stage, folder: Path, executor: Executor, progress: Progress) -> None:
     begun, plan = time.perf_counter(), folder / "plan.json"
-    if plan.is_file():
+    if place.is_file(plan):
         work.sweep(folder)
     else:
         work.begin(folder)

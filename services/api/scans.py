@@ -46,7 +46,7 @@ class ScanAddress(BaseModel):
     name: str = Field("", max_length=200, description="of the file; else the address's last part")
 
 
-@router.post("/scans/by-url", status_code=201)
+@router.post("/scans/by-url", status_code=201, responses={200: {"description": "you have brought its content before"}})
 def post_scan_by_url(
     request: ScanAddress, response: Response, owner: Owner, settings: Settings, store: Database
 ) -> dict:

@@ -48,7 +48,7 @@ def fetch_scan(url: str, name: str, owner: str, settings: ServiceSettings, store
         raise Problem(422, "refused-url", str(error)) from None
     except httpx.HTTPError as error:
         detail = f"fetching failed ({type(error).__name__}: {error})"
-        raise Problem(502, "not-fetched", detail, kind=RESOURCE, retryable=True) from error
+        raise Problem(422, "not-fetched", detail, kind=RESOURCE, retryable=True) from error
     finally:
         discard(upload, settings, store)
 

@@ -12,6 +12,7 @@ from pipeline.numerics.accuracy import psnr_db
 from pipeline.stages.pages.codecs import CODECS, DEFAULT_QUALITY
 from pipeline.stages.pages.cut import inner_size, pages_of
 from pipeline.summaries import Photographs
+from storage import place
 from storage.packed.schema import Camera
 from storage.pages.file import PageHeader, scan_digest, write_pages
 from storage.pages.layout import PageLayout
@@ -95,8 +96,8 @@ class PhotoPages:
     def _joined(folder: Path, n_photos: int) -> Iterator[bytes]:
         """Pages of all photographs; one at a time is held."""
         for index in range(n_photos):
-            with open(_pages(folder, index), "rb") as stream:
-                for length in np.load(_lengths(folder, index)).tolist():
+            with open(place.here(_pages(folder, index)), "rb") as stream:
+                for length in work.map_part(_lengths(folder, index)).tolist():
                     yield stream.read(length)
 
     def _cameras(self) -> list[Camera]:

@@ -15,6 +15,7 @@ from pipeline.stages.pages.photo_pages import FILE, PhotoPages
 from pipeline.summaries import Photographs
 from services.flow.prepare import ingest_of
 from services.flow.run import Run
+from storage import place
 from storage.errors import InvalidScan
 from storage.whole import whole
 from storage.work import work as work_folder
@@ -69,7 +70,7 @@ def place_pages(made: Path, out: Path) -> None:
         try:
             os.link(made / FILE, partial)
         except OSError:
-            shutil.copyfile(made / FILE, partial)
+            shutil.copyfile(place.here(made / FILE), partial)
 
 
 def _stage_folders(source: Path) -> list[Path]:

@@ -23,12 +23,14 @@ from schemathesis.checks import not_a_server_error
 from schemathesis.specs.openapi import checks
 
 from pipeline.planning.settings import Settings
+from services.addresses import RefusedAddress
 from services.api.app import create_app
 from services.cli.client import zip_folder
 from services.jobs.runner import tidy
 from services.problems import Problem
 from services.settings import settings_from
 from services.store.store import RUNNING
+from services.uploads import by_url
 from services.uploads.first_bytes import Look, look
 from services.uploads.validation import validated_header
 from storage.version import VERSION
@@ -646,7 +648,11 @@ def _as_bytes(context, value):
     return value if isinstance(value, bytes) else str(value).encode()
 
 
-def test_api__schemathesis_finds_no_5xx_and_no_answer_that_the_schema_does_not_know(tmp_path, ball):
+def test_api__schemathesis_finds_no_5xx_and_no_answer_that_the_schema_does_not_know(tmp_path, ball, monkeypatch):
+    def nowhere(host: str, *_) -> str:
+        raise RefusedAddress(f"{host} is not looked up in a test")
+
+    monkeypatch.setattr(by_url, "public_address", nowhere)
     with TestClient(app_for(tmp_path), base_url="http://127.0.0.1") as api:
         scan = api.post("/v1/scans", files={"file": ("ball.ply", ball)}).json()["id"]
         job = api.post("/v1/jobs", json={"scan": scan}).json()["jobID"]

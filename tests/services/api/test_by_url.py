@@ -81,7 +81,7 @@ def test_by_url__a_scan_is_that_of_an_upload(api, web, scan):
     [
         ("/moved.ply", 422, "not-fetched"),
         ("/gone.ply", 422, "not-fetched"),
-        ("/cut.ply", 502, "not-fetched"),
+        ("/cut.ply", 422, "not-fetched"),
         ("/text.ply", 422, "bad-scan"),
         ("/ball.exe", 415, "unsupported-scan"),
     ],

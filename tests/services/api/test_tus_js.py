@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 import subprocess
 import threading
 import time
@@ -17,23 +16,7 @@ from tests.services.scans import padded_scan
 from tests.services.service_process import ApiProcess, until
 
 SCRIPT = Path(__file__).with_name("tus_client.cjs")
-CLIENT = "tus-js-client@4.3.1"
 MIB = 1 << 20
-
-
-@pytest.fixture(scope="module")
-def modules(tmp_path_factory) -> Path:
-    """Where tus-js-client lies: SPLATPRESS_NODE_MODULES, else put there by npm."""
-    if given := os.environ.get("SPLATPRESS_NODE_MODULES"):
-        return Path(given)
-    if not (shutil.which("node") and shutil.which("npm")):
-        pytest.skip(f"needs node and npm, for {CLIENT}")
-    folder = tmp_path_factory.mktemp("node")
-    command = ["npm", "install", "--silent", "--no-audit", "--no-fund", "--prefix", str(folder), CLIENT]
-    found = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    if found.returncode:
-        pytest.skip(f"npm could not get {CLIENT}: {found.stderr.strip()[-200:]}")
-    return folder / "node_modules"
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 from pathlib import Path
 
 import numpy as np
@@ -178,3 +179,13 @@ def test_place__a_server_that_stumbles_at_every_other_request_changes_nothing(bu
         place.remove_folder(bucket)
         assert place.sizes(bucket) == {}
         assert min(proxy.busy, proxy.cut_before, proxy.cut_after) > 0
+
+
+def test_place__stages_read_and_write_work_folders_by_storage_alone():
+    """What asks the disk itself finds nothing where the folder is a bucket's."""
+    sources = Path(place.__file__).parents[2].joinpath("pipeline", "stages").rglob("*.py")
+    direct = re.compile(
+        r"np\.load\(|\.read_bytes\(|\.read_text\(|\.glob\(|\.iterdir\(|folder[^\n]*\.(is_file|exists)\("
+    )
+    found = {path.name: direct.findall(path.read_text()) for path in sources}
+    assert not {name: hits for name, hits in found.items() if hits}
