@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,3 +72,20 @@ def _unproject(pixels, depth, calibration, local):
         local[i, 0] = (pixels[i, 0] - cx) / fx * depth[i]
         local[i, 1] = (pixels[i, 1] - cy) / fy * depth[i]
         local[i, 2] = depth[i]
+
+
+def resized(camera: Camera, width_px: int, height_px: int) -> Camera:
+    """The camera of the same picture at another size, of the same field of view.
+
+    Guarantees: pixel edges map to pixel edges, so a picture at the photo's size lies on the photo pixel by pixel.
+    """
+    x, y = width_px / camera.width_px, height_px / camera.height_px
+    return replace(
+        camera,
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=camera.fx_px * x,
+        cx_px=camera.cx_px * x,
+        fy_px=camera.fy_px * y,
+        cy_px=camera.cy_px * y,
+    )

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
+from pipeline.cameras.pinhole import resized
 from pipeline.splats.decoded import scene_bounds
 from renderer.effects.relighting import has_own_lamp
 from storage.packed.packed import PackedScene
@@ -17,21 +16,8 @@ TRIMMED_SHARE = 0.1  # of chunks at each end of each axis: stray and background 
 
 
 def view_of(camera: Camera, size: tuple[int, int] | None = None) -> Camera:
-    """A photo's camera for a picture of `size` (width, height) px, of the same field of view.
-
-    Guarantees: pixel edges map to pixel edges, so a picture at the photo's size lies on the photo pixel by pixel.
-    """
-    width, height = size or (camera.width_px, camera.height_px)
-    x, y = width / camera.width_px, height / camera.height_px
-    return replace(
-        camera,
-        width_px=width,
-        height_px=height,
-        fx_px=camera.fx_px * x,
-        cx_px=camera.cx_px * x,
-        fy_px=camera.fy_px * y,
-        cy_px=camera.cy_px * y,
-    )
+    """A photo's camera for a picture of `size` (width, height) px, of the same field of view; see `resized`."""
+    return resized(camera, *(size or (camera.width_px, camera.height_px)))
 
 
 def orbit_views(

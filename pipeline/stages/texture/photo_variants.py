@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from pipeline.cameras.pinhole import resized
 from pipeline.geometry.frame import Direction
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.stages.texture.photo_codecs import CODECS, halved
@@ -72,16 +73,7 @@ def camera_at(camera: Camera, lod: int) -> Camera:
     width, height = camera.width_px, camera.height_px
     for _ in range(lod):
         width, height = max(1, width // 2), max(1, height // 2)
-    x, y = width / camera.width_px, height / camera.height_px
-    return replace(
-        camera,
-        width_px=width,
-        height_px=height,
-        fx_px=camera.fx_px * x,
-        cx_px=camera.cx_px * x,
-        fy_px=camera.fy_px * y,
-        cy_px=camera.cy_px * y,
-    )
+    return resized(camera, width, height)
 
 
 @dataclass(frozen=True)
