@@ -56,16 +56,13 @@ class Manager:
     def n_mapped(self) -> int:
         return int((self.state == MAPPED).sum() - self.is_tail.sum())
 
-    def resident_level(self) -> np.ndarray:
-        """(n_pages,) the mip level that is shown where a page is wanted: its own where it is mapped, else of the nearest
-        ancestor that is."""
-        shown = np.where(self.state == MAPPED, self.level, -1)
-        at = self.parents.copy()
-        while (open_ := (shown < 0) & (at >= 0)).any():
-            found = open_ & (self.state[at] == MAPPED)
-            shown[found] = self.level[at[found]]
-            at[open_] = self.parents[at[open_]]
-        return shown
+    def shown_level(self, pages: np.ndarray) -> np.ndarray:
+        """(n,) the mip level that is shown where `pages` (n,) are wanted: their own where they are mapped, else that of the
+        nearest ancestor that is; a tail always is."""
+        at = pages.copy()
+        while (missing := np.flatnonzero(self.state[at] != MAPPED)).size:
+            at[missing] = self.parents[at[missing]]
+        return self.level[at]
 
     def step(self, frame: int, found: Feedback | None, loaded: np.ndarray) -> Orders:
         """One frame: hear what was wanted (None where no feedback has come), and what has been loaded since."""
@@ -87,7 +84,7 @@ class Manager:
         self.last_seen[page] = frame
         self.last_required[page[found.tier == REQUIRED]] = frame
         self.tier[page], self.distance[page] = found.tier, found.distance
-        finer = np.maximum(self.resident_level()[page] - self.level[page], 0)
+        finer = np.maximum(self.shown_level(page) - self.level[page], 0)
         self.gain[page] = np.log2(1 + found.pixels * (1 + finer))
         self.state[page[self.state[page] == UNKNOWN]] = SEEN
 
@@ -151,7 +148,7 @@ class Manager:
         """The most important first."""
         if self.published:
             level, parent = self.level[pages], self.level[self.parents[pages]]
-            difference = np.maximum(self.resident_level()[pages] - level, 0)
+            difference = np.maximum(self.shown_level(pages) - level, 0)
             key = load_and_map_key(
                 self.last_seen[pages], self.tier[pages] != REQUIRED, level, difference, parent, self.distance[pages]
             )

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 
 from renderer.residency.places import Pose
 from storage.errors import InvalidScan
@@ -33,20 +35,23 @@ class Path90:
     poses: tuple[Pose, ...]
 
 
-def made_paths(camera: Camera, distance: float) -> dict[str, Path90]:
-    """The four paths, from a photograph's pose and its distance to what it shows.
+def made_paths(camera: Camera, distance: float, up: np.ndarray | None = None) -> dict[str, Path90]:
+    """The four paths, from a photograph's pose and its distance to what it shows; with the head upright where `up` (3,) is
+    given, for photographs may lie on their side.
 
     `look_around` turns the head in place, `forward` and `backward` walk at constant speed along the view, `sideways`
     slides across it with the head straight: at the near distance new parts come into view fast.
     """
     rotation, centre = np.array(camera.rotation), np.array(camera.centre)
+    if up is not None:
+        rotation = _upright(rotation[2], up)
     ahead, right = rotation[2], rotation[0]
     t = np.linspace(0.0, 1.0, round(SECONDS * FRAMES_PER_SECOND))
     near = centre + (1 - NEAR_SHARE) * distance * ahead
 
     def turned(s: float) -> np.ndarray:
-        yaw = np.radians(TURN_DEGREES) * np.sin(2 * np.pi * s)
-        nod = np.radians(NOD_DEGREES) * np.sin(4 * np.pi * s)
+        yaw = -np.radians(TURN_DEGREES) * np.cos(2 * np.pi * s)
+        nod = np.radians(NOD_DEGREES) * np.cos(4 * np.pi * s)
         return _turn(nod, 0) @ _turn(yaw, 1) @ rotation
 
     look = tuple(Pose(turned(s), centre + (1 - 1.5 * NEAR_SHARE) * distance * ahead) for s in t)
@@ -60,6 +65,34 @@ def made_paths(camera: Camera, distance: float) -> dict[str, Path90]:
         "backward": Path90("backward", walk[::-1]),
         "sideways": Path90("sideways", side),
     }
+
+
+def _upright(ahead: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """World to viewer, who looks `ahead`; his head's top points as far up as it can."""
+    right = np.cross(ahead, up)
+    if np.linalg.norm(right) < 1e-6:  # straight up or down: any side will do
+        right = np.cross(ahead, np.eye(3)[np.argmin(np.abs(ahead))])
+    right = right / np.linalg.norm(right)
+    return np.stack([right, np.cross(ahead, right), ahead])
+
+
+def through(name: str, keys: tuple[Pose, ...], seconds: float) -> Path90:
+    """A path of that many seconds through `keys`, 2 or more: a cubic spline of centres, and of rotations, that reaches them
+    at even intervals.
+
+    Raises: ValueError for fewer keys.
+    """
+    if len(keys) < 2:
+        raise ValueError(f"{len(keys)} poses; allowed: 2 or more")
+    at, t = np.linspace(0.0, 1.0, len(keys)), np.linspace(0.0, 1.0, max(2, round(seconds * FRAMES_PER_SECOND)))
+    turns = Rotation.from_matrix(np.stack([key.rotation for key in keys]))
+    rotations = (RotationSpline(at, turns) if len(keys) > 2 else Slerp(at, turns))(t).as_matrix()
+    centres = CubicSpline(at, np.stack([key.centre for key in keys]))(t)
+    return Path90(name, tuple(Pose(rotation, centre) for rotation, centre in zip(rotations, centres, strict=True)))
+
+
+def pose_of(camera: Camera) -> Pose:
+    return Pose(np.array(camera.rotation), np.array(camera.centre))
 
 
 def read_path(path: Path) -> Path90:

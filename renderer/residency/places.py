@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.execution.compiled import kernel
-from renderer.residency.feedback import EMPTY, FAR, Feedback
+from renderer.residency.feedback import FAR, Feedback
 from storage.packed.schema import NO_CAMERA, Camera
 from storage.pages.layout import PageLayout
 
 NEAR = 1e-3  # of a view's focal length in splat radii: nearer splats are behind the viewer, to us
+LEAST_COSINE = 0.05  # of discs seen from their edge
 MOST_SQUARE_PX = 64  # half the side of a splat's square
 
 
@@ -43,10 +44,11 @@ class Places:
 
     centre: np.ndarray  # (n, 3) float64
     radius: np.ndarray  # (n,) float64
+    normal: np.ndarray  # (n, 3), either way round
     photo: np.ndarray  # (n,) int64; rows without a photograph are left out
     x: np.ndarray  # (n,) pixels of the finest level
     y: np.ndarray  # (n,)
-    density: np.ndarray  # (n,) photo pixels a unit of length, across the line of sight
+    octaves: np.ndarray  # (n,) log2 of photo pixels a unit of length, mean over the splat's disc
     layout: PageLayout
 
     def seen(self, pose: Pose, screen: Screen, halving: int, shift: tuple[float, float] = (0.0, 0.0)) -> Seen:
@@ -85,31 +87,36 @@ class Seen:
         return inside
 
     def wanted(self, tier: int, bias: float = 0.0, where: np.ndarray | None = None) -> Feedback:
-        """The page of each splat's level of detail floor(lod + bias), lod = log2(photo pixels a screen pixel)."""
-        p = self.places
-        count, near = np.zeros(len(p.centre), np.int32), np.full(len(p.centre), np.float32(np.inf))
-        _collect(self.splat, np.ones(self.splat.shape, bool) if where is None else where, count, near)
-        splats = np.flatnonzero(count)
-        if not len(splats):
-            return EMPTY
-        depth = (p.centre[splats] - self.pose.centre) @ self.pose.rotation[2]
-        lod = np.log2(p.density[splats] * depth / self.screen.focal_px)
-        level = np.maximum(np.floor(lod + bias), 0).astype(np.int64)
-        page = p.layout.pages_at(p.photo[splats], level, p.x[splats], p.y[splats])
-        pages, row = np.unique(page, return_inverse=True)
-        nearest = np.full(len(pages), np.float32(np.inf))
-        np.minimum.at(nearest, row, near[splats])
+        """The page of each splat's level of detail floor(lod + bias); lod = log2(photo pixels a screen pixel), by areas of
+        the disc, as shaders/baseline.vert.glsl has it."""
+        p, layout = self.places, self.places.layout
+        pixels, nearest = np.zeros(layout.n_pages), np.full(layout.n_pages, np.inf)
+        everywhere = np.ones(self.splat.shape, bool) if where is None else where
+        eye = np.asarray(self.pose.centre, np.float64)
+        _collect(
+            self.splat, everywhere, p.centre, p.normal, p.octaves, p.photo, p.x, p.y, eye, self.pose.rotation[2],
+            self.screen.focal_px, bias, layout.grids, layout.texels_a_page, layout.first_grid, layout.levels, pixels, nearest,
+        )  # fmt: skip
+        pages = np.flatnonzero(pixels)
         return Feedback(
             pages,
             np.full(len(pages), tier, np.int8),
-            np.bincount(row, count[splats] * float(self.halving**2), len(pages)),
-            np.clip(nearest * FAR, 0, FAR).astype(np.uint8),
+            pixels[pages] * float(self.halving**2),
+            np.clip(nearest[pages] * FAR, 0, FAR).astype(np.uint8),
         )
+
+
+def octaves_of(ray: np.ndarray, depth: np.ndarray, normal: np.ndarray, focal_px: float) -> np.ndarray:
+    """log2 of pixels a unit of length on discs (n,): half that of their area's, f^2 |ray . normal| / depth^3."""
+    depth = np.maximum(depth, 1e-9)
+    cosine = np.maximum(np.abs((ray * normal).sum(axis=1)) / depth, LEAST_COSINE)
+    return np.log2(focal_px / depth) + 0.5 * np.log2(cosine)
 
 
 def places_of(
     centre: np.ndarray,  # (n, 3) absolute
     radius: np.ndarray,  # (n,)
+    normal: np.ndarray,  # (n, 3)
     camera: np.ndarray,  # (n,) of `cameras`, NO_CAMERA where a splat has none
     cameras: tuple[Camera, ...],
     magnified: int = 1,
@@ -117,17 +124,19 @@ def places_of(
 ) -> Places:
     """The places of splats in photographs that are `magnified` times as wide as `cameras` say."""
     textured = camera != NO_CAMERA
-    centre, radius, photo = centre[textured], radius[textured], camera[textured].astype(np.int64)
-    x, y, density = (np.zeros(len(centre)) for _ in range(3))
+    centre, radius, normal = centre[textured], radius[textured], normal[textured]
+    photo = camera[textured].astype(np.int64)
+    x, y, octaves = (np.zeros(len(centre)) for _ in range(3))
     for i, c in enumerate(cameras):
         rows = photo == i
-        local = (centre[rows] - np.array(c.centre)) @ np.array(c.rotation).T
+        ray = centre[rows] - np.array(c.centre)
+        local = ray @ np.array(c.rotation).T
         depth = np.maximum(local[:, 2], 1e-9)
         x[rows] = magnified * (c.fx_px * local[:, 0] / depth + c.cx_px)
         y[rows] = magnified * (c.fy_px * local[:, 1] / depth + c.cy_px)
-        density[rows] = magnified * (c.fx_px + c.fy_px) / 2 / depth
+        octaves[rows] = octaves_of(ray, depth, normal[rows], magnified * (c.fx_px * c.fy_px) ** 0.5)
     sizes = tuple((magnified * c.width_px, magnified * c.height_px) for c in cameras)
-    return Places(centre, radius, photo, x, y, density, PageLayout(sizes, page_px))
+    return Places(centre, radius, normal, photo, x, y, octaves, PageLayout(sizes, page_px))
 
 
 @kernel()
@@ -152,14 +161,35 @@ def _draw(centre, radius, rotation, eye, scale, middle_x, middle_y, nearest, sho
 
 
 @kernel()
-def _collect(shown, where, count, near):
-    """Pixels of each splat, and how near to the middle the nearest of them is, 1 at the corners."""
+def _collect(
+    shown, where, centre, normal, octaves, photo, x, y, eye, ahead, focal, bias, grids, texels, first_grid, n_levels,
+    pixels, nearest,
+):  # fmt: skip
+    """Pixels of each page, and how near to the middle the nearest of them is, 1 at the corners."""
     height, width = shown.shape
-    longest = np.hypot(width / 2, height / 2)
+    longest = (width / 2) ** 2 + (height / 2) ** 2
+    count, near = np.zeros(len(centre), np.int32), np.full(len(centre), np.inf)
+    touched = np.empty(len(centre), np.int32)
+    n_touched = 0
     for row in range(height):
         for column in range(width):
             i = shown[row, column]
             if i >= 0 and where[row, column]:
+                if count[i] == 0:
+                    touched[n_touched] = i
+                    n_touched += 1
                 count[i] += 1
-                off = np.float32(np.hypot(column - width / 2, row - height / 2) / longest)
-                near[i] = min(near[i], off)
+                near[i] = min(near[i], (column - width / 2) ** 2 + (row - height / 2) ** 2)
+    for at in range(n_touched):
+        i = touched[at]
+        dx, dy, dz = centre[i, 0] - eye[0], centre[i, 1] - eye[1], centre[i, 2] - eye[2]
+        depth = max(dx * ahead[0] + dy * ahead[1] + dz * ahead[2], 1e-9)
+        cosine = abs(dx * normal[i, 0] + dy * normal[i, 1] + dz * normal[i, 2]) / depth
+        level = octaves[i] - np.log2(focal / depth) - 0.5 * np.log2(max(cosine, LEAST_COSINE)) + bias
+        coarsest = n_levels[photo[i]] - 1
+        grid = first_grid[photo[i]] + min(max(int(np.floor(level)), 0), coarsest)
+        c = min(max(int(np.floor(x[i] / texels[grid, 0])), 0), grids[grid, 3] - 1)
+        r = min(max(int(np.floor(y[i] / texels[grid, 1])), 0), grids[grid, 4] - 1)
+        page = grids[grid, 2] + r * grids[grid, 3] + c
+        pixels[page] += count[i]
+        nearest[page] = min(nearest[page], np.sqrt(near[i] / longest))

@@ -17,7 +17,7 @@ from renderer.residency.places import Places, Pose, Screen
 PREDICTIONS = ("nothing", "bias", "frustum", "combined")
 PUBLISHED_BIAS, PUBLISHED_MARGIN = -0.5, 0.15
 MARGIN_SHARE = 0.10  # of the screen, on each side before the shift
-AHEAD_S = (0.1, 0.2)
+AHEAD_S = (0.1, 0.2)  # in turn, one a frame: the manager asks for pages of the last two
 VELOCITY_S = 1 / 30  # over which velocities are taken
 FULL_TURN_RADIANS_S = np.radians(90.0)  # a head's velocity that shifts the margin all the way
 FULL_SPEED = 0.5  # viewing distances a second: the same for translations, and for the whole bias
@@ -76,23 +76,41 @@ class Parts:
         return merged(parts)
 
 
-def parts_of(places: Places, pose: Pose, motion: Motion, screen: Screen, distance: float, published: bool) -> Parts:
-    """What a frame wants. The picture is drawn once with its margin; poses ahead once more, smaller."""
-    share = PUBLISHED_MARGIN if published else MARGIN_SHARE
-    shift = shift_px(motion, screen, share, distance)
-    extra = round(share * screen.width_px), round(share * screen.height_px)
+def parts_of(
+    places: Places, pose: Pose, motion: Motion, screen: Screen, distance: float, turn: int
+) -> dict[str, Parts]:
+    """What a frame wants, by policy. The picture is drawn once, with the wider margin; one pose ahead once more, smaller."""
+    widest = max(PUBLISHED_MARGIN, MARGIN_SHARE)
+    extra = round(widest * screen.width_px), round(widest * screen.height_px)
     wide = Screen(screen.width_px + 2 * extra[0], screen.height_px + 2 * extra[1], screen.focal_px)
+    shift = shift_px(motion, screen, widest, distance)
     seen = places.seen(pose, wide, HALVING, shift)
-    left, top = round(extra[0] - shift[0]), round(extra[1] - shift[1])
-    inner = seen.inner((left, top, 2 * extra[0] - left, 2 * extra[1] - top))
-    required, margin = seen.wanted(REQUIRED, where=inner), seen.wanted(MARGIN, where=~inner)
-    if published:
-        return Parts(required, required, margin, seen.wanted(BIAS, PUBLISHED_BIAS, inner), EMPTY)
+    inner = seen.inner(_sides(widest, 0.0, shift, screen))
+    required = seen.wanted(REQUIRED, where=inner)
+    margins = {
+        share: seen.wanted(MARGIN, where=seen.inner(_sides(widest, share, shift, screen)) & ~inner)
+        for share in (PUBLISHED_MARGIN, MARGIN_SHARE)
+    }
+    paper = Parts(required, required, margins[PUBLISHED_MARGIN], seen.wanted(BIAS, PUBLISHED_BIAS, inner), EMPTY)
     bias = PUBLISHED_BIAS * float(np.clip(motion.linear[2] / (FULL_SPEED * distance), 0, 1))
     biased = seen.wanted(BIAS, bias, inner) if bias else EMPTY
-    poses = merged([places.seen(ahead(pose, motion, s), screen, 2 * HALVING).wanted(POSE) for s in AHEAD_S])
+    poses = places.seen(ahead(pose, motion, AHEAD_S[turn % len(AHEAD_S)]), screen, 2 * HALVING).wanted(POSE)
     parents = places.layout.parents
-    return Parts(required, *(with_ancestors(part, parents) for part in (required, margin, biased, poses)))
+    ours = (with_ancestors(part, parents) for part in (required, margins[MARGIN_SHARE], biased, poses))
+    return {"paper": paper, "default": Parts(required, *ours)}
+
+
+def _sides(widest: float, share: float, shift: tuple[float, float], screen: Screen) -> tuple[int, int, int, int]:
+    """Left, top, right and bottom margins in px that leave of a picture with the `widest` margin the view with a margin of
+    `share`; each is shifted by its own share of the shift."""
+    inside = 1 - share / widest
+    x, y = inside * widest * screen.width_px, inside * widest * screen.height_px
+    return (
+        round(x - inside * shift[0]),
+        round(y - inside * shift[1]),
+        round(x + inside * shift[0]),
+        round(y + inside * shift[1]),
+    )
 
 
 def _rotation_vector(rotation: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ and no clock take part, so that policies are compared, not machines.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +17,11 @@ from renderer.residency.places import Places, Screen
 from renderer.residency.prediction import PREDICTIONS, Parts, motion_at, parts_of
 
 POLICIES = ("default", "paper")
+BUDGETS = ((16, 4000), (12, 3000), (8, 2500))  # pages a frame, pages in the pool
 NOTHING = np.empty(0, np.int64)
 FEEDBACK_FRAMES, LOAD_FRAMES = 2, 6
-WARM_FRAMES = 90  # a viewer stands still before a path begins: what it shows is there
+SETTLED_FRAMES = 90  # beyond those that a full pool takes: a viewer stands still until what it shows is there
+THREADS = 4
 SCREEN = Screen(1440, 1560, 720.0)  # an eye of a headset, 90 degrees across
 
 
@@ -33,51 +36,91 @@ class Misses:
     evicted: int
 
 
-def parts_along(places: Places, path: Path90, distance: float, published: bool) -> list[Parts]:
-    """What the frames of a path may ask for: depends on neither pool nor bandwidth nor prediction."""
-    return [
-        parts_of(places, pose, motion_at(path.poses, i, FRAMES_PER_SECOND), SCREEN, distance, published)
-        for i, pose in enumerate(path.poses)
-    ]
+def parts_along(places: Places, path: Path90, distance: float) -> list[dict[str, Parts]]:
+    """What the frames of a path may ask for, by policy: depends on neither pool nor bandwidth nor prediction."""
+
+    def of_frame(i: int) -> dict[str, Parts]:
+        motion = motion_at(path.poses, i, FRAMES_PER_SECOND)
+        return parts_of(places, path.poses[i], motion, SCREEN, distance, i)
+
+    with ThreadPoolExecutor(THREADS) as threads:  # kernels let others run
+        return list(threads.map(of_frame, range(len(path.poses))))
 
 
 def misses_of(
     places: Places, parts: list[Parts], prediction: str, n_frame: int, n_pool: int, published: bool
 ) -> Misses:
-    """Run the manager over the frames of a path, after WARM_FRAMES of its first."""
+    """Run the manager over the frames of a path, once it has settled on the first."""
     layout = places.layout
     manager = Manager(layout.level_of, layout.parents, n_pool, n_frame, published)
+    warm = SETTLED_FRAMES + -(-n_pool // n_frame)
     asked = [part.asked(prediction) for part in parts]
     under_way: list[tuple[int, np.ndarray]] = []
     pixels, pages, wanted, n_loaded, n_evicted = [], [], [], 0, 0
-    for i in range(-WARM_FRAMES, len(parts)):
+    for i in range(-warm, len(parts)):
         if i >= 0:
             required = parts[i].required
             missing = manager.state[required.page] != MAPPED
             pixels.append(float(required.pixels[missing].sum() / max(1.0, required.pixels.sum())))
             pages.append(int(missing.sum()))
             wanted.append(asked[i].n_pages)
-        heard = asked[max(0, i - FEEDBACK_FRAMES)] if i >= FEEDBACK_FRAMES - WARM_FRAMES else None
+        heard = asked[max(0, i - FEEDBACK_FRAMES)] if i >= FEEDBACK_FRAMES - warm else None
         loaded = [pages_ for due, pages_ in under_way if due <= i]
         under_way = [(due, pages_) for due, pages_ in under_way if due > i]
-        orders = manager.step(i + WARM_FRAMES, heard, np.concatenate([NOTHING, *loaded]))
+        orders = manager.step(i + warm, heard, np.concatenate([NOTHING, *loaded]))
         under_way.append((i + LOAD_FRAMES, orders.load))
         if i >= 0:
             n_loaded, n_evicted = n_loaded + len(orders.load), n_evicted + len(orders.evict)
     return Misses(float(np.mean(pixels)), float(np.mean(pages)), float(np.mean(wanted)), n_loaded, n_evicted)
 
 
-def table_1(
-    places: Places, paths: dict[str, Path90], distance: float, n_frame: int, n_pool: int
-) -> dict[str, dict[str, dict[str, Misses]]]:
-    """Misses by policy (`default`, `paper`), prediction and path."""
-    found: dict[str, dict[str, dict[str, Misses]]] = {}
-    for policy in POLICIES:
-        rows: dict[str, dict[str, Misses]] = {prediction: {} for prediction in PREDICTIONS}
-        published = policy == "paper"
-        for name, path in paths.items():
-            parts = parts_along(places, path, distance, published)
-            for prediction in PREDICTIONS:
-                rows[prediction][name] = misses_of(places, parts, prediction, n_frame, n_pool, published)
-        found[policy] = rows
+@dataclass(frozen=True)
+class Row:
+    """One cell of Table 1: what was missing, and that against no prediction."""
+
+    path: str
+    policy: str
+    prediction: str
+    n_frame: int
+    n_pool: int
+    misses: Misses
+    pixels_of_nothing: float | None  # against the same policy without prediction; None where that misses nothing
+    pages_of_nothing: float | None
+    pixels_of_published: float | None  # against the published policy without prediction
+    pages_of_published: float | None
+
+
+def rows_of_path(
+    places: Places, path: Path90, distance: float, budgets: tuple[tuple[int, int], ...] = BUDGETS
+) -> list[Row]:
+    """The rows of one path, of all policies and predictions (2020, Table 1)."""
+    both = parts_along(places, path, distance)
+    rows = []
+    for n_frame, n_pool in budgets:
+        found = {
+            policy: _by_prediction(places, [parts[policy] for parts in both], n_frame, n_pool, policy == "paper")
+            for policy in POLICIES
+        }
+        published = found["paper"]["nothing"]
+        for policy, by_prediction in found.items():
+            own = by_prediction["nothing"]
+            for prediction, misses in by_prediction.items():
+                shares = (_share(misses, own), _share(misses, published))
+                rows.append(Row(path.name, policy, prediction, n_frame, n_pool, misses, *shares[0], *shares[1]))
+    return rows
+
+
+def _by_prediction(places: Places, parts: list[Parts], n_frame: int, n_pool: int, published: bool) -> dict[str, Misses]:
+    found: dict[str, Misses] = {}
+    unbiased = not any(part.bias.n_pages for part in parts)  # then a prediction with bias is the one without
+    for prediction in PREDICTIONS:
+        same = {"bias": "nothing", "combined": "frustum"}.get(prediction) if unbiased else None
+        found[prediction] = found[same] if same else misses_of(places, parts, prediction, n_frame, n_pool, published)
     return found
+
+
+def _share(misses: Misses, of: Misses) -> tuple[float | None, float | None]:
+    return (
+        misses.pixels / of.pixels if of.pixels else None,
+        misses.pages / of.pages if of.pages else None,
+    )

@@ -20,7 +20,7 @@ from services.cli.commands.effects import add_effects
 from services.cli.commands.inspect import add_check, add_inspect
 from services.cli.commands.looks import add_iso, add_map
 from services.cli.commands.packed_files import add_export, add_view
-from services.cli.commands.pages import add_pages
+from services.cli.commands.pages import add_fly, add_pages, add_path
 from services.cli.commands.pictures import add_coverage, add_render
 from services.cli.commands.service import add_service
 from services.cli.commands.studies import add_estimate, add_evaluate, add_plan, add_tradeoff
@@ -32,8 +32,8 @@ from storage.version import VERSION
 
 COMMANDS = (  # a row a command, in the order in which a wrong one is answered with all of them
     add_compress, add_inspect, add_check, add_effects, add_plan, add_render, add_coverage, add_report, add_demo,
-    add_evaluate, add_estimate, add_tradeoff, add_view, add_export, add_pages, add_iso, add_map, add_service, add_user,
-    add_completion,
+    add_evaluate, add_estimate, add_tradeoff, add_view, add_export, add_pages, add_path, add_fly,
+    add_iso, add_map, add_service, add_user, add_completion,
 )  # fmt: skip
 
 

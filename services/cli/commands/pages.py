@@ -1,9 +1,10 @@
-"""The verb `pages`: photographs as a page file."""
+"""The verbs `pages`, `path` and `fly`: photographs in pages, and recorded paths that want some of them."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 
 from pipeline.planning.settings import DEFAULT_PRESET
@@ -14,6 +15,7 @@ from services.cli.exit_codes import OK
 
 CODECS = ("jpeg", "webp", "png", "bc7")
 PAGE_PX = (32, 512)
+MOST_SECONDS, MOST_MAGNIFIED = 3600, 16
 
 
 def add_pages(commands) -> None:
@@ -71,4 +73,62 @@ def _pages(options: argparse.Namespace) -> int:
         f"{options.out}  {made['n_pages']:,} pages of {made['n_photographs']:,} photographs, {made['bytes']:,} bytes "
         f"({made['raw_bytes'] / made['bytes']:.1f} times smaller than their texels), {made['psnr_db']:.2f} dB"
     )
+    return OK
+
+
+def add_path(commands) -> None:
+    """The verb `path record`."""
+    path = commands.add_parser("path", help="paths for `fly`")
+    verbs = path.add_subparsers(required=True, metavar="COMMAND")
+    record = verbs.add_parser("record", help="a path from poses: one of the four of the paper, or a spline")
+    record.add_argument("packed", metavar="PACKED")
+    record.add_argument(
+        "--through",
+        default="photographs",
+        metavar="WHAT",
+        help="look_around, forward, backward, sideways; photographs (a spline through their poses); or a path file, whose poses "
+        "a spline goes through; default: photographs",
+    )
+    record.add_argument("--seconds", type=float, default=4.0, help="of a spline; default: 4")
+    record.add_argument("--out", required=True, type=Path, metavar="PATH.json")
+    record.set_defaults(command=_record)
+
+
+def _record(options: argparse.Namespace) -> int:
+    from services.processes.pages.record import KINDS, record
+
+    if not 0 < options.seconds <= MOST_SECONDS:
+        raise WrongArgument(f"--seconds {options.seconds:g}; allowed: above 0, up to {MOST_SECONDS}")
+    if options.through not in KINDS and not Path(options.through).is_file():
+        raise WrongArgument(f"--through {options.through!r}; allowed: {', '.join(KINDS)}, or a path file")
+    path = record(scan_path(options.packed), options.through, options.seconds, options.out)
+    print(f"{options.out}  {len(path.poses):,} poses")
+    return OK
+
+
+def add_fly(commands) -> None:
+    """The verb `fly`."""
+    fly = commands.add_parser("fly", help="a recorded path, drawn; or which pages it would miss")
+    fly.add_argument("packed", metavar="PACKED")
+    fly.add_argument(
+        "--table",
+        action="store_true",
+        help="page misses of the four paths of the paper, by prediction and policy, simulated",
+    )
+    fly.add_argument(
+        "--magnified", type=int, default=4, metavar="N", help="with --table: photographs N times as wide; default: 4"
+    )
+    fly.add_argument("--json", action="store_true", help="what was measured as the last line of stdout")
+    fly.set_defaults(command=_fly)
+
+
+def _fly(options: argparse.Namespace) -> int:
+    from services.processes.pages.table import as_text, table_of
+
+    if not 1 <= options.magnified <= MOST_MAGNIFIED:
+        raise WrongArgument(f"--magnified {options.magnified}; allowed: 1 to {MOST_MAGNIFIED}")
+    found = table_of(
+        scan_path(options.packed), options.magnified, on_path=lambda name: print(f"path {name}", file=sys.stderr)
+    )
+    print(json.dumps(found) if options.json else as_text(found))
     return OK

@@ -1,0 +1,101 @@
+"""Which photograph each splat takes its pages from: that of its own that agrees with its neighbours.
+
+Packing chooses the sharpest photograph splat by splat, which makes salt and pepper where two are alike: neighbours then want
+pages of both. Here labels are smoothed by iterated conditional modes (Besag 1986) on the graph of nearest neighbours: the
+cost of a label is what it loses in resolution, plus what share of neighbours has another. A splat only takes labels that
+packing gave to neighbours that lie as it does, so a photograph that does not see a surface never spreads over it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pipeline.execution.compiled import kernel
+from pipeline.splats.cameras import sharpness
+from storage.packed.schema import NO_CAMERA, Camera
+
+NEIGHBOURS = 24
+SAME_SIDE = 0.5  # cosine between normals of neighbours that count
+DISAGREEMENT = 2.0  # octaves of resolution that full agreement is worth
+MOST_LOST = 0.5  # octaves at most that a splat loses
+SWEEPS = 8
+
+
+def smoothed_labels(
+    centre: np.ndarray,  # (n, 3) absolute
+    normal: np.ndarray,  # (n, 3)
+    radius: np.ndarray,  # (n,)
+    camera: np.ndarray,  # (n,) of `cameras`, NO_CAMERA where a splat has none
+    cameras: tuple[Camera, ...],
+) -> np.ndarray:
+    """(n,) labels; splats without a camera stay so.
+
+    Guarantees: a splat lies whole in the photograph of its new label, which shows it with at least 2^-MOST_LOST of the
+    resolution of its old one.
+    """
+    rows = np.flatnonzero(camera != NO_CAMERA)
+    label = camera.copy()
+    if len(rows) <= NEIGHBOURS or len(cameras) < 2:
+        return label
+    own = camera[rows].astype(np.int64)
+    points, facing = centre[rows], normal[rows]
+    cost = _lost(points, facing, radius[rows], own, cameras)
+    _, near = cKDTree(points).query(points, NEIGHBOURS + 1)
+    near = near[:, 1:]
+    label[rows] = _modes(own, cost, near, facing)
+    return label
+
+
+def _lost(points, facing, radius, own, cameras) -> np.ndarray:
+    """Octaves (n, n_cameras) float32 that each photograph loses to a splat's own; inf where it is not to be taken."""
+    octaves = np.full((len(points), len(cameras)), -np.inf, np.float32)
+    for i, camera in enumerate(cameras):
+        local = (points - np.array(camera.centre)) @ np.array(camera.rotation).T
+        depth = np.maximum(local[:, 2], 1e-9)
+        x, y = camera.fx_px * local[:, 0] / depth + camera.cx_px, camera.fy_px * local[:, 1] / depth + camera.cy_px
+        reach = 1.5 * max(camera.fx_px, camera.fy_px) * radius / depth  # of the square's corners
+        inside = (x > reach) & (y > reach) & (x < camera.width_px - reach) & (y < camera.height_px - reach)
+        sharp = np.abs(sharpness(camera, points, facing))
+        with np.errstate(divide="ignore"):
+            octaves[:, i] = np.where(inside & (local[:, 2] > 2 * radius), 0.5 * np.log2(sharp), -np.inf)
+    of_own = np.take_along_axis(octaves, own[:, None], axis=1)
+    with np.errstate(invalid="ignore"):  # of photographs that show neither
+        lost = np.where(np.isfinite(of_own) & np.isfinite(octaves), of_own - octaves, np.inf)
+    lost = np.where(lost <= MOST_LOST, lost, np.inf)
+    np.put_along_axis(lost, own[:, None], 0.0, axis=1)
+    return lost.astype(np.float32)
+
+
+@kernel()
+def _modes(own, cost, near, facing):
+    """Sweeps over all splats in their order, until nothing changes."""
+    n, k = near.shape
+    n_labels = cost.shape[1]
+    label = own.copy()
+    agree = np.zeros(n_labels, np.int64)
+    allowed = np.zeros(n_labels, np.bool_)
+    for _ in range(SWEEPS):
+        n_changed = 0
+        for i in range(n):
+            agree[:] = 0
+            allowed[:] = False
+            allowed[own[i]] = True
+            for at in range(k):
+                j = near[i, at]
+                dot = facing[i, 0] * facing[j, 0] + facing[i, 1] * facing[j, 1] + facing[i, 2] * facing[j, 2]
+                if dot >= SAME_SIDE:
+                    agree[label[j]] += 1
+                    allowed[own[j]] = True
+            best, least = label[i], np.inf
+            for c in range(n_labels):
+                if allowed[c]:
+                    found = cost[i, c] - DISAGREEMENT * agree[c] / k
+                    if found < least:
+                        best, least = c, found
+            if best != label[i]:
+                label[i] = best
+                n_changed += 1
+        if n_changed == 0:
+            break
+    return label
