@@ -35,6 +35,9 @@ const float ATOM_AREA = 0.5 * 16.0 * 16.0;
 const float TO_COARSER = 0.45;
 
 #include "lit.vert.glsl"
+#ifdef PAGES
+#include "pages.vert.glsl"
+#endif
 out vec4 place;
 #ifdef DETAIL
 flat out float share;
@@ -51,7 +54,8 @@ void main() {
         return;
     }
 #ifdef ELLIPSOID
-    Disc disc = outline_of(decode_ellipsoid(splat, ellipsoids[first_ellipsoid(group) + row]));
+    Ellipsoid ellipsoid = decode_ellipsoid(splat, ellipsoids[first_ellipsoid(group) + row]);
+    Disc disc = outline_of(ellipsoid);
 #ifdef MAPPED
     set_map(splat, square_u, square_v);
 #endif
@@ -68,6 +72,13 @@ void main() {
     SET_NORMAL(disc)
     gl_Position = quad.clip;
     place = quad.place;
+#ifdef PAGES
+#ifdef ELLIPSOID
+    find_pages(splat, Disc(ellipsoid.centre, ellipsoid.a, ellipsoid.b, ellipsoid.radius), ellipsoid.c, quad.area_px);
+#else
+    find_pages(splat, disc, quad.area_px);
+#endif
+#endif
 #ifdef N_ATOMS
     average = decode_color(splat);
 #ifdef LEVELS

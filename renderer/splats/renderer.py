@@ -85,6 +85,8 @@ class Renderer:
         Raises: InvalidScan for a view that is not finite, ResourceExhausted for one too large.
         """
         gpu_scene.show(checked_view(view), detail)
+        if gpu_scene.pages is not None:
+            gpu_scene.pages.look(view)
         return self._drawn(
             gpu_scene,
             view,
@@ -101,6 +103,13 @@ class Renderer:
 
         photos.gpu_scene.show(checked_view(view), FINEST)
         return self._drawn(photos.gpu_scene, view, draw, AS_PHOTOGRAPHED)
+
+    def flatten_feedback(self, gpu_scene: GpuScene) -> None:
+        """List the pages that the last frame of a scene with pages asked for; `gpu_scene.pages.listed` has them."""
+        assert gpu_scene.pages is not None
+        with self.context:
+            _, program = self._programs.compute("flatten_feedback")
+        gpu_scene.pages.flatten(program)
 
     # --- passes ------------------------------------------------------------------------------------------------------
 
@@ -176,6 +185,7 @@ class Renderer:
                 N_ATOMS=n_atoms,
                 **defines_of("attribute", of_atoms, kind),
                 TURNED=turned,
+                PAGES=int(gpu_scene.pages is not None),
                 **gpu_scene.defines,
             )
 
@@ -218,6 +228,8 @@ class Renderer:
             name, **defines, BY_BATCH=int(not leads), LEADING=int(leads and len(batches) > 1)
         )
         set_uniforms(drawing, batch=batch, n_leading=1, atoms_stored=batches[batch].n_atoms, **_lamp_of(frame))
+        if gpu_scene.pages is not None:
+            set_uniforms(drawing, **gpu_scene.pages.uniforms)
         self._draw_groups(gpu_scene, drawing, len(batches) if leads else batch)
         frame.programs.append(name)
 

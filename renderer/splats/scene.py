@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.effects.plan.request import OFF, asked_by
 from renderer.splats.atlas import atlas_layout, upload_atlas
 from renderer.splats.detail import Detail, GroupTree, group_tree, shares_of
+from renderer.splats.pages import GpuPages
 from renderer.splats.stacks import has_stacks
 from renderer.splats.targets import NARROW, WIDE
 from renderer.splats.upload.maps import GpuMaps, map_frames, upload_maps
@@ -59,6 +60,7 @@ class GpuScene:
     watched: bool = True  # whether the renderer looks for overdraw, and may widen: not where the job asked for 16 bits
     maps: GpuMaps | None = None  # of a scene that is textured from stations
     tree: GroupTree | None = None  # of a scene with levels
+    pages: GpuPages | None = None  # of its photographs, where they are drawn
     n_chosen: int = 0  # splats of the groups that were chosen last, in view or not
     drawn: frozenset[str] = frozenset()  # effects whose shader parts its programs have
 
@@ -147,6 +149,8 @@ class GpuScene:
             self.atlas.use(0)
         if self.maps is not None:
             self.maps.use()
+        if self.pages is not None:
+            self.pages.bind()
 
     def release(self) -> None:
         """Free the GPU memory now; the scene cannot be drawn any more."""

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from pathlib import Path
 
 from pipeline.planning.settings import DEFAULT_PRESET
 from services.cli.arguments import WrongArgument, add_knobs, settings_of
-from services.cli.commands.options import add_executor
-from services.cli.commands.running import executor_for, progress_bars, scan_path
+from services.cli.commands.options import add_executor, count, size
+from services.cli.commands.running import executor_for, progress_bars, refuse_to_overwrite, scan_path
 from services.cli.exit_codes import OK
 
 CODECS = ("jpeg", "webp", "png", "bc7")
 PAGE_PX = (32, 512)
+PREDICTIONS = {"none": "nothing", "bias": "bias", "frustum": "frustum", "combined": "combined"}
 MOST_SECONDS, MOST_MAGNIFIED = 3600, 16
 
 
@@ -78,9 +80,10 @@ def _pages(options: argparse.Namespace) -> int:
 
 def add_path(commands) -> None:
     """The verb `path record`."""
-    path = commands.add_parser("path", help="paths for `fly`")
-    verbs = path.add_subparsers(required=True, metavar="COMMAND")
-    record = verbs.add_parser("record", help="a path from poses: one of the four of the paper, or a spline")
+    record = commands.add_parser(
+        "path", help="`path record`: a path for `fly`, from poses or one of the four of the paper"
+    )
+    record.add_argument("verb", choices=("record",), help="what is done: a path is recorded")
     record.add_argument("packed", metavar="PACKED")
     record.add_argument(
         "--through",
@@ -118,17 +121,69 @@ def add_fly(commands) -> None:
     fly.add_argument(
         "--magnified", type=int, default=4, metavar="N", help="with --table: photographs N times as wide; default: 4"
     )
+    fly.add_argument("--path", type=Path, metavar="PATH.json", help="what `path record` wrote")
+    fly.add_argument("--pages", type=Path, metavar="F", help="default: the packed file's name with .pages, beside it")
+    fly.add_argument("--out", type=Path, metavar="DIR", help="frames as PNG, a video where ffmpeg is found, fly.json")
+    fly.add_argument("--overwrite", "-w", action="store_true", help="replace what is in DIR")
+    fly.add_argument(
+        "--size", type=size, default=(720, 780), metavar="WxH", help="of a frame, 90 degrees wide; default: 720x780"
+    )
+    fly.add_argument("--pool-mib", type=count, default=256, metavar="N", help="that resident pages take; default: 256")
+    fly.add_argument(
+        "--bandwidth", type=_bandwidth, default=200e6, metavar="200MB/s", help="of pages as texels; default: 200MB/s"
+    )
+    fly.add_argument("--prediction", choices=tuple(PREDICTIONS), default="combined", help="default: combined")
+    fly.add_argument(
+        "--policy", choices=("default", "paper"), default="default", help="of loading and evicting; paper: as published"
+    )
+    fly.add_argument("--every", type=count, default=1, metavar="N", help="draw every N-th pose; default: all")
     fly.add_argument("--json", action="store_true", help="what was measured as the last line of stdout")
     fly.set_defaults(command=_fly)
 
 
+def _bandwidth(text: str) -> float:
+    """Bytes a second of `200MB/s`, `1.5GB/s` or `500kB/s`."""
+    found = re.fullmatch(r"([0-9]*\.?[0-9]+)([kMG])B(/s)?", text.strip())
+    if found is None or float(found[1]) <= 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is no bandwidth; allowed: above 0, as 200MB/s, 1.5GB/s, 500kB/s")
+    return float(found[1]) * {"k": 1e3, "M": 1e6, "G": 1e9}[found[2]]
+
+
 def _fly(options: argparse.Namespace) -> int:
+    packed = scan_path(options.packed)
+    if options.table:
+        return _table(packed, options)
+    from services.processes.pages.fly import FlightOptions, fly
+
+    if options.path is None or options.out is None:
+        raise WrongArgument("fly draws a --path into --out; or say --table")
+    pages = options.pages or packed.with_suffix(".pages")
+    for needed in (options.path, pages):
+        if not needed.is_file():
+            raise FileNotFoundError(f"{needed}: no such file")
+    refuse_to_overwrite(options.out, options.overwrite)
+    prediction = PREDICTIONS[options.prediction]
+    found = fly(
+        packed, pages, options.path, options.out,
+        FlightOptions(options.size, options.pool_mib << 20, options.bandwidth, prediction, options.policy, options.every),
+    )  # fmt: skip
+    if options.json:
+        print(json.dumps(found))
+        return OK
+    passes = ", ".join(f"{name} {spread['median']:.1f}" for name, spread in found["pass_ms"].items())
+    print(f"{options.out}  {len(found['frames']):,} frames, median {found['frame_ms']['median']:.1f} ms ({passes})")
+    print(
+        f"missed {100 * found['missed_pixels']:.3f} % of pixels, {found['missed_pages']:.1f} of {found['wanted_pages']:.1f} pages a "
+        f"frame; loaded {found['loaded']:,}, evicted {found['evicted']:,}, late {found['late']:,}"
+    )
+    return OK
+
+
+def _table(packed: Path, options: argparse.Namespace) -> int:
     from services.processes.pages.table import as_text, table_of
 
     if not 1 <= options.magnified <= MOST_MAGNIFIED:
         raise WrongArgument(f"--magnified {options.magnified}; allowed: 1 to {MOST_MAGNIFIED}")
-    found = table_of(
-        scan_path(options.packed), options.magnified, on_path=lambda name: print(f"path {name}", file=sys.stderr)
-    )
+    found = table_of(packed, options.magnified, on_path=lambda name: print(f"path {name}", file=sys.stderr))
     print(json.dumps(found) if options.json else as_text(found))
     return OK

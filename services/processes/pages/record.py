@@ -23,7 +23,7 @@ def record(packed: Path, kind: str, seconds: float, out: Path) -> Path90:
     with PackedFile(packed) as opened:
         scene = opened.load()
     if kind in NAMES:
-        path = four_paths(scene, places_with_photographs(packed, scene, 1))[0][kind]
+        path = four_paths(scene, places_with_photographs(packed, scene)[0])[0][kind]
     else:
         keys = tuple(pose_of(c) for c in scene.header.cameras) if kind == PHOTOGRAPHS else read_path(Path(kind)).poses
         if len(keys) < 2:

@@ -35,7 +35,7 @@ def table_of(
     """
     with PackedFile(packed) as opened:
         scene = opened.load()
-    places = places_with_photographs(packed, scene, magnified)
+    places, _ = places_with_photographs(packed, scene, magnified)
     paths, distance = four_paths(scene, places)
     rows: list[Row] = []
     for name in NAMES:
@@ -51,13 +51,16 @@ def table_of(
     }
 
 
-def places_with_photographs(packed: Path, scene: PackedScene, magnified: int) -> Places:
+def places_with_photographs(
+    packed: Path, scene: PackedScene, magnified: int = 1, page_px: int = 128
+) -> tuple[Places, np.ndarray]:
+    """As `scene_places`. Raises: InvalidScan where there is none."""
     if not scene.header.cameras or "camera" not in scene.arrays:
         raise InvalidScan(str(packed), "no photograph textures its splats", "a packed file of a scan with photographs")
-    places = scene_places(scene, magnified)
+    places, label = scene_places(scene, magnified, page_px)
     if not len(places.centre):
         raise InvalidScan(str(packed), "no splat that a photograph shows", "a packed file of a scan with photographs")
-    return places
+    return places, label
 
 
 def four_paths(scene: PackedScene, places: Places) -> tuple[dict[str, Path90], float]:

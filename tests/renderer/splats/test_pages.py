@@ -1,0 +1,161 @@
+"""Pages on the GPU: with all of them there the picture is that of whole photographs; with none beyond the tails it is the
+atoms' or a blurred one; what is asked for is listed exactly."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.execution.executors import SerialExecutor
+from pipeline.planning.settings import settings_for
+from pipeline.stages.pages.codecs import decoded
+from renderer.evaluate.compare import psnr_db
+from renderer.evaluate.flight import Flight
+from renderer.residency.paths import pose_of
+from renderer.residency.places import Places, Screen
+from renderer.residency.prediction import Motion
+from renderer.residency.scene import scene_places
+from renderer.splats.baseline import PhotoSplats
+from renderer.splats.pages import GpuPages, pool_shape
+from renderer.splats.scene import GpuScene
+from renderer.splats.views import view_of
+from services.processes.compress import compress
+from services.processes.pages.page_file import PageForm, make_pages
+from storage.errors import InvalidPackedFile, ResourceExhausted
+from storage.packed.packed import PackedFile, PackedScene
+from storage.pages.file import PageFile
+from storage.work import arrays
+from tests.effects_scans import wall_scan
+from tests.pipeline.execution.test_stage import Heard
+
+STILL = Motion(np.zeros(3), np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Made:
+    scene: PackedScene  # of cameras that agree with their neighbours
+    places: Places
+    pages: Path
+    photos: Path
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A wall of few, wide splats in plain colours, and its photographs in pages of 32 px."""
+    folder = tmp_path_factory.mktemp("pages")
+    scan = wall_scan(folder / "wall", 24)
+    settings = settings_for("draft", texture="color")
+    compress(scan, folder / "out", settings, SerialExecutor(), Heard(), render=False, work=folder / "work")
+    form = PageForm("png", 32, 4, 90)
+    make_pages(folder / "work", folder / "wall.pages", form, SerialExecutor(), Heard())
+    with PackedFile(folder / "out" / "wall.splatpress") as opened:
+        scene = opened.load()
+    places, label = scene_places(scene, 1, 32)
+    scene = replace(scene, arrays=scene.arrays | {"camera": label})
+    return Made(scene, places, folder / "wall.pages", next((folder / "work").glob("ingest-*")))
+
+
+@pytest.fixture
+def shown(made, renderer):
+    """The scene with its pages on the GPU, tails alone in the pool."""
+    gpu_scene = GpuScene(made.scene, renderer.context)
+    with PageFile(made.pages) as file:
+        gpu_scene.pages = GpuPages(
+            renderer.context, file.layout, file.header.border_px, made.scene.header.cameras, made.scene.arrays["camera"], 4 << 20
+        )  # fmt: skip
+        for page in np.flatnonzero(file.layout.is_tail):
+            put(gpu_scene.pages, file, int(page))
+        yield gpu_scene, file
+    gpu_scene.pages.release()
+    gpu_scene.release()
+
+
+def put(pages: GpuPages, file: PageFile, page: int) -> None:
+    pages.put(page, decoded(file.header.codec, file.read(page), file.header.side_px, "a page"))
+
+
+def looked(renderer, gpu_scene, view):
+    gpu_scene.pages.show_all(view.width_px, view.height_px)
+    return renderer.render(gpu_scene, view)
+
+
+def baseline_of(made, renderer, view):
+    gpu_scene = GpuScene(made.scene, renderer.context)
+    photos = PhotoSplats(gpu_scene, lambda i: arrays.read(made.photos, f"photo_{i}"))
+    picture = renderer.render_baseline(photos, view)
+    photos.release()
+    gpu_scene.release()
+    return picture
+
+
+@pytest.mark.parametrize("size", [(320, 240), (640, 480), (110, 83)])
+def test_pages__with_all_of_them_the_picture_is_that_of_whole_photographs(made, shown, renderer, size):
+    gpu_scene, file = shown
+    view = view_of(made.scene.header.cameras[1], size)
+    for page in np.flatnonzero(~file.layout.is_tail):
+        put(gpu_scene.pages, file, int(page))
+    picture, wanted = looked(renderer, gpu_scene, view), baseline_of(made, renderer, view)
+    assert np.array_equal(picture.coverage, wanted.coverage)
+    assert psnr_db(picture.rgb, wanted.rgb, wanted.coverage) > 50
+
+
+def test_pages__with_tails_alone_the_picture_is_blurred_and_no_garbage(made, shown, renderer):
+    gpu_scene, _ = shown
+    view = view_of(made.scene.header.cameras[1])
+    picture, wanted = looked(renderer, gpu_scene, view), baseline_of(made, renderer, view)
+    assert 18 < psnr_db(picture.rgb, wanted.rgb, wanted.coverage) < 50
+
+
+def test_pages__what_was_asked_for_is_listed_as_the_buffer_has_it_and_emptied(made, shown, renderer):
+    gpu_scene, file = shown
+    view = view_of(made.scene.header.cameras[0])
+    renderer.render(gpu_scene, view)
+    gpu_scene.pages.show_all(view.width_px, view.height_px, (120, 0, 0, 80))
+    renderer.flatten_feedback(gpu_scene)
+    renderer.render(gpu_scene, view)
+    found = gpu_scene.pages.feedback()
+    renderer.flatten_feedback(gpu_scene)
+    rows, lost = gpu_scene.pages.listed()
+    pages = np.flatnonzero(found.any(axis=1))
+    assert lost == 0 and len(pages) > 10 and found[:, 1].any()
+    assert np.array_equal(rows, np.column_stack([pages, found[pages]]))
+    assert not gpu_scene.pages.feedback().any()
+
+
+@pytest.mark.parametrize("prediction", ["nothing", "combined"])
+def test_flight__once_it_has_settled_the_picture_is_that_of_whole_photographs(made, shown, renderer, prediction):
+    gpu_scene, file = shown
+    for page in np.flatnonzero(file.layout.is_tail):
+        gpu_scene.pages.drop(int(page))
+    camera = made.scene.header.cameras[1]
+    screen = Screen(camera.width_px, camera.height_px, camera.fx_px)
+    flight = Flight(renderer, gpu_scene, made.places, file, screen, 4.0, prediction, n_frame=8)
+    wanted = baseline_of(made, renderer, camera)
+    first, record = flight.frame(pose_of(camera), STILL)
+    assert record.missed > 0 and psnr_db(first.rgb, wanted.rgb, wanted.coverage) < 50
+    assert 3 < flight.settle(pose_of(camera)) < 200
+    picture, record = flight.frame(pose_of(camera), STILL)
+    flight.close()
+    assert record.missed == 0 and record.late == 0
+    assert picture.rgb.shape == wanted.rgb.shape and psnr_db(picture.rgb, wanted.rgb, wanted.coverage) > 50
+
+
+def test_flight__a_page_that_was_altered_is_one_error(made, shown, renderer, tmp_path):
+    data = bytearray(made.pages.read_bytes())
+    data[-200] ^= 1
+    (tmp_path / "altered.pages").write_bytes(data)
+    gpu_scene, _ = shown
+    camera = made.scene.header.cameras[0]
+    with PageFile(tmp_path / "altered.pages") as file:
+        for page in np.flatnonzero(file.layout.is_tail):
+            gpu_scene.pages.drop(int(page))
+        with pytest.raises(InvalidPackedFile, match="differs from its check"):
+            Flight(renderer, gpu_scene, made.places, file, Screen(320, 240, camera.fx_px), 4.0)
+
+
+def test_pool__takes_what_fits_and_says_where_too_little_does():
+    shape = pool_shape(256 << 20, 136, 100, 4096, 2048)
+    assert shape.n_bytes <= 256 << 20 and shape.n_pages > 4000
+    with pytest.raises(ResourceExhausted, match="--pool-mib"):
+        pool_shape(1 << 20, 136, 100, 4096, 2048)
