@@ -11,7 +11,7 @@ from services.cli.main import main
 from services.processes.pages.table import as_text
 from storage.pages.file import PageFile
 from tests.effects_scans import wall_scan
-from tests.services.scans import point_scan
+from tests.services.scans import photo_scan, point_scan
 
 
 @pytest.fixture(scope="module")
@@ -92,3 +92,33 @@ def test_fly__a_file_without_photographs_is_refused(tmp_path, capsys):
     assert main(["compress", str(scan), "--out", str(out), "--executor", "serial", "--no-render"]) == 0
     assert main(["fly", str(next(out.glob("*.splatpress"))), "--table"]) == 3
     assert "no photograph" in capsys.readouterr().err
+
+
+def test_fly__draws_a_path_and_says_what_was_missed(scan, packed, tmp_path, renderer, capsys):
+    pages, path, out = tmp_path / "wall.pages", tmp_path / "path.json", tmp_path / "flight"
+    assert run(scan, "--out", pages, "--page-size", 64) == 0
+    assert main(["path", "record", str(packed), "--out", str(path), "--seconds", "1"]) == 0
+    given = ["fly", str(packed), "--path", str(path), "--size", "96x80", "--every", "30", "--pool-mib", "4", "--json"]
+    assert main([*given, "--pages", str(pages), "--out", str(out)]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert found == json.loads((out / "fly.json").read_text())
+    assert len(found["frames"]) == 3 == len(list(out.glob("frame_*.png")))
+    assert found["loaded"] >= 0 and found["wanted_pages"] > 0 and set(found["pass_ms"]) >= {"cull", "attribute"}
+    data = pages.read_bytes()
+    for name, harmed in (("cut", data[:-1]), ("not", b"nothing"), ("table", data[:900] + b"?" + data[901:])):
+        (tmp_path / f"{name}.pages").write_bytes(harmed)
+        assert main([*given, "--pages", str(tmp_path / f"{name}.pages"), "--out", str(tmp_path / "no")]) == 3
+    assert main([*given, "--pages", str(pages), "--out", str(out)]) == 1, "there already"
+    assert not (tmp_path / "no").exists()
+
+
+def test_fly__pages_of_another_scan_are_refused(packed, tmp_path, renderer, capsys):
+    other, pages, path = (
+        photo_scan(tmp_path / "other", 20, n_cameras=2),
+        tmp_path / "other.pages",
+        tmp_path / "path.json",
+    )
+    assert run(other, "--out", pages) == 0
+    assert main(["path", "record", str(packed), "--out", str(path), "--seconds", "0.1"]) == 0
+    code = main(["fly", str(packed), "--pages", str(pages), "--path", str(path), "--out", str(tmp_path / "no")])
+    assert code == 3 and "pages of another scan" in capsys.readouterr().err
