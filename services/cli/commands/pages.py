@@ -136,7 +136,13 @@ def add_fly(commands) -> None:
     fly.add_argument(
         "--policy", choices=("default", "paper"), default="default", help="of loading and evicting; paper: as published"
     )
-    fly.add_argument("--every", type=count, default=1, metavar="N", help="draw every N-th pose, as if one walked N times as fast; default: all")
+    fly.add_argument(
+        "--every",
+        type=count,
+        default=1,
+        metavar="N",
+        help="draw every N-th pose, as if one walked N times as fast; default: all",
+    )
     fly.add_argument("--json", action="store_true", help="what was measured as the last line of stdout")
     fly.set_defaults(command=_fly)
 
