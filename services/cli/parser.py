@@ -13,7 +13,7 @@ from services.cli.exit_codes import ARGUMENTS
 
 GROUPS = {
     "a scan": ("compress", "inspect", "check", "tradeoff", "estimate", "effects", "evaluate", "iso", "map", "demo"),
-    "a packed file": ("render", "coverage", "report", "view", "export", "fly", "pages"),
+    "a packed file": ("render", "coverage", "report", "view", "export", "pages", "path", "fly"),
     "how large, how long": ("plan",),
     "the shell": ("completion",),
     "the service": ("serve", "api", "runner", "token", "backup", "restore"),
