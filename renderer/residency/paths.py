@@ -92,6 +92,7 @@ def through(name: str, keys: tuple[Pose, ...], seconds: float) -> Path90:
 
 
 def pose_of(camera: Camera) -> Pose:
+    """Where a photograph was taken from."""
     return Pose(np.array(camera.rotation), np.array(camera.centre))
 
 
