@@ -14,7 +14,7 @@ TEXT = (ROOT / "README.md").read_text()
 LINES = [shlex.split(line, comments=True)[1:] for line in re.findall(r"^    (\.venv/bin/splatpress .*)$", TEXT, re.M)]
 SERVICE = {"serve", "submit", "fetch", "ls", "regress", "token", "login"}  # tests/services/test_service.py has these
 WAITS = {"view"}  # until it is stopped; tests/services/web has it
-WITH_WORKERS = {"compress", "report", "estimate", "tradeoff", "effects"}
+WITH_WORKERS = {"compress", "report", "estimate", "tradeoff", "effects", "pages"}
 HERE = ["--executor", "serial"]  # workers take seconds to start
 IN_PLACE_OF = {"90s": "5s", "1280x720": "96x54"}
 

@@ -24,11 +24,14 @@ from renderer.residency.prediction import (
 from renderer.residency.simulate import LOAD_FRAMES
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
+from storage.errors import ResourceExhausted
 from storage.packed.schema import Camera
 from storage.pages.file import PageFile
 
 STALL_S = 0.25  # that a frame waits for pages that are due; then it goes on with what is there
+TAIL_S = 10.0  # that a flight waits for a page that is always resident
 SETTLE_FRAMES = 2000
+STALLED_FRAMES = 40  # in a row with pages that are late: then nobody waits any more
 
 
 @dataclass(frozen=True)
@@ -72,17 +75,32 @@ class Flight:
             layout.level_of, layout.parents, pages.shape.n_pages - len(tails), self.n_frame, self.published
         )
         self._loader = PageLoader(self.file, self.n_frame * (LOAD_FRAMES + 64) + 1)
+        try:
+            self._put_tails(tails)
+        except BaseException:
+            self.close()
+            raise
+
+    def _put_tails(self, tails: np.ndarray) -> None:
+        pages = self.scene.pages
+        assert pages is not None
         for page in tails.tolist():
             self._loader.request(page)
-            while not self._loader.ready([page], STALL_S):
-                pass
+            if not self._loader.ready([page], TAIL_S):
+                found = f"page {page} not read within {TAIL_S:g} s"
+                raise ResourceExhausted(str(self.file.path), found, "a disk that answers")
             pages.put(page, self._loader.texels(page))
             self._loader.give_back(page)
 
     def settle(self, pose: Pose, n_frames: int = SETTLE_FRAMES) -> int:
-        """Stand still until nothing more is loaded, or for so many frames; returns how many it took."""
+        """Stand still until nothing more is loaded, for so many frames at most, or until the disk stalls; returns how many
+        frames it took."""
+        n_late = 0
         for n in range(n_frames):
-            self.frame(pose, Motion(np.zeros(3), np.zeros(3)))
+            _, record = self.frame(pose, Motion(np.zeros(3), np.zeros(3)))
+            n_late = n_late + 1 if record.late else 0
+            if n_late == STALLED_FRAMES:
+                return n
             if n > LOAD_FRAMES and not self._due and not (np.isin(self._manager.state, (SEEN, LOADING, LOADED))).any():
                 return n
         return n_frames

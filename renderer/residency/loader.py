@@ -12,10 +12,10 @@ import time
 import numpy as np
 
 from pipeline.stages.pages.codecs import decoded
-from storage.errors import SplatpressError
 from storage.pages.file import PageFile
 
 THREADS = 2
+CLOSE_S = 0.5  # that closing waits for each of them
 
 
 class PageLoader:
@@ -30,6 +30,7 @@ class PageLoader:
         self._free = list(range(n_buffers))
         self._asked: queue.SimpleQueue = queue.SimpleQueue()
         self._done: queue.SimpleQueue = queue.SimpleQueue()
+        self._closed = False
         self._held: dict[int, int] = {}  # buffer of each page that has been read
         self._threads = [threading.Thread(target=self._work, daemon=True) for _ in range(n_threads)]
         for thread in self._threads:
@@ -63,11 +64,15 @@ class PageLoader:
         self._free.append(self._held.pop(page))
 
     def close(self) -> None:
+        """Read no more. A thread that the disk holds up ends when the disk lets it."""
+        self._closed = True
         for _ in self._threads:
             self._asked.put(None)
+        for thread in self._threads:
+            thread.join(CLOSE_S)
 
     def _work(self) -> None:
-        while (asked := self._asked.get()) is not None:
+        while (asked := self._asked.get()) is not None and not self._closed:
             page, buffer = asked
             try:
                 header = self._file.header
@@ -75,5 +80,7 @@ class PageLoader:
                     header.codec, self._file.read(page), header.side_px, f"{self._file.path}, page {page}"
                 )
                 self._done.put((page, buffer, None))
-            except (SplatpressError, OSError) as error:
+            except Exception as error:
+                if self._closed:  # and the file with it
+                    return
                 self._done.put((page, buffer, error))

@@ -22,6 +22,7 @@ NOTHING = np.empty(0, np.int64)
 FEEDBACK_FRAMES, LOAD_FRAMES = 2, 6
 SETTLED_FRAMES = 90  # beyond those that a full pool takes: a viewer stands still until what it shows is there
 THREADS = 4
+QUIET_FRAMES = 12  # without a page that comes or goes: what is asked for is there
 SCREEN = Screen(1440, 1560, 720.0)  # an eye of a headset, 90 degrees across
 
 
@@ -53,24 +54,28 @@ def misses_of(
     """Run the manager over the frames of a path, once it has settled on the first."""
     layout = places.layout
     manager = Manager(layout.level_of, layout.parents, n_pool, n_frame, published)
-    warm = SETTLED_FRAMES + -(-n_pool // n_frame)
     asked = [part.asked(prediction) for part in parts]
     under_way: list[tuple[int, np.ndarray]] = []
     pixels, pages, wanted, n_loaded, n_evicted = [], [], [], 0, 0
-    for i in range(-warm, len(parts)):
+    i, clock, n_quiet = -(SETTLED_FRAMES + -(-n_pool // n_frame)), 0, 0
+    while i < len(parts):
         if i >= 0:
             required = parts[i].required
             missing = manager.state[required.page] != MAPPED
             pixels.append(float(required.pixels[missing].sum() / max(1.0, required.pixels.sum())))
             pages.append(int(missing.sum()))
             wanted.append(asked[i].n_pages)
-        heard = asked[max(0, i - FEEDBACK_FRAMES)] if i >= FEEDBACK_FRAMES - warm else None
-        loaded = [pages_ for due, pages_ in under_way if due <= i]
-        under_way = [(due, pages_) for due, pages_ in under_way if due > i]
-        orders = manager.step(i + warm, heard, np.concatenate([NOTHING, *loaded]))
-        under_way.append((i + LOAD_FRAMES, orders.load))
+        heard = asked[max(0, i - FEEDBACK_FRAMES)] if clock >= FEEDBACK_FRAMES else None
+        loaded = [pages_ for due, pages_ in under_way if due <= clock]
+        under_way = [(due, pages_) for due, pages_ in under_way if due > clock]
+        orders = manager.step(clock, heard, np.concatenate([NOTHING, *loaded]))
+        if len(orders.load):
+            under_way.append((clock + LOAD_FRAMES, orders.load))
         if i >= 0:
             n_loaded, n_evicted = n_loaded + len(orders.load), n_evicted + len(orders.evict)
+        quiet = not (under_way or len(orders.map) or len(orders.evict))
+        n_quiet = n_quiet + 1 if quiet else 0
+        i, clock = 0 if i < 0 and n_quiet > QUIET_FRAMES else i + 1, clock + 1
     return Misses(float(np.mean(pixels)), float(np.mean(pages)), float(np.mean(wanted)), n_loaded, n_evicted)
 
 

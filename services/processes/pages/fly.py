@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -69,13 +70,12 @@ def fly(packed: Path, pages: Path, path: Path, out: Path, options: FlightOptions
                 renderer, gpu_scene, places, file, Screen(width, height, width / 2), distance, options.prediction,
                 options.policy == "paper", n_frame,
             )  # fmt: skip
-            with placed_whole(out) as made:
+            with closing(flight), placed_whole(out) as made:
                 settled = flight.settle(walk.poses[0])
                 records = [_frame(flight, walk, i, options.every, made) for i in range(len(walk.poses))]
                 found = _document(walk, options, n_frame, gpu_scene.pages, settled, records)
                 found["video"] = _video(made, FRAMES_PER_SECOND / options.every)
                 write_json(made / FLIGHT, found)
-            flight.close()
         finally:
             if gpu_scene.pages is not None:
                 gpu_scene.pages.release()

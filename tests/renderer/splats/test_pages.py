@@ -1,6 +1,7 @@
 """Pages on the GPU: with all of them there the picture is that of whole photographs; with none beyond the tails it is the
 atoms' or a blurred one; what is asked for is listed exactly."""
 
+import threading
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from pipeline.execution.executors import SerialExecutor
 from pipeline.planning.settings import settings_for
 from pipeline.stages.pages.codecs import decoded
+from renderer.evaluate import flight as flight_module
 from renderer.evaluate.compare import psnr_db
 from renderer.evaluate.flight import Flight
 from renderer.residency.paths import pose_of
@@ -152,6 +154,40 @@ def test_flight__a_page_that_was_altered_is_one_error(made, shown, renderer, tmp
             gpu_scene.pages.drop(int(page))
         with pytest.raises(InvalidPackedFile, match="differs from its check"):
             Flight(renderer, gpu_scene, made.places, file, Screen(320, 240, camera.fx_px), 4.0)
+
+
+def test_flight__on_a_disk_that_stalls_it_goes_on_with_coarser_pages_and_says_so(made, shown, renderer, monkeypatch):
+    gpu_scene, file = shown
+    for page in np.flatnonzero(file.layout.is_tail):
+        gpu_scene.pages.drop(int(page))
+    monkeypatch.setattr(flight_module, "STALL_S", 0.001)
+    monkeypatch.setattr(flight_module, "TAIL_S", 0.05)
+    monkeypatch.setattr(flight_module, "STALLED_FRAMES", 3)
+    camera = made.scene.header.cameras[1]
+    answers, read = threading.Event(), PageFile.read
+    tails = set(np.flatnonzero(file.layout.is_tail).tolist())
+
+    def stalling(self, page):
+        if page not in tails:
+            answers.wait(20)
+        return read(self, page)
+
+    monkeypatch.setattr(PageFile, "read", stalling)
+    flight = Flight(renderer, gpu_scene, made.places, file, Screen(320, 240, camera.fx_px), 4.0, "nothing", n_frame=8)
+    assert flight.settle(pose_of(camera)) < 40
+    picture, record = flight.frame(pose_of(camera), STILL)
+    assert record.late > 0 and record.missed > 0
+    wanted = baseline_of(made, renderer, camera)
+    assert psnr_db(picture.rgb, wanted.rgb, wanted.coverage) > 18
+    answers.set()
+    flight.close()
+    for page in tails:
+        gpu_scene.pages.drop(page)
+    tails.clear()
+    answers.clear()
+    with pytest.raises(ResourceExhausted, match="not read within"):
+        Flight(renderer, gpu_scene, made.places, file, Screen(320, 240, camera.fx_px), 4.0)
+    answers.set()
 
 
 def test_pool__takes_what_fits_and_says_where_too_little_does():
