@@ -15,7 +15,7 @@ from pipeline.execution.compiled import kernel
 from pipeline.geometry.frame import tangent_frames
 from pipeline.splats.decoded import scene_normal_codes, scene_positions, scene_radii
 from pipeline.splats.sizes import needed_sizes
-from renderer.splats.views import orbit_views
+from renderer.splats.views import Direction, orbit_views
 from storage.packed.packed import PackedScene
 from storage.packed.schema import Camera
 
@@ -35,7 +35,9 @@ class ViewCoverage:
     overdraw: float  # discs drawn a pixel, against exact ones
 
 
-def surface_coverage(scene: PackedScene, n_views: int = 3, size: tuple[int, int] = SIZE_PX) -> list[ViewCoverage]:
+def surface_coverage(
+    scene: PackedScene, n_views: int = 3, size: tuple[int, int] = SIZE_PX, up: Direction | None = None
+) -> list[ViewCoverage]:
     """The measure in `n_views` orbit views of a packed scene."""
     header, position = scene.header, scene_positions(scene)
     spacing = cKDTree(np.unique(position, axis=0)).query(position, k=5)[0][:, 4]
@@ -44,7 +46,7 @@ def surface_coverage(scene: PackedScene, n_views: int = 3, size: tuple[int, int]
     u, v, _ = tangent_frames(scene_normal_codes(scene), header.up, header.ahead)
     return [
         _of_view(view, position + np.array(header.origin), u, v, exact, radius)
-        for view in orbit_views(scene, n_views, size)
+        for view in orbit_views(scene, n_views, size, up)
     ]
 
 

@@ -39,7 +39,8 @@ def render_views(
     """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`, with their coverage as alpha or on a
     `background`, and where `animated` into turntable.webp beside them; returns their paths. `precision`
     is that of pipeline.planning.knobs.VIEW_KNOBS. With a `light`
-    it is lit, whether or not the file asks for it; with smoothed normals, unless it was planned without."""
+    it is lit, whether or not the file asks for it; with smoothed normals, unless it was planned without. `up` is
+    what is up around the scan, where the file does not know."""
     with PackedFile(packed) as opened:
         scene = opened.load()
     if camera is not None:
@@ -74,7 +75,7 @@ def _camera_named(header: Header, name: str, packed: Path) -> Camera:
     raise InvalidScan(str(packed), f"no camera {name!r}", names)
 
 
-def coverage_of(packed: Path) -> dict:
+def coverage_of(packed: Path, up: tuple[float, float, float] | None = None) -> dict:
     """`surface`: rows of three orbit views, as `renderer.evaluate.coverage` measures discs; `outline`: of four orbit views as they are drawn,
     `camera`, `coverage` and `holes`, the share of pixels without a splat inside the outline closed by 9x9 px."""
     with PackedFile(packed) as opened:
@@ -82,8 +83,8 @@ def coverage_of(packed: Path) -> dict:
     renderer = Renderer()
     gpu_scene = GpuScene(scene, renderer.context)
     outline = []
-    for view in orbit_views(scene, OUTLINE_VIEWS, SIZE_PX):
+    for view in orbit_views(scene, OUTLINE_VIEWS, SIZE_PX, up):
         covered = renderer.render(gpu_scene, view).coverage
         outline.append({"camera": view.name, "coverage": float(covered.mean()), "holes": outline_holes(covered)})
     gpu_scene.release()
-    return {"surface": [asdict(row) for row in surface_coverage(scene)], "outline": outline}
+    return {"surface": [asdict(row) for row in surface_coverage(scene, up=up)], "outline": outline}

@@ -32,15 +32,20 @@ def add_render(commands) -> None:
         metavar="RIGHT,UP,TOWARDS",
         help="a distant lamp that way from the viewer, as 1,1,1; default: as photographed",
     )
-    render.add_argument(
-        "--up",
-        type=direction,
-        metavar="X,Y,Z",
-        help="of --orbit: the scan's direction that is up, as 0,1,0; default: 0,0,1, or as photographed",
-    )
+    _add_up(render)
     add_view_knobs(render)
     render.add_argument("--out", required=True, metavar="DIR")
     render.set_defaults(command=_render)
+
+
+def _add_up(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--up",
+        type=direction,
+        metavar="X,Y,Z",
+        help="what is up in the scan's own axes, for views around it, as 0,1,0 or with = as --up=0,-1,0; default: "
+        "by the photographs, else 0,0,1",
+    )
 
 
 def _render(options: argparse.Namespace) -> int:
@@ -69,6 +74,7 @@ def add_coverage(commands) -> None:
     """The verb `coverage`."""
     coverage = commands.add_parser("coverage", help="holes and overdraw of a packed file's splats, view by view")
     coverage.add_argument("packed", metavar="PACKED")
+    _add_up(coverage)
     coverage.add_argument("--json", action="store_true", help="what was measured as the last line of stdout")
     coverage.set_defaults(command=_coverage)
 
@@ -76,7 +82,7 @@ def add_coverage(commands) -> None:
 def _coverage(options: argparse.Namespace) -> int:
     from services.processes.render import coverage_of
 
-    found = coverage_of(scan_path(options.packed))
+    found = coverage_of(scan_path(options.packed), options.up)
     if options.json:
         print(json.dumps(found))
         return OK

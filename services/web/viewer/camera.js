@@ -3,7 +3,7 @@
 import { upOf } from "./packed.js";
 import { add, cross, dot, looking, scaled, squared, turned, unit } from "./vectors.js";
 
-const FIELD = (45 * Math.PI) / 180, HEIGHT = (20 * Math.PI) / 180, TRIMMED = 0.1; // as renderer/splats/views.py
+const FIELD = (45 * Math.PI) / 180, HEIGHT = (20 * Math.PI) / 180, STRAYS = 0.02, TRIMMED = 0.1, LONGEST_TAIL = 1.3, MARGIN = 1.08; // as renderer/splats/views.py
 const PLAIN_LENS = { width: 1, height: 1, fx: 0.5 / Math.tan(FIELD / 2), fy: 0.5 / Math.tan(FIELD / 2), cx: 0.5, cy: 0.5 };
 const CLOSEST_TO_UP = 0.02; // radians that turning keeps from looking straight up or down
 
@@ -11,9 +11,9 @@ export class Camera {
   constructor(scene) {
     this.header = scene.header;
     this.up = upOf(scene.header);
-    const { low, high } = trimmedBox(scene, scene.header.effects.relighting?.lamp ? 0 : TRIMMED); // surfaces of a volume have no strays
-    this.middle = low.map((x, i) => (x + high[i]) / 2);
-    this.size = Math.max(Math.hypot(...high.map((x, i) => x - low[i])) / 2, scene.header.radius);
+    const { middle, reach } = bulkOf(scene, scene.header.effects.relighting?.lamp ? 0 : STRAYS); // surfaces of a volume have no strays
+    this.middle = middle;
+    this.size = Math.max(reach, scene.header.radius);
     this.nearest = 4 * scene.header.radius;
     this.home();
   }
@@ -27,7 +27,7 @@ export class Camera {
       const level = add(mean, this.up, -dot(mean, this.up));
       if (Math.hypot(...level) > 1e-6 * Math.hypot(...mean)) towards = level;
     }
-    this.distance = this.size / Math.sin(FIELD / 2);
+    this.distance = (MARGIN * this.size) / Math.sin(FIELD / 2);
     const out = add(scaled(unit(towards), Math.cos(HEIGHT)), this.up, Math.sin(HEIGHT));
     this.eye = add(this.middle, out, this.distance);
     this.rows = looking(scaled(out, -1), this.up);
@@ -120,16 +120,19 @@ export class Camera {
   }
 }
 
-// What most chunks lie in; mirrors trimmed_box of renderer/splats/views.py.
-function trimmedBox({ arrays: { box_low, box_size }, packed: { nChunks } }, share) {
-  const ends = [0, 1, 2].map((axis) => {
-    const middles = Float64Array.from({ length: nChunks }, (_, i) => box_low[3 * i + axis] + box_size[3 * i + axis] / 2).sort();
-    const at = (part) => {
-      const place = part * (nChunks - 1), i = Math.floor(place), next = middles[Math.min(i + 1, nChunks - 1)];
-      return middles[i] + (place - i) * (next - middles[i]);
-    };
-    const low = at(share), high = at(1 - share), half = (high - low) / 2 / (1 - 2 * share);
-    return [(low + high) / 2 - half, (low + high) / 2 + half];
+// A ball that holds most of a scene; mirrors bulk_of of renderer/splats/views.py.
+function bulkOf({ outline: { low, high, n } }, share) {
+  const boxes = Array.from({ length: n }, (_, i) => i), centre = (i, axis) => (low[3 * i + axis] + high[3 * i + axis]) / 2;
+  const quantile = (values, part) => {
+    const sorted = Float64Array.from(values).sort(), place = part * (n - 1), i = Math.floor(place);
+    return sorted[i] + (place - i) * (sorted[Math.min(i + 1, n - 1)] - sorted[i]);
+  };
+  const trimmed = share ? TRIMMED : 0, middle = [0, 1, 2].map((axis) => {
+    const along = boxes.map((i) => centre(i, axis));
+    return (quantile(along, trimmed) + quantile(along, 1 - trimmed)) / 2;
   });
-  return { low: ends.map(([low]) => low), high: ends.map(([, high]) => high) };
+  const off = (i) => Math.hypot(...middle.map((x, axis) => centre(i, axis) - x));
+  const half = (i) => Math.hypot(...[0, 1, 2].map((axis) => high[3 * i + axis] - low[3 * i + axis])) / 2;
+  const reach = boxes.map((i) => off(i) + half(i));
+  return { middle, reach: Math.min(quantile(reach, 1 - share), LONGEST_TAIL * quantile(reach, 1 - trimmed)) };
 }

@@ -1,25 +1,20 @@
 // Which groups of a file with levels are drawn in a view, and with what share; mirrors renderer/splats/detail.py. Where children have not arrived
 // their parent stays, so there is never a hole.
 
-import { CHUNKS_PER_GROUP, GROUP } from "./packed.js";
+import { GROUP } from "./packed.js";
 
 const FEWER = 4;
 const FADE = 1.5, COARSER = 2 ** 0.25, MOST_STEPS = 64;
 
-/** The groups of all levels, the coarsest first: boxes and sizes that hold those of their children, parents, children. */
-export function groupTree({ header, nGroups, nChunks }, { box_low: boxLow, box_size: boxSize }, radiusOfGroup) {
+/** The groups of all levels, the coarsest first: boxes and sizes that hold those of their children, parents, children; by the table of groups. */
+export function groupTree({ header, nGroups }, { group_low: groupLow, group_high: groupHigh, group_radius: radius }) {
   const counts = header.levels.map((n) => Math.ceil(n / GROUP)), parent = new Int32Array(nGroups).fill(-1), level = new Uint8Array(nGroups);
   for (let i = 0, first = 0; i < counts.length; first += counts[i++]) {
     level.fill(i, first, first + counts[i]);
     if (i) for (let j = 0; j < counts[i]; ++j) parent[first + j] = first - counts[i - 1] + Math.min(Math.floor(j / FEWER), counts[i - 1] - 1);
   }
-  const low = new Float64Array(3 * nGroups).fill(Infinity), high = new Float64Array(3 * nGroups).fill(-Infinity);
-  for (let chunk = 0; chunk < nChunks; ++chunk)
-    for (let axis = 0, at = 3 * Math.floor(chunk / CHUNKS_PER_GROUP); axis < 3; ++axis, ++at) {
-      low[at] = Math.min(low[at], boxLow[3 * chunk + axis]);
-      high[at] = Math.max(high[at], boxLow[3 * chunk + axis] + boxSize[3 * chunk + axis]);
-    }
-  const size = Float64Array.from({ length: nGroups }, (_, group) => radiusOfGroup(group)), children = Array.from({ length: nGroups }, () => []);
+  const low = Float64Array.from(groupLow.subarray(0, 3 * nGroups)), high = Float64Array.from(groupHigh.subarray(0, 3 * nGroups));
+  const size = Float64Array.from({ length: nGroups }, (_, group) => radius[2 * group]), children = Array.from({ length: nGroups }, () => []);
   const nSplats = Uint32Array.from({ length: nGroups }, (_, group) => Math.min(GROUP, header.n_splats - group * GROUP));
   for (let group = nGroups - 1; group >= 0; --group) { // the finest come first
     const above = parent[group];

@@ -65,18 +65,18 @@ export class Packed {
   }
 
   /** Ask for chunks of `chunksOf`; `onChunk(array, index, values)` hears each. */
-  async read(chunks, onChunk, signal) {
+  async read(chunks, onChunk, signal, largestGap) {
     const byMember = new Map(chunks.map((chunk) => [chunk.name, chunk]));
     await readMembers(this.source, chunks, (name, bytes) => {
       const { array, index } = byMember.get(name);
       onChunk(array, index, valuesOf(array, bytes));
-    }, signal);
+    }, signal, largestGap);
   }
 
   /** Whole arrays by name; their last chunks may be longer than they are. */
-  async readWhole(names, signal) {
+  async readWhole(names, signal, largestGap) {
     const parts = Object.fromEntries(names.map((name) => [name, []]));
-    await this.read(names.flatMap((name) => this.chunksOf(name)), (array, index, values) => { parts[array][index] = values; }, signal);
+    await this.read(names.flatMap((name) => this.chunksOf(name)), (array, index, values) => { parts[array][index] = values; }, signal, largestGap);
     return Object.fromEntries(names.map((name) => [name, joined(parts[name])]));
   }
 }

@@ -1,13 +1,16 @@
-// A packed scene in GPU memory while it arrives: tables first, then geometry and colours, then atoms and codes. Groups are drawn from when
-// their geometry is there, with their colours alone until their codes are. Mirrors renderer/splats/scene.py.
+// A packed scene in GPU memory while it arrives: the table of groups first, then geometry and colours of groups, then atoms and codes. Groups are
+// drawn from when their geometry is there, with their colours alone until their codes are. Mirrors renderer/splats/scene.py.
 
 import { groupTree, sharesOf } from "./detail.js";
 import { mapFrames, mapTextures } from "./maps.js";
-import { GROUP, MIP_SIZES } from "./packed.js";
-import { atlasBand, atlasLayout, firstWords, meanRadius, splatWords, tablesOf } from "./tables.js";
+import { CHUNK, CHUNKS_PER_GROUP, GROUP, MIP_SIZES } from "./packed.js";
+import { atlasBand, atlasLayout, firstWords, groupBoxes, splatWords, tablesOf, widthsOf } from "./tables.js";
 
 const LINE = 2048; // texels to a line of a texture, as renderer/splats/gles.py has it
 const BATCH_BYTES = 1 << 21; // of chunks that are asked for together
+const OF_CHUNKS = ["batch_count", "box_low", "box_size", "box_bits", "size_scale", "sizes", "color_low", "color_size"];
+const KEPT = { box_low: [Float32Array, 3], box_size: [Float32Array, 3], size_scale: [Uint8Array, 2] }; // on this side too
+const MOST_OUTLINED_BY_CHUNKS = 64, SMALL_GAP = 4096; // groups, as renderer/splats/views.py; bytes between what is one request
 const ABSENT = 0, FLAT = 1, CODED = 2;
 
 /** A texture of 32-bit words, or of pairs of them, that `load` of the shaders reads. */
@@ -50,7 +53,7 @@ export class Scene {
     const first = header.batches.findIndex((batch) => batch.clipline || batch.ellipsoid);
     this.nLeading = first < 0 ? header.batches.length : first;
     this.defines = { COLOR_BOXES: header.color_step ? 1 : 0, SIZE_BITS: header.size_bits, DETAIL: header.levels ? 1 : 0, MAPPED: 0 };
-    this.geometryArrays = ["position", "normal", ...(header.color_step ? [] : ["color"])];
+    this.geometryArrays = [...OF_CHUNKS, "position", "normal", "color"].filter((name) => packed.has(name));
     this.shapeArrays = ["colors", "ellipsoids", "cliplines"].filter((name) => packed.has(name));
   }
 
@@ -125,22 +128,30 @@ export class Scene {
   }
 
   async loadTables(signal) {
-    const { gl, packed, header } = this;
-    const names = ["batch_count", "box_low", "box_size", "box_bits", "size_scale", "sizes", "color_low", "color_size", "group_rows"];
-    this.arrays = await packed.readWhole(names.filter((name) => packed.has(name)), signal);
-    this.first = this.arrays.first = firstWords(packed, this.arrays.group_rows);
-    const { counts, boxes, running, groups, groupBoxes } = tablesOf(packed, this.arrays);
-    Object.assign(this, { counts, groupBoxes });
-    const table = (words) => new Words(gl, words.length).put(0, words);
-    Object.assign(this.textures, { boxes: table(boxes), running_counts: table(running), groups: table(groups) });
+    const { gl, packed, header } = this, { nChunks, nGroups } = packed, widths = widthsOf(header);
+    this.arrays = await packed.readWhole(["group_low", "group_high", "group_radius", "group_rows"].filter((name) => packed.has(name)), signal);
+    this.outline = { low: this.arrays.group_low, high: this.arrays.group_high, n: nGroups };
+    if (nGroups <= MOST_OUTLINED_BY_CHUNKS) {
+      const { box_low: low, box_size: size } = await packed.readWhole(["box_low", "box_size"], signal, SMALL_GAP);
+      this.outline = { low, high: low.map((x, i) => x + size[i]), n: nChunks };
+    }
+    for (const [name, [Type, width]] of Object.entries(KEPT)) if (packed.has(name)) this.arrays[name] = new Type(nChunks * width);
+    this.arrays.box_low.fill(Infinity); // of what is not there yet
+    this.first = firstWords(packed, this.arrays.group_rows);
+    this.groupBoxes = groupBoxes(packed, this.arrays);
+    this.counts = [];
+    this.widths = widths;
+    const table = (n) => new Words(gl, Math.max(1, n));
+    Object.assign(this.textures, { boxes: table(nChunks * widths.boxes + 1), running_counts: table(Math.ceil((nChunks * widths.running) / 2)),
+      groups: table(nGroups * widths.groups) });
     if (header.levels) {
-      this.tree = groupTree(packed, this.arrays, (group) => meanRadius(packed, this.arrays, group));
-      this.textures.shares = new Words(gl, packed.nGroups);
+      this.tree = groupTree(packed, this.arrays);
+      this.textures.shares = new Words(gl, nGroups);
     }
     const pairs = !header.color_step, n = header.n_splats;
     this.textures.splats = new Words(gl, pairs ? n : Math.ceil((n * 5) / 4) + 1, pairs);
-    for (const name of packed.streams) this.textures[name] = new Words(gl, this.first[name][packed.nGroups] + 1);
-    this.arrived = Object.fromEntries([...this.geometryArrays, ...packed.streams].map((name) => [name, new Uint8Array(packed.nGroups)]));
+    for (const name of packed.streams) this.textures[name] = new Words(gl, this.first[name][nGroups] + 1);
+    this.arrived = Object.fromEntries([...this.geometryArrays, ...packed.streams].map((name) => [name, new Uint8Array(nGroups)]));
   }
 
   // Bring a group's rows of an array to the GPU; whether there is more to draw now.
@@ -152,13 +163,26 @@ export class Scene {
       const parts = { ...this.waiting.get(group), [array]: values };
       this.waiting.set(group, parts);
       if (Object.keys(parts).length === this.geometryArrays.length) {
-        const n = Math.min(GROUP, this.header.n_splats - group * GROUP), perGroup = this.header.color_step ? (GROUP * 5) / 4 : GROUP;
-        this.textures.splats.put(group * perGroup, splatWords(n, parts).subarray(0, n < GROUP ? undefined : perGroup * (this.header.color_step ? 1 : 2)));
+        this.putGroup(group, parts);
         this.waiting.delete(group);
       }
     }
     this.arrived[array][group] = 1;
     return this.advance(group);
+  }
+
+  putGroup(group, parts) {
+    const { header, textures, widths } = this, n = Math.min(GROUP, header.n_splats - group * GROUP), chunk = group * CHUNKS_PER_GROUP;
+    const perGroup = header.color_step ? (GROUP * 5) / 4 : GROUP, spared = n < GROUP ? undefined : perGroup * (header.color_step ? 1 : 2);
+    textures.splats.put(group * perGroup, splatWords(n, parts).subarray(0, spared));
+    const first = Object.fromEntries(this.packed.streams.map((name) => [name, this.first[name][group]]));
+    const { counts, boxes, running, groups } = tablesOf(header, parts, n, first);
+    this.counts[group] = counts;
+    textures.boxes.put(chunk * widths.boxes, boxes);
+    textures.running_counts.put((chunk * widths.running) / 2, running);
+    textures.groups.put(group * widths.groups, groups);
+    for (const [name, [, width]] of Object.entries(KEPT))
+      if (parts[name]) this.arrays[name].set(parts[name].subarray(0, Math.ceil(n / CHUNK) * width), chunk * width);
   }
 
   advance(group) {

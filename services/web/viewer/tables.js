@@ -1,6 +1,6 @@
-// What is derived when a scene is loaded: running counts of batches, where streams begin, boxes. Mirrors renderer/splats/scene.py.
+// What is derived of groups as they arrive: running counts of batches, where streams begin, boxes. Mirrors renderer/splats/upload/tables.py.
 
-import { CHUNK, CHUNKS_PER_GROUP, GROUP, MIP_SIZES } from "./packed.js";
+import { CHUNK, MIP_SIZES } from "./packed.js";
 
 const LONGEST_ELLIPSOID = 4; // half axis in radii that a byte can say
 
@@ -14,33 +14,29 @@ export function firstWords({ streams, nGroups }, words) {
   return found;
 }
 
-/** Tables of `arrays`, those of chunks and groups; typed arrays of 32-bit words as the shaders take them. */
-export function tablesOf(packed, arrays) {
-  const { header, nChunks, nGroups } = packed, nBatches = header.batches.length;
-  const counts = groupCounts(arrays.batch_count, nChunks, nGroups, nBatches);
-  return {
-    counts, boxes: boxWords(packed, arrays), running: runningCounts(arrays.batch_count, nChunks, nBatches),
-    groups: groupTable(packed, arrays, counts), groupBoxes: groupBoxes(packed, arrays),
-  };
-}
+/** Words that the tables take a chunk and a group. */
+export const widthsOf = ({ size_bits, color_step, batches }) =>
+  ({ boxes: (color_step ? 11 : 7) + 4 * size_bits, running: batches.length - 1, groups: 2 + 2 * batches.length });
 
-// (nGroups, nBatches) splats of each batch in each group.
-function groupCounts(batchCount, nChunks, nGroups, nBatches) {
-  const counts = Array.from({ length: nGroups }, () => new Uint32Array(nBatches));
-  for (let chunk = 0; chunk < nChunks; ++chunk)
-    for (let batch = 0; batch < nBatches; ++batch) counts[(chunk / CHUNKS_PER_GROUP) | 0][batch] += batchCount[chunk * nBatches + batch];
-  return counts;
+/**
+ * Tables of the chunks of a group by its arrays, as the shaders take them: `boxes` and `running` words, its row of `groups`, and the `counts` of
+ * splats of each batch. `first` are the words that each of its streams begins at.
+ */
+export function tablesOf(header, arrays, nSplats, first) {
+  const nBatches = header.batches.length, nChunks = Math.ceil(nSplats / CHUNK), counts = new Uint32Array(nBatches);
+  for (let i = 0; i < nChunks * nBatches; ++i) counts[i % nBatches] += arrays.batch_count[i];
+  return { counts, boxes: boxWords(header, arrays, nSplats, first.colors), running: runningCounts(arrays.batch_count, nChunks, nBatches),
+    groups: groupRow(header, counts, first) };
 }
 
 /** The radius that a step of `size_scale` stands for. */
 const radiusOf = (header, step) => header.radius * 2 ** (step / 16 - 8);
 
 // Low corner, size, bits and scale of sizes of each chunk's box, where colours are in boxes first word, low corner, size and bits of those, and
-// where splats have sizes their words; a spare word at the end.
-function boxWords({ header, nChunks }, arrays) {
-  const sizeAt = header.color_step ? 11 : 7, perChunk = 4 * header.size_bits, width = sizeAt + perChunk;
-  const words = new Uint32Array(nChunks * width + 1), floats = new Float32Array(words.buffer);
-  let colorWord = 0;
+// where splats have sizes their words.
+function boxWords(header, arrays, nSplats, colorWord) {
+  const sizeAt = header.color_step ? 11 : 7, perChunk = 4 * header.size_bits, width = sizeAt + perChunk, nChunks = Math.ceil(nSplats / CHUNK);
+  const words = new Uint32Array(nChunks * width), floats = new Float32Array(words.buffer);
   for (let chunk = 0; chunk < nChunks; ++chunk) {
     const at = chunk * width, i = 3 * chunk;
     for (let axis = 0; axis < 3; ++axis) {
@@ -56,10 +52,10 @@ function boxWords({ header, nChunks }, arrays) {
     const low = arrays.color_low.subarray(i, i + 3), size = arrays.color_size.subarray(i, i + 3);
     const bits = [...size].map((s) => Math.max(0, Math.ceil((s - header.color_step) / 16)));
     words[at + 7] = colorWord;
-    colorWord += Math.ceil((Math.min(CHUNK, header.n_splats - chunk * CHUNK) * (bits[0] + bits[1] + bits[2])) / 32);
     words[at + 8] = (low[0] & 0xffff) | (low[1] << 16);
     words[at + 9] = (low[2] & 0xffff) | (size[0] << 16) | (size[1] << 24);
     words[at + 10] = size[2] | (bits[0] << 8) | (bits[1] << 16) | (bits[2] << 24);
+    colorWord += Math.ceil((Math.min(CHUNK, nSplats - chunk * CHUNK) * (bits[0] + bits[1] + bits[2])) / 32);
   }
   return words;
 }
@@ -68,7 +64,6 @@ function boxWords({ header, nChunks }, arrays) {
 function runningCounts(batchCount, nChunks, nBatches) {
   const width = nBatches - 1, halves = new Uint16Array((nChunks * width + 1) & ~1), through = new Uint32Array(nBatches);
   for (let chunk = 0; chunk < nChunks; ++chunk) {
-    if (chunk % CHUNKS_PER_GROUP === 0) through.fill(0);
     let sum = 0;
     for (let batch = 0; batch < nBatches; ++batch) {
       through[batch] += batchCount[chunk * nBatches + batch];
@@ -80,35 +75,29 @@ function runningCounts(batchCount, nChunks, nBatches) {
 }
 
 // First words of codes and cliplines, then of each batch its first entry and its first clipline or ellipsoid's word.
-function groupTable({ header, nGroups }, { first }, counts) {
-  const { batches } = header, width = 2 + 2 * batches.length, table = new Uint32Array(nGroups * width);
-  for (let group = 0; group < nGroups; ++group) {
-    table[group * width] = first.codes?.[group] ?? 0;
-    table[group * width + 1] = first.cliplines?.[group] ?? 0;
-    let entry = 0, line = 0, ellipsoid = first.ellipsoids?.[group] ?? 0;
-    batches.forEach((batch, i) => {
-      const n = counts[group][i];
-      table[group * width + 2 + 2 * i] = entry;
-      table[group * width + 3 + 2 * i] = batch.ellipsoid ? ellipsoid : line;
-      entry += n * batch.n_atoms;
-      if (batch.clipline) line += n;
-      if (batch.ellipsoid) ellipsoid += n;
-    });
-  }
-  return table;
+function groupRow({ batches }, counts, first) {
+  const row = new Uint32Array(2 + 2 * batches.length);
+  row[0] = first.codes ?? 0;
+  row[1] = first.cliplines ?? 0;
+  let entry = 0, line = 0, ellipsoid = first.ellipsoids ?? 0;
+  batches.forEach((batch, i) => {
+    row[2 + 2 * i] = entry;
+    row[3 + 2 * i] = batch.ellipsoid ? ellipsoid : line;
+    entry += counts[i] * batch.n_atoms;
+    if (batch.clipline) line += counts[i];
+    if (batch.ellipsoid) ellipsoid += counts[i];
+  });
+  return row;
 }
 
-// (nGroups, 6) low and high corner against the origin, grown by what splats reach.
-function groupBoxes({ header, nChunks, nGroups }, { box_low: low, box_size: size, size_scale: scale }) {
+/** (nGroups, 6) low and high corner against the origin, grown by what splats reach, by the table of groups. */
+export function groupBoxes({ header, nGroups }, { group_low: low, group_high: high, group_radius: radius }) {
   const boxes = new Float64Array(nGroups * 6), longest = header.batches.some((b) => b.ellipsoid) ? LONGEST_ELLIPSOID : 1;
-  for (let group = 0; group < nGroups; ++group) boxes.fill(Infinity, 6 * group, 6 * group + 3).fill(-Infinity, 6 * group + 3, 6 * group + 6);
-  for (let chunk = 0; chunk < nChunks; ++chunk) {
-    const at = 6 * ((chunk / CHUNKS_PER_GROUP) | 0), reach = longest * (scale ? radiusOf(header, scale[2 * chunk + 1]) : header.radius);
+  for (let group = 0; group < nGroups; ++group)
     for (let axis = 0; axis < 3; ++axis) {
-      boxes[at + axis] = Math.min(boxes[at + axis], low[3 * chunk + axis] - reach);
-      boxes[at + 3 + axis] = Math.max(boxes[at + 3 + axis], low[3 * chunk + axis] + size[3 * chunk + axis] + reach);
+      boxes[6 * group + axis] = low[3 * group + axis] - longest * radius[2 * group + 1];
+      boxes[6 * group + 3 + axis] = high[3 * group + axis] + longest * radius[2 * group + 1];
     }
-  }
   return boxes;
 }
 
@@ -125,19 +114,6 @@ export function radiusAt({ header, nChunks }, { box_low: low, box_size: size, si
     }
   }
   return found;
-}
-
-/** The mean radius of a group's splats; sizes are codes of a few bits on the scale of their chunk (storage/packed/sizes.py). */
-export function meanRadius({ header }, { size_scale: scale, sizes }, group) {
-  const bits = header.size_bits, first = group * GROUP, end = Math.min(first + GROUP, header.n_splats);
-  if (!bits) return header.radius;
-  let sum = 0;
-  for (let splat = first; splat < end; ++splat) {
-    const chunk = (splat / CHUNK) | 0, bit = (splat % CHUNK) * bits, at = chunk * 4 * bits + (bit >> 5), shift = bit & 31;
-    const code = ((sizes[at] >>> shift) | (shift + bits > 32 ? sizes[at + 1] << (32 - shift) : 0)) & ((1 << bits) - 1);
-    sum += header.radius * 2 ** ((scale[2 * chunk] + ((scale[2 * chunk + 1] - scale[2 * chunk]) * code) / ((1 << bits) - 1) - 128) / 16);
-  }
-  return sum / (end - first);
 }
 
 /** Position, normal and, where it is bytes, colour of `n` splats side by side, as words; a spare one at the end where they are 5 bytes each. */

@@ -42,11 +42,11 @@ function parsed(directory, count, end) {
 }
 
 /** Ask for members; `onMember(name, bytes)` hears each when it is whole. What lies close together is one request. */
-export async function readMembers(source, members, onMember, signal) {
+export async function readMembers(source, members, onMember, signal, largestGap = LARGEST_GAP) {
   const spans = [];
   for (const member of [...members].sort((a, b) => a.start - b.start)) {
     const last = spans.at(-1);
-    if (last && member.start - last.stop <= LARGEST_GAP) last.members.push(member), (last.stop = member.stop);
+    if (last && member.start - last.stop <= largestGap) last.members.push(member), (last.stop = member.stop);
     else spans.push({ start: member.start, stop: member.stop, members: [member] });
   }
   const queue = spans.values();

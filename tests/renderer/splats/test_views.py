@@ -7,7 +7,7 @@ import pytest
 
 from renderer.splats.context import gl_context
 from renderer.splats.projection import checked_view, split_floats, view_to_photo
-from renderer.splats.views import orbit_views, trimmed_box, up_direction, view_of
+from renderer.splats.views import bulk_of, orbit_views, up_direction, view_of
 from storage.errors import InvalidScan, ResourceExhausted
 from tests.scenes import Settings, Splats, build_scene, camera_looking, sheet
 
@@ -34,10 +34,23 @@ def scene_with_strays(cameras=()):
     return build_scene(Splats(position, splats.normal, splats.color), settings)
 
 
-def test_trimmed_box__is_not_spoilt_by_strays():
-    low, high = trimmed_box(scene_with_strays())
-    assert (low + high) / 2 == pytest.approx([1, -1, 0], abs=0.2)
-    assert (high - low)[[0, 2]] == pytest.approx([2, 2], rel=0.25)
+def test_bulk_of__is_not_spoilt_by_strays():
+    middle, reach = bulk_of(scene_with_strays())
+    assert middle == pytest.approx([1, -1, 0], abs=0.2)
+    assert 1.2 < reach < 1.9  # the sheet's corners are 1.41 away
+
+
+def test_bulk_of__holds_all_where_there_are_no_strays():
+    assert bulk_of(scene_with_strays(), 0.0)[1] > 400
+
+
+@pytest.mark.parametrize("up", [(0, 1, 0), (1, 0, 0), (0, 0, -1), (1, 1, 1)])
+def test_orbit_views__stand_upright_in_any_direction_that_is_asked_for(up):
+    for view in orbit_views(scene_with_strays(), 4, (120, 80), up):
+        middle = np.array([10, 20, 30])
+        assert project(view, middle) == pytest.approx([60, 40], abs=6)
+        above = project(view, middle + 0.3 * np.array(up) / np.linalg.norm(up))
+        assert above[1] < project(view, middle)[1] and above[0] == pytest.approx(project(view, middle)[0], abs=2)
 
 
 def test_orbit_views__stand_around_the_scene_and_look_down_at_it():
