@@ -19,8 +19,9 @@ from services.flow.run import Run
 from services.flow.textures import Coded, code_patches
 from storage.maps import MOST_MAPS
 
-# On disk, of textures by atoms at 36 to 40 dB, the dictionary counted in: measured at tenths of two scans. See docs/DECISIONS.md.
-ATOM_BYTES_A_SPLAT = 8.0
+# What atoms take in the file beyond one colour a splat, at 36 dB (draft): a tenth of conference_room takes 12.1 bytes a splat with atoms, one
+# of pump_e57 8.7 without.
+ATOM_BYTES_A_SPLAT = 4.0
 
 
 def resample(run: Run, prepared: Prepared, kept: bool = True) -> StageRecord[PatchesMade]:

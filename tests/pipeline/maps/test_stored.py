@@ -11,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 from pipeline.maps.sample import ALL_LEVELS, SHARE_OF_DISTANCE
 from pipeline.maps.station_map import NOTHING, decode_distances
 from pipeline.maps.stored import (
+    LOSSLESS,
     VOID,
     codes_of,
     decode_codes,
@@ -53,6 +54,11 @@ def test_stored__colours_keep_the_target_where_there_is_a_surface_and_no_more_by
     assert made.n_values == 3 * seen.sum() and made.squared_error == pytest.approx(error)
     assert target_db <= psnr_db(error, made.n_values) < target_db + 4
     assert made.stored.color_bytes == len(made.color)
+
+
+def test_stored__hues_that_webp_halves_are_kept_without_loss():
+    made = encode_map(wall_map(), ALL_LEVELS, 40.0)  # a red post before waves of all hues: 30 dB at WebP's best quality
+    assert made.quality == LOSSLESS and made.squared_error == 0
 
 
 def test_stored__colours_are_brought_to_one_light():

@@ -88,26 +88,26 @@ def test_maps__a_tenth_of_the_points_with_texture_is_4_db_above_one_colour_a_spl
 
 def test_maps__themselves_in_the_file_are_4_db_above_one_colour_where_splats_are_large(made, renderer):
     """The map of each splat is looked up by its fragments; so points may go, and pictures stay."""
-    itself = made(THINNER)
+    itself = made(THINNER, name="thinner")
     assert stages_of(itself[0]) >= {"map-pictures", "mapped-splats"} and "resample-maps" not in stages_of(itself[0])
     assert itself[0]["quality"]["texture_psnr_db"] >= 36 and itself[0]["sizes"]["maps_bytes"] > 0
     with PackedFile(itself[1]) as packed:
         header, station = packed.header, packed.read("station")
     assert len(header.maps) == 2 and set(np.unique(station)) <= {0, 1, 255} and (station == 255).mean() < 0.02
     assert header.maps[0].centre == pytest.approx(STATIONS[0])
-    flat = made(replace(THINNER, texture="color"))
+    flat = made(replace(THINNER, texture="color"), name="thinner")
     assert picture_psnr_db(itself[1], renderer) > picture_psnr_db(flat[1], renderer) + 4
 
 
 def test_maps__auto_takes_the_fewer_bytes_and_says_why(made):
-    def choice(settings):
-        report = made(settings)[0]
+    def choice(settings, name=""):
+        report = made(settings, name=name)[0]
         row = next(row for row in report["effects"] if row["effect"] == "station_maps")
         return row["choice"], report["sizes"]["maps_bytes"]
 
     words, n_bytes = choice(SETTINGS)  # 8,000 splats of maps of 2 x 46,000 texels
     assert words.startswith("atoms: maps take about") and n_bytes == 0
-    words, n_bytes = choice(THINNER)
+    words, n_bytes = choice(THINNER, "thinner")
     assert words.startswith("map: maps take about") and words.endswith("asked for") and n_bytes > 0
 
 
