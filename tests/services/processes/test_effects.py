@@ -70,7 +70,7 @@ def test_effects__a_wall_has_an_empty_plan_and_equals_the_all_on_rendering(tmp_p
     }
     assert not any(row["enabled"] for row in made["plan"]["effects"])
     page = (tmp_path / "plan" / "report.html").read_text()
-    assert all(f"<td>{row['effect'].replace('_', ' ')}<br>" in page for row in made["plan"]["effects"])
+    assert all(f"<td>{row['effect'].replace('_', ' ')}<small>" in page for row in made["plan"]["effects"])
     photos = next(work.glob("ingest-*"))
     plan, plain, all_on = compare_variants(
         [Variant(name, tmp_path / name / "wall.splatpress", photos) for name in made]
