@@ -78,7 +78,7 @@ def _job(stack: ExitStack, base: Path, scan: Path, preset: str, port: int, shut_
             str(own / "dask"),
         ]
         _process(stack, own, command, SPLATPRESS_CACHE=str(own / "cache"), **bucket_environment(port, host))
-    (base / "data").mkdir()
+    (base / "data").mkdir(exist_ok=True)
     os.environ["SPLATPRESS_CACHE"] = str(base / "runner-cache")
     with service(
         base / "data", objects=f"s3://{BUCKET}/{base.name}", scheduler=f"tcp://127.0.0.1:{at}", log=base / "log"
@@ -155,9 +155,11 @@ def _namespace(index: int):
             f"-n {name} link set lo up",
         ):
             subprocess.run(["ip", *command.split()], check=True, capture_output=True)
-        yield name, f"{net}.1"
+        place = name, f"{net}.1"
     except (OSError, subprocess.CalledProcessError):
-        yield None
+        place = None
+    try:
+        yield place
     finally:
         subprocess.run(["ip", "netns", "delete", name], capture_output=True)
 
