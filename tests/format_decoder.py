@@ -181,10 +181,11 @@ class Packed:
                 x, y = int(np.sign(x)) * 254 - x, -y
             if abs(y) > 127:
                 x, y = -x, int(np.sign(y)) * 254 - y
-        cell_size, axis = self.header["runs"]["cell"], self.header["runs"]["axis"]
-        pitch = np.array([cell_size / 2, cell_size * (np.sqrt(3) / 2) / 3, cell_size * np.sqrt(2 / 3)], np.float32)
-        p = (np.array([2 * c + (r + s) % 2, 3 * r + s % 2, s], np.float32) * pitch).astype(float)
-        return p[[(2 - axis + j) % 3 for j in range(3)]], (x, y)
+        size, turn = (self.header["runs"][name] for name in ("cell", "turn"))
+        pitch = np.array([size / 2, size * (np.sqrt(3) / 2) / 3, size * np.sqrt(2 / 3)], np.float32)
+        p = np.array([2 * c + (r + s) % 2, 3 * r + s % 2, s], np.float32) * pitch
+        products = np.array(turn, np.float32).reshape(3, 3) * p
+        return ((products[:, 0] + products[:, 1]) + products[:, 2]).astype(float), (x, y)
 
     def position(self, i: int) -> np.ndarray:
         if self.header.get("geometry") == "runs":

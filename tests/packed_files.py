@@ -20,6 +20,8 @@ from storage.packed.writer import begin_packed, seal_packed, write_array, write_
 
 LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 
+TURN = (0.5, 0.25, -0.75, 0.0, 1.0, 0.1, 0.3, 0.6, -0.9)
+
 
 @dataclass(frozen=True)
 class Case:
@@ -90,7 +92,7 @@ def header_of(case: Case) -> Header:
         n_ranks=case.n_ranks,
         color_step=case.color_step,
         geometry=RUNS if case.runs else BOXES,
-        runs=RunGrid(0.7, 1, len(_sections(case)), len(_run_lengths(case))) if case.runs else None,
+        runs=RunGrid(0.7, TURN, len(_sections(case)), len(_run_lengths(case))) if case.runs else None,
         maps=tuple(
             StoredMap((450000.0 + i, 5400000.5, 90.0), 16, 2.0, 0.005 * (i + 1), len(WEBP)) for i in range(case.n_maps)
         ),

@@ -108,7 +108,9 @@ def decode_run_cell(scene: PackedScene, splat: int) -> tuple[list[float], list[i
     pitch = [grid.cell / 2, grid.cell * (math.sqrt(3) / 2) / 3, grid.cell * math.sqrt(2 / 3)]
     units = [2 * column + (row + slice_) % 2, 3 * row + slice_ % 2, slice_]
     place = [float(np.float32(u) * np.float32(p)) for u, p in zip(units, pitch)]
-    return [place[(axis + 2 - grid.axis) % 3] for axis in range(3)], [a, b]
+    turn = np.array(grid.turn, np.float32).reshape(3, 3)
+    products = [[np.float32(t) * np.float32(p) for t, p in zip(row, place)] for row in turn]
+    return [float((x + y) + z) for x, y, z in products], [a, b]
 
 
 def normal_code(scene: PackedScene, splat: int) -> np.ndarray:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.geometry.runs.cells import from_grid
-from pipeline.geometry.runs.codes import RunCodes, decode_runs, positions_of
+from pipeline.geometry.runs.codes import RunCodes, decode_runs, positions_of, turned
 from storage.packed.runs import cell_order, lengths_of
 from storage.packed.scene import PackedScene
 from storage.packed.schema import CHUNK
@@ -44,7 +43,7 @@ def decoded_splats(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
     assert grid is not None
     index, normal = decode_runs(codes_of(scene))
     order = cell_order(scene.arrays.get("run_batch"), scene.header.n_splats)
-    return from_grid(positions_of(index, grid.cell), grid.axis)[order], normal[order]
+    return turned(positions_of(index, grid.cell), grid.turn)[order], normal[order]
 
 
 def bounds_of(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,14 @@ uint place_of(uint cell) { return (cell & ~127u) + ((places[cell >> 2] >> (8u * 
 uint place_of(uint cell) { return cell; }
 #endif
 uniform vec3 pitch;  // half a column, a third of a row, a slice
-uniform uint axis;   // that slices lie across
+uniform vec3 turn_x, turn_y, turn_z;  // rows of the matrix to the file's axes
+
+float along(vec3 row, vec3 p) {
+    precise vec3 products = row * p;
+    precise float sum = products.x + products.y;
+    precise float result = sum + products.z;
+    return result;
+}
 
 shared uint ends[256];  // running sums of the lengths of the section's runs
 
@@ -36,9 +43,9 @@ void write_cell(uint cell, ivec3 at, ivec2 normal) {
     ivec3 units = ivec3(2 * at.x + ((at.y ^ at.z) & 1), 3 * at.y + (at.z & 1), at.z);
     precise vec3 position = vec3(units) * pitch;
     uint first = 4u * place_of(cell);
-    splats[first] = floatBitsToUint(axis == 2u ? position.x : axis == 1u ? position.y : position.z);
-    splats[first + 1u] = floatBitsToUint(axis == 2u ? position.y : axis == 1u ? position.z : position.x);
-    splats[first + 2u] = floatBitsToUint(axis == 2u ? position.z : axis == 1u ? position.x : position.y);
+    splats[first] = floatBitsToUint(along(turn_x, position));
+    splats[first + 1u] = floatBitsToUint(along(turn_y, position));
+    splats[first + 2u] = floatBitsToUint(along(turn_z, position));
     splats[first + 3u] = uint(normal.x & 255) | uint(normal.y & 255) << 8;
 }
 

@@ -110,7 +110,7 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
             "runs",
             h.runs,
             h.geometry != RUNS or _grid_is_sound(h),
-            "a cell above 0, axis 0..2, no more runs than splats",
+            "a cell above 0, a turn of -1..1, no more runs than splats",
         ),
         ("levels", h.levels, not (h.levels and h.runs), "none, with runs"),
         ("size_bits", h.size_bits, h.size_bits in SIZE_BITS, f"one of {SIZE_BITS}"),
@@ -171,7 +171,7 @@ def _grid_is_sound(header: Header) -> bool:
     grid = header.runs
     assert grid is not None
     counts = header.n_groups <= grid.n_sections <= grid.n_runs <= header.n_splats
-    return counts and 0 < grid.cell < float("inf") and grid.axis in (0, 1, 2)
+    return counts and 0 < grid.cell < float("inf") and all(abs(x) <= 1 for x in grid.turn)
 
 
 def check_layout(archive: ZipFile, header: Header) -> None:

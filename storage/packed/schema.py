@@ -97,7 +97,7 @@ class RunGrid:
     """The hexagonal close packed grid of a file whose geometry is runs (pipeline/geometry/hcp.py), and how many runs there are."""
 
     cell: float  # distance of neighbouring centres, in `unit`
-    axis: int  # 0, 1 or 2: slices lie across it
+    turn: tuple[float, ...]  # (9,) rows of the matrix from the grid's axes to those of the file
     n_sections: int
     n_runs: int
 
@@ -174,10 +174,11 @@ class Header:
     @staticmethod
     def from_json(data: dict) -> Header:
         """The header of attributes as `to_json` makes them; KeyError or TypeError where they differ."""
+        runs = data.get("runs") or {}
         return typed(
             Header,
             {"effects": {}, "geometry": BOXES} | data,
-            runs=typed(RunGrid, data["runs"]) if data.get("geometry") == RUNS else None,
+            runs=typed(RunGrid, runs, turn=numbers(runs["turn"], 9)) if data.get("geometry") == RUNS else None,
             levels=tuple(plain(n, "int", "a level") for n in listed(data.get("levels", ()))),
             maps=tuple(map(StoredMap.from_json, listed(data.get("maps", ())))),
             origin=numbers(data["origin"], 3),

@@ -218,6 +218,25 @@ def positions_of(index: np.ndarray, size: float) -> np.ndarray:
     return units.astype(np.float32) * pitch_of(size)
 
 
+def turned(position: np.ndarray, turn: tuple[float, ...]) -> np.ndarray:
+    """Positions (m, 3) float32 of the grid's axes in those of the file, by the rows of a matrix.
+
+    Guarantees: three products and two sums a coordinate, each rounded to float32, as the shader and the viewer do it.
+    """
+    rows = np.array(turn, np.float32).reshape(3, 3)
+    x, y, z = position.T
+    return np.stack([(row[0] * x + row[1] * y) + row[2] * z for row in rows], axis=1)
+
+
+def turn_across(axis: int) -> tuple[float, ...]:
+    """The matrix of a grid whose slices lie across an axis of the file; handedness stays.
+
+    >>> turn_across(2)
+    (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    """
+    return tuple(np.roll(np.eye(3), axis - 2, axis=0).ravel().tolist())
+
+
 def cones(codes: RunCodes) -> tuple[np.ndarray, np.ndarray]:
     """Axis (n_sections, 3) and half angle in radians (n_sections,) of a cone that holds all decoded normals of each section."""
     _, place = decode_runs(codes)

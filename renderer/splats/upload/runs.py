@@ -23,7 +23,7 @@ class GpuRuns:
 
     n_sections: int
     pitch: np.ndarray
-    axis: int
+    turn: tuple[float, ...]
     buffers: list[moderngl.Buffer]
     program: moderngl.ComputeShader
 
@@ -42,7 +42,8 @@ class GpuRuns:
         for binding, buffer in enumerate(self.buffers):
             buffer.bind_to_storage_buffer(binding)
         self.program["pitch"].value = tuple(self.pitch.tolist())
-        self.program["axis"].value = self.axis
+        for i, name in enumerate(("turn_x", "turn_y", "turn_z")):
+            self.program[name].value = self.turn[3 * i : 3 * i + 3]
         self.program.run(self.n_sections)
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
@@ -72,7 +73,7 @@ def upload_runs(context: moderngl.Context, scene: PackedScene) -> GpuRuns:
     if by_place:
         buffers.append(context.buffer(_whole_words((places_of(scene) % CHUNK).astype(np.uint8))))
     program = context.compute_shader(shader_source("decode_runs.comp.glsl", BY_PLACE=by_place))
-    return GpuRuns(len(codes.base), pitch_of(grid.cell), grid.axis, buffers, program)
+    return GpuRuns(len(codes.base), pitch_of(grid.cell), grid.turn, buffers, program)
 
 
 def _whole_words(array: np.ndarray) -> bytes:

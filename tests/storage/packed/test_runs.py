@@ -30,6 +30,9 @@ def test_runs__a_group_alone_decodes_as_in_the_whole_file(tmp_path):
     assert len(low) == whole.header.n_chunks
 
 
+TURN = [1, 0, 0, 0, 1, 0, 0, 0, 1]
+
+
 def changed(name, at, value):
     def edit(arrays):
         arrays[name][at] = value
@@ -70,11 +73,11 @@ def test_runs__tables_that_do_not_fit_are_refused(edit, tmp_path):
     [
         {"geometry": "octrees"},
         {"runs": None},
-        {"runs": {"cell": 0, "axis": 1, "n_sections": 35, "n_runs": 1300}},
-        {"runs": {"cell": 1e400, "axis": 1, "n_sections": 35, "n_runs": 1300}},
-        {"runs": {"cell": 0.7, "axis": 3, "n_sections": 35, "n_runs": 1300}},
-        {"runs": {"cell": 0.7, "axis": 1, "n_sections": 35, "n_runs": 2**62}},
-        {"runs": {"cell": 0.7, "axis": 1, "n_sections": 2, "n_runs": 1300}},
+        {"runs": {"cell": 0, "turn": TURN, "n_sections": 35, "n_runs": 1300}},
+        {"runs": {"cell": 1e400, "turn": TURN, "n_sections": 35, "n_runs": 1300}},
+        {"runs": {"cell": 0.7, "turn": [2.0] * 9, "n_sections": 35, "n_runs": 1300}},
+        {"runs": {"cell": 0.7, "turn": TURN, "n_sections": 35, "n_runs": 2**62}},
+        {"runs": {"cell": 0.7, "turn": TURN, "n_sections": 2, "n_runs": 1300}},
         {"levels": [GROUP, GROUP + 130]},
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.geometry.hcp import centres_of, key_of
 from pipeline.geometry.runs.cells import in_grid, search_size
-from pipeline.geometry.runs.codes import encode_runs
+from pipeline.geometry.runs.codes import encode_runs, turn_across
 from pipeline.geometry.runs.walks import runs_of
 from pipeline.splats.runs import decoded_splats
 from renderer.splats.upload.runs import upload_runs
@@ -23,7 +23,7 @@ def scene_of(keys: np.ndarray, normal: np.ndarray, size: float, axis: int) -> Pa
     arrays = {"run_base": codes.base, "run_first": codes.first_run, "run_start": codes.start, "run_normal": codes.normal,
               "run_step": codes.step, "run_codebook": codes.codebook,
               "run_section": np.flatnonzero(begin % GROUP == 0).astype(np.uint32)}  # fmt: skip
-    grid = RunGrid(size, axis, len(codes.base), len(codes.start))
+    grid = RunGrid(size, turn_across(axis), len(codes.base), len(codes.start))
     header = Header(len(place), 1.0, "m", (0.0, 0.0, 0.0), (0, 0, 1), (1, 0, 0), 1.0, 0, 1, 4, (Batch(0),), (), {}, {},
                     geometry=RUNS, runs=grid)  # fmt: skip
     return PackedScene(header, arrays)
