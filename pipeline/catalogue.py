@@ -20,6 +20,7 @@ class Task(StrEnum):
     POINTS_OF_GROUP = "8,192 splats of a coarser level"
     VOLUME = "the volume"
     SLICES = "some slices of a volume"
+    BRICK = "the cells of some slices, about 1,048,576 points"
     SAMPLE = "one of at most 16 blocks"
     PHOTO = "a photograph"
     BY_PHOTO = "the splats of a photograph"
@@ -115,6 +116,25 @@ CATALOGUE = (
     StageEntry(
         "splats", "stages/points/splats.py", Phase.POINTS, Task.BLOCK,
         "quantised geometry, camera, colour; once more where ellipsoids are on", ("partition", "neighbours"), share=2,
+    ),
+    StageEntry(
+        "run-grid", "stages/runs/grid.py", Phase.POINTS, Task.ONCE,
+        "size and axis of a hexagonal close packed grid, from a sample; bricks of about a million points",
+        ("partition", "splats"), when="geometry runs",
+    ),
+    StageEntry(
+        "run-cells", "stages/runs/cells.py", Phase.POINTS, Task.BRICK,
+        "cells that hold points, their mean normals, runs that cover them; steps of normals for all",
+        ("partition", "splats", "run-grid"), share=3, when="geometry runs",
+    ),
+    StageEntry(
+        "runs", "stages/runs/codes.py", Phase.POINTS, Task.BRICK,
+        "codes of the runs, and what they decode to", ("run-cells",), share=3, when="geometry runs",
+    ),
+    StageEntry(
+        "run-points", "stages/runs/points.py", Phase.POINTS, Task.BLOCK,
+        "decoded cells in the place of the points: sizes and splats are made of them once more", ("runs", "partition"),
+        when="geometry runs",
     ),
     StageEntry(
         "nearest-points", "effects/cliplines/nearest.py", Phase.EFFECTS, Task.BY_PHOTO,

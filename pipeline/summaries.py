@@ -92,6 +92,14 @@ class VolumeSurfaces:
 
 
 @dataclass(frozen=True)
+class GridFrame:
+    """The grid that the points of a volume's surface are cells of: where its cell (0, 0, 0) lies, and how it is turned."""
+
+    origin: Vector
+    turn: tuple[float, ...]  # (9,) rows of the matrix from its axes to the volume's
+
+
+@dataclass(frozen=True)
 class ScanRead:
     """Of the ingest, or of the surfaces of a volume in its place."""
 
@@ -112,6 +120,7 @@ class ScanRead:
     seen: str = ""  # what all points say, where it is not what the sample said
     is_albedo: bool = False  # colours have no light in them: they look like something under a lamp only
     volume: VolumeSurfaces | None = None
+    grid: GridFrame | None = None  # where points stay at the centres of its cells
 
 
 @dataclass(frozen=True)

@@ -323,12 +323,32 @@ KNOBS = (
         metavar="VALUE[=#RRGGBB]",
     ),
     Knob(
+        "geometry",
+        str,
+        "how positions and normals are coded: in boxes of 128; as runs of cells in a hexagonal close packed grid; auto: boxes, or with "
+        "`cell`, the error that is asked for, what takes fewer bytes",
+        "runs: 10 to 18 bits a splat for 42, and 1.6 points a splat",
+        "runs: positions at most cell / sqrt(2) off, normals by 2 to 4 degrees; no ellipsoids and no levels",
+        "run-grid",
+        choices=("auto", "boxes", "runs"),
+    ),
+    Knob(
+        "run_length",
+        int,
+        "of runs, in cells, at most",
+        "longer: fewer starts of 48 bits",
+        "longer: fewer runs to decode side by side, and wider cones of normals",
+        "run-grid",
+        low=2,
+        high=32,
+    ),
+    Knob(
         "cell",
         float,
-        "distance of neighbouring points of an iso-surface, in the volume's unit; by default a cell has the volume of a voxel, "
-        "of the finest spacing cubed",
-        "smaller: splats closer to each other and smaller",
-        "points as 1 / cell^2, and time as 1 / cell^3",
+        "distance of neighbouring cells, in the unit of the scan or volume; by default 1.6 points of a scan lie in one on average, and one of a "
+        "volume has the volume of a voxel, of the finest spacing cubed",
+        "smaller: splats closer to each other and smaller; of runs errors of at most cell / sqrt(2)",
+        "points of a volume as 1 / cell^2, and time as 1 / cell^3; of a scan shorter runs",
         "iso-surface",
         low=0.0,
         optional=True,

@@ -165,6 +165,33 @@ class ScanKnown(Part, frozen=True):
     volume: VolumeSurfaces | UnsetType = UNSET
 
 
+class RunBits(Part, frozen=True):
+    """Bits a splat of runs on a graphics card: starts with their tables, steps, and normals."""
+
+    start: float
+    steps: float
+    normals: float
+
+
+class RunsMade(Part, frozen=True):
+    """Of a geometry of runs. Lengths in the scan's unit; `added` cells close gaps, a share `twice` of all is decoded twice."""
+
+    cells: int
+    added: int
+    twice: float
+    points: int
+    cell: float
+    hit_rate: float  # points a cell
+    run_length: int
+    efficiency: float  # mean length of a run by the longest
+    max_error: float
+    mean_error: float
+    spacing: float
+    mean_normal_error_degrees: float
+    bits: RunBits
+    disk_bits: float
+
+
 class RunRecord(Part, frozen=True):
     """What a run knows of itself, beside its packed file. None or empty where it does not."""
 
@@ -177,6 +204,7 @@ class RunRecord(Part, frozen=True):
     effects: tuple[Row, ...] = ()
     edges: tuple[EdgeShown, ...] = ()
     estimate: dict[str, EstimatedFigure] | None = None
+    runs: RunsMade | None = None
 
 
 class Report(Part, frozen=True):
@@ -195,6 +223,7 @@ class Report(Part, frozen=True):
     estimate: dict[str, EstimatedFigure] | None
     effects: tuple[Row, ...]
     edges: tuple[EdgeShown, ...]
+    runs: RunsMade | None
     programs: tuple[str, ...]
     warnings: tuple[str, ...]
 

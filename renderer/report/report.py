@@ -51,6 +51,7 @@ def build_report(
                 "estimate": known["estimate"],
                 "effects": known["effects"],
                 "edges": known["edges"],
+                "runs": known["runs"],
                 "programs": sorted({name for view in views for name in view.get("programs") or ()}),
                 "warnings": warnings,
             }

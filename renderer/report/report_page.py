@@ -55,6 +55,7 @@ def page_of(report: dict, scene: PackedScene, folder: Path) -> str:
         series=report_plots.SERIES,
         figures=report_words.QUALITY,
         geometry_figures=report_words.GEOMETRY,
+        table_1=report_words.TABLE_1,
         numerics=report_words.numerics(report["numerics"]),
         estimate_figures=report_words.ESTIMATE,
         passes=report_words.PASSES,

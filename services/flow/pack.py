@@ -18,9 +18,10 @@ from pipeline.summaries import Packed
 from services.flow.maps import Mapped
 from services.flow.prepare import Prepared
 from services.flow.run import Run
+from services.flow.runs import RunGeometry
 from services.flow.textures import Coded, color_step
 from storage.packed.groups import FIRST_WORDS
-from storage.packed.schema import BY_NAME, EXTRAS, Header
+from storage.packed.schema import BOXES, BY_NAME, EXTRAS, RUNS, Header, RunGrid
 from storage.work import arrays
 
 
@@ -86,6 +87,8 @@ def pack(
         n_ranks=max([1, *(batch.n_atoms for batch in batches)]),
         color_step=color_step(settings) if coded else 0,
         maps=stored_maps(mapped.pictures.folder)[1] if mapped else (),
+        geometry=RUNS if prepared.runs else BOXES,
+        runs=_run_grid(prepared.runs) if prepared.runs else None,
         cameras=scan.cameras,
         scan={"name": name, "format": scan.format, "n_points": scan.n_read},
         settings=asdict(settings),
@@ -100,11 +103,17 @@ def pack(
             extras,
             mapped.stations.folder if mapped else None,
             mapped.pictures.folder if mapped else None,
+            (prepared.runs.codes.folder, prepared.runs.cells.folder) if prepared.runs else None,
         )
     )
     if path is not None:
         write_packed(record.folder, path)
     return record
+
+
+def _run_grid(runs: RunGeometry) -> RunGrid:
+    grid, codes = runs.grid.summary, runs.codes.summary
+    return RunGrid(grid.cell, grid.turn, codes.n_sections, codes.n_runs)
 
 
 def packed_gpu_bytes(packed: StageRecord[Packed], share: float = 1.0) -> float:

@@ -8,9 +8,9 @@ from pathlib import Path
 from pipeline.effects.block import Sources
 from pipeline.effects.levels import measured_by as levels_measured
 from pipeline.effects.levels import possible_levels
-from pipeline.effects.plan.plan import EffectPlan, measured_effects, plan_effects
+from pipeline.effects.plan.plan import EffectPlan, Row, measured_effects, plan_effects
 from pipeline.effects.plan.registry import effects
-from pipeline.effects.plan.request import AUTO, OFF, ON, parse_request
+from pipeline.effects.plan.request import AUTO, OFF, ON, canonical_request, parse_request
 from pipeline.effects.sizes import measured_by
 from pipeline.effects.station_maps import has_maps
 from pipeline.execution.stage import StageRecord
@@ -33,8 +33,18 @@ from pipeline.volumes.request import SurfaceRequest
 from services.flow.fingerprint import fingerprint, located
 from services.flow.maps import StationMaps, draw_maps, maps_for, with_edits
 from services.flow.run import Run
+from services.flow.runs import (
+    GeometryRequest,
+    RunGeometry,
+    as_points,
+    as_spacings,
+    geometry_row,
+    grid_for,
+    runs_of_splats,
+)
 from services.flow.volumes import refuse_surfaces, surface_points
 from storage.errors import InvalidScan
+from storage.packed.schema import BOXES, RUNS
 from storage.work import work
 
 
@@ -52,6 +62,8 @@ class Prepared:
     effects: EffectPlan = EffectPlan((), {})
     built: tuple[tuple[str, Path], ...] = ()  # by effect, what its encoder made
     maps: StationMaps | None = None  # of a laser scan's stations, where they texture its splats
+    runs: RunGeometry | None = None  # where its geometry is runs
+    geometry: Row | None = None  # of the plan: where boxes and runs were weighed
 
     @property
     def photos(self) -> Path:
@@ -70,11 +82,13 @@ def prepare(
     reading: ReadOptions = ReadOptions(),
     edited_maps: Path | None = None,
     levels: int | None = None,
+    geometry: GeometryRequest = GeometryRequest(),
 ) -> Prepared:
     """The scan as splats, and with the effects that they call for; the photographs `held_out` texture none,
     `surface` is what is asked of a volume, `edited_maps` a folder of edited pictures of stations' maps, and `levels` how many
     coarser ones there are at most; None leaves that to the scan."""
-    splats = splats_of(run, scan, radius, request, held_out, density, surface, reading, levels)
+    splats = splats_of(run, scan, radius, request, held_out, density, surface, reading, levels, geometry)
+    request = request_of(splats, request)
     return with_maps(run, with_effects(run, splats, request), edited_maps)
 
 
@@ -118,6 +132,8 @@ def with_effects(run: Run, prepared: Prepared, request: str) -> Prepared:
         (name, effects()[name].build(prepared.sources, plan.outcomes[name], surveys.get(name))) for name in plan.enabled
     )
     built = {name: run.do(stage).folder for name, stage in stages if stage is not None}
+    if prepared.geometry is not None:
+        plan = replace(plan, rows=(prepared.geometry, *plan.rows))
     prepared = replace(prepared, effects=plan)
     if "ellipsoids" in built:
         prepared = _with_ellipsoids(run, prepared, built["ellipsoids"])
@@ -145,10 +161,16 @@ def splats_of(
     surface: SurfaceRequest = SurfaceRequest(),
     reading: ReadOptions = ReadOptions(),
     levels: int | None = None,
+    geometry: GeometryRequest = GeometryRequest(),
 ) -> Prepared:
-    """Read the scan, put its points in chunk order, and make splats of them, and of coarser levels of them."""
-    points = points_of(run, scan, density, surface, reading)
-    return splats_from(run, *points, str(scan), radius, request, held_out, levels)
+    """Read the scan, put its points in chunk order, and make splats of them, and of coarser levels of them; or of cells of runs."""
+    points = points_of(run, scan, density, surface, reading, geometry.form == RUNS)
+    return splats_from(run, *points, str(scan), radius, request, held_out, levels, geometry)
+
+
+def request_of(prepared: Prepared, request: str) -> str:
+    """What is asked of effects, less what the geometry runs has no place for: ellipsoids lie beside the cells."""
+    return request if prepared.runs is None else canonical_request([request, "ellipsoids=off", "levels=off"])
 
 
 def ingest_of(run: Run, scan: Path, reading: ReadOptions = ReadOptions()) -> StageRecord[ScanRead]:
@@ -171,10 +193,12 @@ def points_of(
     density: float = 1.0,
     surface: SurfaceRequest = SurfaceRequest(),
     reading: ReadOptions = ReadOptions(),
+    on_cells: bool = False,
 ) -> tuple[StageRecord[ScanRead], StageRecord[Points]]:
-    """Read the scan or the surfaces of a volume, and put its points in chunk order, or that share of them."""
+    """Read the scan or the surfaces of a volume, and put its points in chunk order, or that share of them; `on_cells` leaves those of a
+    volume at the centres of their cells."""
     if is_volume(scan):
-        ingest = surface_points(run, scan, surface)
+        ingest = surface_points(run, scan, surface, on_cells)
     else:
         refuse_surfaces(scan, surface)
         ingest = ingest_of(run, scan, reading)
@@ -200,10 +224,39 @@ def splats_from(
     request: str = "",
     held_out: tuple[int, ...] = (),
     levels: int | None = None,
+    geometry: GeometryRequest = GeometryRequest(),
 ) -> Prepared:
-    """Make splats of points in chunk order: of `radius`, or each of the size that the scan calls for; and of its levels."""
+    """Make splats of points in chunk order: of `radius`, or each of the size that the scan calls for; and of its levels; or of cells of
+    runs, which have none."""
     settle = signs_are_open(ingest.summary, partition.folder)
     neighbours = run.do(Neighbourhoods(partition.folder, settle))
+    if geometry.form == BOXES or (geometry.form == AUTO and geometry.cell is None):
+        return _sized_splats(run, ingest, partition, neighbours, scan, radius, request, held_out, levels)
+    plain = canonical_request([request, "levels=off"])
+    boxes = _sized_splats(run, ingest, partition, neighbours, scan, radius, plain, held_out, 0)
+    grid = grid_for(run, geometry, ingest.summary, partition.folder, boxes.splats.folder)
+    row = geometry_row(geometry, grid.summary)
+    if not row.enabled:
+        splats = _sized_splats(run, ingest, partition, neighbours, scan, radius, request, held_out, levels)
+        return replace(splats, geometry=row)
+    runs = runs_of_splats(run, geometry, grid, partition.folder, neighbours.folder, boxes.splats.folder)
+    points, near = as_points(runs), as_spacings(runs)
+    made = _sized_splats(run, ingest, points, near, scan, radius, plain, held_out, 0, of_runs=True)
+    return replace(made, runs=runs, geometry=row)
+
+
+def _sized_splats(
+    run: Run,
+    ingest: StageRecord[ScanRead],
+    partition: StageRecord[Points],
+    neighbours: StageRecord[Spacings],
+    scan: str,
+    radius: float | None,
+    request: str,
+    held_out: tuple[int, ...],
+    levels: int | None,
+    of_runs: bool = False,
+) -> Prepared:
     asked_radius, radius = radius, radius_of(neighbours.summary, radius, scan)
     needed, sizes = None, None
     if asked_radius is None and parse_request(request)["sizes"] != OFF:
@@ -216,7 +269,9 @@ def splats_from(
     near = neighbours.folder
     if len(counts) > 1 and (levels or _calls_for_levels(counts, request)):
         partition, near, sizes = with_levels(run.do, partition, near, needed, sizes, radius, len(counts) - 1)
-    splats = run.do(Splats(ingest.folder, partition.folder, near, depth, radius, held_out, sizes=sizes))
+    splats = run.do(
+        Splats(ingest.folder, partition.folder, near, depth, radius, held_out, sizes=sizes, of_runs=of_runs)
+    )
     sources = Sources(
         ingest.folder,
         partition.folder,

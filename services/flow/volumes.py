@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.execution.stage import StageRecord
@@ -38,8 +39,8 @@ def iso_values_of(run: Run, path: Path, choice: Choice) -> tuple[StageRecord[Vol
     return voxels, run.do(IsoValues(voxels.folder))
 
 
-def surface_points(run: Run, path: Path, asked: SurfaceRequest) -> StageRecord[ScanRead]:
-    """The points of the surfaces asked for, or of the one that the volume proposes first.
+def surface_points(run: Run, path: Path, asked: SurfaceRequest, on_cells: bool = False) -> StageRecord[ScanRead]:
+    """The points of the surfaces asked for, or of the one that the volume proposes first; `on_cells` at the centres of their cells.
 
     Raises: InvalidScan where it proposes none.
     """
@@ -56,16 +57,16 @@ def surface_points(run: Run, path: Path, asked: SurfaceRequest) -> StageRecord[S
             )
             raise InvalidScan(str(path), found, "values that differ", "give one with --iso")
         isos = (Iso(proposals[0].iso, PALETTE[0]),)
-    return run.do(IsoSurface(voxels.folder, isos, asked.cell, asked.method, asked.border, not asked.isos))
+    return run.do(IsoSurface(voxels.folder, isos, asked.cell, asked.method, asked.border, not asked.isos, on_cells))
 
 
 def refuse_surfaces(scan: Path, asked: SurfaceRequest) -> None:
     """Raises UnsupportedScan where surfaces of a volume are asked of points."""
-    if asked != SurfaceRequest():
+    if replace(asked, cell=None) != SurfaceRequest():
         raise UnsupportedScan(
             str(scan),
             "points, with settings of a volume",
-            "iso, cell, resampling, border, spacing, component and time for volumes only",
+            "iso, resampling, border, spacing, component and time for volumes only",
         )
 
 

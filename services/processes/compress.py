@@ -32,6 +32,7 @@ from services.flow.outputs import placed_whole, write_outputs
 from services.flow.pack import pack, packed_gpu_bytes
 from services.flow.prepare import Prepared, prepare
 from services.flow.run import Run
+from services.flow.runs import geometry_request, runs_report
 from services.flow.textures import Coded
 from services.flow.volumes import surface_request
 from storage.packed.packed import SUFFIX, PackedFile
@@ -96,6 +97,7 @@ def make(
         settings.asked_effects,
         density=settings.density,
         surface=surface_request(settings),
+        geometry=geometry_request(settings),
         reading=settings.reading,
         edited_maps=edited_maps,
         levels=settings.levels,
@@ -121,6 +123,7 @@ def finish(
         settings=asdict(settings),
         effects=tuple(_with_choice(row, textured) for row in prepared.effects.rows),
         estimate=msgspec.convert(_estimate(run, path, textured, settings), dict[str, EstimatedFigure] | None),
+        runs=runs_report(prepared.runs, path) if prepared.runs is not None else None,
     )
     return write_outputs(run, path, prepared.photos, record, out, render)
 
@@ -189,11 +192,11 @@ def _numerics(prepared: Prepared, coded: Coded | None) -> HardCases:
 
 def _quality(prepared: Prepared, textured: Texture) -> Quality:
     splats = prepared.splats.summary
-    geometry = GeometryErrors(
-        mean_position_error=splats.mean_position_error,
-        mean_position_error_in_radii=splats.mean_position_error / prepared.radius,
-        mean_normal_error_degrees=splats.mean_normal_error_degrees,
-    )
+    position, normal = splats.mean_position_error, splats.mean_normal_error_degrees
+    if prepared.runs is not None:
+        position = prepared.runs.cells.summary.mean_error
+        normal = prepared.runs.codes.summary.mean_normal_error_degrees
+    geometry = GeometryErrors(position, position / prepared.radius, normal)
     coded = textured.coded
     if coded is None:
         return Quality(textured.psnr_db, geometry=geometry)

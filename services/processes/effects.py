@@ -18,6 +18,7 @@ from services.flow.code import code
 from services.flow.pack import pack
 from services.flow.prepare import has_photographs, plan_scan, prepare, splats_of
 from services.flow.run import Run
+from services.flow.runs import geometry_request
 from services.flow.volumes import surface_request
 from storage.packed.packed import SUFFIX
 
@@ -36,6 +37,7 @@ def effects_of(
                 settings.effects,
                 density=settings.density,
                 surface=surface_request(settings),
+                geometry=geometry_request(settings),
                 reading=settings.reading,
                 levels=settings.levels,
             ).sources,
@@ -70,6 +72,7 @@ def worth_of_effects(
                 asked.effects,
                 density=asked.density,
                 surface=surface_request(asked),
+                geometry=geometry_request(asked),
                 reading=asked.reading,
                 levels=asked.levels,
             )

@@ -33,6 +33,7 @@ from services.flow.estimate_cache import keep_estimate
 from services.flow.pack import pack
 from services.flow.prepare import Prepared, prepare, wants_texture
 from services.flow.run import Run
+from services.flow.runs import geometry_request
 from services.flow.stage_lock import stage_lock
 from services.flow.textures import PATCHES_AN_ATOM, Coded, index_bits
 from services.flow.volumes import surface_request
@@ -112,6 +113,7 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
         settings.asked_effects,
         density=settings.density,
         surface=surface_request(settings),
+        geometry=geometry_request(settings),
         reading=settings.reading,
         levels=settings.levels,
     )

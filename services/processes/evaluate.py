@@ -22,6 +22,7 @@ from services.flow.outputs import put_in_place
 from services.flow.pack import pack
 from services.flow.prepare import Prepared, has_photographs, prepare
 from services.flow.run import Run
+from services.flow.runs import geometry_request
 from services.flow.textures import encode
 from services.flow.volumes import surface_request
 from services.processes.evaluated_rows import (
@@ -96,6 +97,7 @@ def _measure(
         settings.effects,
         density=settings.density,
         surface=surface_request(settings),
+        geometry=geometry_request(settings),
         reading=settings.reading,
         levels=settings.levels,
     )
@@ -225,6 +227,7 @@ def _held_out(e: Evaluation, out: Path, every: int, chosen: tuple[int, ...]) -> 
         e.settings.density,
         reading=e.settings.reading,
         levels=e.settings.levels,
+        geometry=geometry_request(e.settings),
     )
     coded = code(e.run, prepared, e.settings)
     path = e.out / f"held-out{SUFFIX}"

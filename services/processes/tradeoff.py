@@ -23,6 +23,7 @@ from services.flow.outputs import placed_whole
 from services.flow.pack import pack
 from services.flow.prepare import has_photographs, prepare
 from services.flow.run import Run
+from services.flow.runs import geometry_request
 from services.flow.volumes import surface_request
 from services.processes.kinds import BUDGET_S
 from storage.errors import InvalidScan
@@ -176,6 +177,7 @@ def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
         step.settings.effects,
         density=step.settings.density,
         surface=surface_request(step.settings),
+        geometry=geometry_request(step.settings),
         reading=step.settings.reading,
         levels=step.settings.levels,
     )

@@ -58,9 +58,11 @@ def run_bounds(header: Header, arrays: dict[str, np.ndarray]) -> tuple[np.ndarra
     low = np.stack([2 * (column - reach), 3 * (row - reach), layer], axis=1)
     high = np.stack([2 * (column + reach) + 1, 3 * (row + reach) + 1, layer], axis=1)
     pitch = header.runs.cell * np.array([1 / 2, np.sqrt(3) / 6, np.sqrt(2 / 3)])
-    axes = [(2 - header.runs.axis + i) % 3 for i in range(3)]
     slack = 1e-6 * header.runs.cell * (1 + np.abs(low).max())  # positions are in float32
-    return (low.min(axis=0) * pitch - slack)[axes], (high.max(axis=0) * pitch + slack)[axes]
+    low, high = low.min(axis=0) * pitch - slack, high.max(axis=0) * pitch + slack
+    turn = np.array(header.runs.turn).reshape(3, 3)
+    middle, half = turn @ ((low + high) / 2), np.abs(turn) @ ((high - low) / 2)
+    return middle - half, middle + half
 
 
 def check_runs(header: Header, arrays: dict[str, np.ndarray]) -> None:

@@ -2,8 +2,7 @@
 
 Dimensions: n splats; c chunks of CHUNK splats; g groups of GROUP splats; b batches; k atoms; r ranks (atoms a splat,
 at most); w weight levels; s words of a chunk's sizes; and of a group, as many as it has at most: e 32-bit words of a stream, q
-sections of m runs, with t steps; v arrays whose rows a group has any number of; and y
-bytes of the pictures of stations' maps, x texels of these maps.
+sections of m runs, with t steps; v arrays whose rows a group has any number of; and y bytes of maps' pictures, x texels of maps.
 """
 
 from __future__ import annotations

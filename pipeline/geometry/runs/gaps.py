@@ -65,8 +65,8 @@ def _closing(keys, graph, cells, start, most):
     return found[:n_found]
 
 
-def close_gaps(keys: np.ndarray, run_length: int = RUN_LENGTH, bridge: int = BRIDGE) -> Closed:
-    """Runs of the cells (n,), with gaps closed until runs are long enough on average, or nothing is left to close.
+def close_gaps(keys: np.ndarray, run_length: int = RUN_LENGTH, bridge: int = BRIDGE, enough: float = ENOUGH) -> Closed:
+    """Runs of the cells (n,), with gaps closed until runs are `enough` of the full length on average, or nothing is left to close.
 
     Guarantees: all given cells are there; runs are no shorter on average than without; deterministic, slice by slice.
     """
@@ -74,7 +74,7 @@ def close_gaps(keys: np.ndarray, run_length: int = RUN_LENGTH, bridge: int = BRI
     best = Closed(keys, np.zeros(len(keys), bool), plain)
     now, runs = keys, plain
     for _ in range(ROUNDS):
-        if runs.mean_length >= ENOUGH * run_length:
+        if runs.mean_length >= enough * run_length:
             break
         added = _closing(now, neighbours_in_slice(now), runs.cells, runs.start, run_length // 2)
         if not len(added):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.stages.maps.map_pictures import NAMES, stored_maps
+from pipeline.stages.runs.packing import runs_of_group
 from pipeline.summaries import Packed
 from storage.packed.batches import CHUNKS_PER_GROUP, count_batches, rows_of
 from storage.packed.bits import pack_bits, pack_sizes
@@ -49,6 +50,7 @@ class Pack:
     ] = ()  # by flag of storage.packed.schema.EXTRAS: has_<flag>, <flag> of every splat
     stations: Path | None = None  # of a scan with maps: which of them each splat has, and its mean colour
     maps: Path | None = None  # their pictures
+    runs: tuple[Path, Path] | None = None  # codes and cells of the geometry runs
     name = "pack"
 
     def init(self, folder: Path) -> int:
@@ -62,6 +64,8 @@ class Pack:
         order = np.lexsort((batch, np.arange(len(batch)) // CHUNK))
         counts = count_batches(batch[order], len(self.header.batches))
         rows = self._splats(start, stop, order) | {"batch_count": counts}
+        if self.runs and len(self.header.batches) > 1:
+            rows["run_batch"] = batch.astype(np.uint8)
         words = self._words(start, stop, order, counts) | self._color_words(start, stop, order)
         groups = []
         for place in range(-(-(stop - start) // GROUP)):
@@ -69,6 +73,9 @@ class Pack:
             splats = slice(place * GROUP, (place + 1) * GROUP)
             part = {name: values[chunks if BY_NAME[name].dims[0] == "c" else splats] for name, values in rows.items()}
             part |= {name: streams[place] for name, streams in words.items()}
+            if self.runs:
+                at = start + place * GROUP
+                part |= runs_of_group(*self.runs, at, min(at + GROUP, stop)) | {"run_codebook": self._codebook()}
             groups.append(write_group(folder / "packed", self.header, index * TASK_GROUPS + place, part))
         return {"n_splats": stop - start, "groups": [asdict(group) for group in groups]}
 
@@ -81,9 +88,15 @@ class Pack:
             stations, _ = stored_maps(self.maps)
             for name in NAMES:
                 write_pieces(folder / "packed", name, (arrays.read(self.maps, f"{name}_{i}").ravel() for i in stations))
+        if self.runs:
+            write_array(folder / "packed", "run_codebook", self._codebook())
         groups = [WrittenGroup(**group) for r in results for group in r["groups"]]
         write_table(folder / "packed", self.header, groups)
         return Packed(array_bytes(self.header, groups))
+
+    def _codebook(self) -> np.ndarray:
+        assert self.runs is not None
+        return arrays.read(self.runs[1], "codebook")
 
     def _codes(self, name: str, start: int, stop: int) -> np.ndarray:
         if self.codes is None:
@@ -92,11 +105,8 @@ class Pack:
 
     def _splats(self, start: int, stop: int, order: np.ndarray) -> dict[str, np.ndarray]:
         """The rows of all arrays of splats and of chunks."""
-        code = arrays.read(self.splats, "position_code", start, stop)[order]
         first, end = start // CHUNK, -(-stop // CHUNK)
-        rows = {name: arrays.read(self.splats, name, first, end) for name in ("box_low", "box_size", "box_bits")}
-        rows["position"] = np.stack([code & 255, code >> 8 & 255, code >> 16], axis=1).astype(np.uint8)
-        rows["normal"] = arrays.read(self.splats, "normal_code", start, stop)[order]
+        rows = {} if self.runs else self._boxes(start, stop, order)
         if not self.header.color_step:
             color = (self.splats, "color") if self.colors is None else (self.colors, "average")
             rows["color"] = arrays.read(*color, start, stop)[order].astype(np.uint8)
@@ -110,6 +120,16 @@ class Pack:
             rows["sizes"] = pack_sizes(code, self.header.size_bits)
         for name in ("color_low", "color_size") if self.header.color_step else ():
             rows[name] = arrays.read(self.colors, name, first, end)
+        return rows
+
+    def _boxes(self, start: int, stop: int, order: np.ndarray) -> dict[str, np.ndarray]:
+        code, chunks = (
+            arrays.read(self.splats, "position_code", start, stop)[order],
+            (start // CHUNK, -(-stop // CHUNK)),
+        )
+        rows = {name: arrays.read(self.splats, name, *chunks) for name in ("box_low", "box_size", "box_bits")}
+        rows["position"] = np.stack([code & 255, code >> 8 & 255, code >> 16], axis=1).astype(np.uint8)
+        rows["normal"] = arrays.read(self.splats, "normal_code", start, stop)[order]
         return rows
 
     def _color_words(self, start: int, stop: int, order: np.ndarray) -> dict[str, list[np.ndarray]]:

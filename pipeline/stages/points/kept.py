@@ -18,7 +18,9 @@ COLUMNS = ("position", "normal", "color", "intensity", "station", "candidate", "
 
 
 def origin_of(scan: ScanRead) -> Vector:
-    """The middle of the scan's bounds."""
+    """The middle of the scan's bounds, or the cell near it of the grid that its points lie in."""
+    if scan.grid is not None:
+        return scan.grid.origin
     x, y, z = ((a + b) / 2 for a, b in zip(scan.low, scan.high))
     return x, y, z
 

@@ -24,7 +24,8 @@ from storage.work import arrays, work
 @dataclass(frozen=True)
 class Splats:
     """A task a block. Arrays by splat: position_code (n,) uint32, normal_code (n, 2) int8, camera (n,) uint16, color
-    (n, 3) uint8; by chunk: box_low, box_size (c, 3) float32, box_bits (c, 3) uint8; with sizes size_code (n,) and size_scale (c, 2) uint8."""
+    (n, 3) uint8; by chunk: box_low, box_size (c, 3) float32, box_bits (c, 3) uint8; of runs in the place of codes and boxes
+    centre (n, 3) float32; with sizes size_code (n,) and size_scale (c, 2) uint8."""
 
     ingest: Path
     partition: Path
@@ -34,18 +35,20 @@ class Splats:
     held_out: tuple[int, ...] = ()  # cameras that texture nothing
     ellipsoids: Path | None = None  # has_ellipsoid, centre and axes: these lie and look as their ellipsoids do
     sizes: Path | None = None  # size_code and size_scale: each splat has a radius of its own
+    of_runs: bool = False  # the points are decoded cells of runs, in the place that they have in the file
     name = "splats"
 
     def init(self, folder: Path) -> int:
         n = work.summary(self.partition, Points).n_splats
         for name, shape, dtype in (
-            ("position_code", (n,), "uint32"),
+            ("centre", (n, 3), "float32") if self.of_runs else ("position_code", (n,), "uint32"),
             ("normal_code", (n, 2), "int8"),
             ("camera", (n,), "uint16"),
             ("color", (n, 3), "uint8"),
         ):
             arrays.create(folder, name, shape, dtype)
-        for name, dtype in (("box_low", "float32"), ("box_size", "float32"), ("box_bits", "uint8")):
+        boxes = (("box_low", "float32"), ("box_size", "float32"), ("box_bits", "uint8"))
+        for name, dtype in () if self.of_runs else boxes:
             arrays.create(folder, name, (-(-n // CHUNK), 3), dtype, (arrays.BLOCK // CHUNK, 3))
         if self.sizes:
             create_sizes(folder, n)
@@ -67,16 +70,27 @@ class Splats:
         if self.ellipsoids:
             position = position.copy()
             self._take_ellipsoids(position, normal, start, stop)
-        normal = turned_to(normal, towards)
-        boxes, normal_code = fit_boxes(position), encode_normals(normal)
-        code = encode_positions(position, boxes)
-        self._write(folder, start, code, normal_code, camera, color, boxes)
+        if self.of_runs:
+            normal_code, centre = arrays.read(self.partition, "normal_code", start, stop), position
+            for name, rows in (
+                ("centre", position),
+                ("normal_code", normal_code),
+                ("camera", camera),
+                ("color", color),
+            ):
+                arrays.write(folder, name, start, rows.astype(arrays.layout_of(folder, name).dtype))
+        else:
+            normal = turned_to(normal, towards)
+            boxes, normal_code = fit_boxes(position), encode_normals(normal)
+            code = encode_positions(position, boxes)
+            centre = decode_positions(code, boxes)
+            self._write(folder, start, code, normal_code, camera, color, boxes)
         if self.sizes:
             self._write_sizes(folder, start, stop)
         if self.ellipsoids:
             self._write_ellipsoids(folder, scan, normal_code, start, stop)
         # What is drawn against what was scanned: an ellipsoid's centre lies away from its point.
-        off = np.linalg.norm(decode_positions(code, boxes) - scanned, axis=1)
+        off = np.linalg.norm(centre - scanned, axis=1)
         cosine = np.clip((decode_normals(normal_code) * normal).sum(axis=1), -1, 1)
         return {
             "n_splats": stop - start,

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.geometry.chunks import bounds
+from pipeline.geometry.hcp import cell_of, centre_of, centres_of
 from pipeline.numerics.limits import check_bounds
 from pipeline.stages.volumes.voxels import slab
-from pipeline.summaries import ScanRead, SurfaceFound, VolumeRead, VolumeSurfaces
+from pipeline.summaries import GridFrame, ScanRead, SurfaceFound, VolumeRead, VolumeSurfaces
 from pipeline.volumes.field import SUPPORT
 from pipeline.volumes.lattice import HALO, Lattice, auto_size, lattice_of
 from pipeline.volumes.request import CLOSED, Iso
@@ -39,6 +40,9 @@ class IsoSurface:
     method: str = "trilinear"
     border: str = "open"
     is_proposed: bool = False  # nobody asked for the iso value: the volume proposed it
+    on_cells: bool = (
+        False  # points stay at the centres of their cells, for runs of these; their normals are those of the surface
+    )
     name = "iso-surface"
 
     def init(self, folder: Path) -> int:
@@ -55,7 +59,8 @@ class IsoSurface:
         found = [
             surface_in(voxels, k0, values, first, lattice, begin, end, iso.value, self.method) for iso in self.isos
         ]
-        position = lattice.in_frame(np.concatenate([s.position for s in found]))
+        place = [centres_of(s.key, lattice.size) if self.on_cells else s.position for s in found]
+        position = lattice.in_frame(np.concatenate(place))
         gradient = np.concatenate([s.gradient for s in found]) @ lattice.turn.T
         length = np.linalg.norm(gradient, axis=1, keepdims=True)
         normal = -np.divide(gradient, length, out=np.zeros_like(gradient), where=length > 0)
@@ -119,6 +124,7 @@ class IsoSurface:
             warnings=tuple(warnings),
             is_albedo=True,
             volume=surfaces_of,
+            grid=grid_of(lattice, (low + high) / 2) if self.on_cells else None,
         )
 
     def _surface(self, i: int, results: list[dict]) -> SurfaceFound:
@@ -174,3 +180,12 @@ class IsoSurface:
     def _slices(self, lattice: Lattice) -> int:
         n_i, n_j, _ = work.summary(self.voxels, VolumeRead).shape
         return lattice.slices_a_task(n_i * n_j)
+
+
+def grid_of(lattice: Lattice, middle: np.ndarray) -> GridFrame:
+    """The lattice as a grid of runs has it; its origin is the cell near `middle` (3,) in even rows and slices, from which all others lie as
+    they do from cell (0, 0, 0)."""
+    x, y, z = (float(x) for x in (middle - lattice.origin) @ lattice.turn)
+    column, row, slice_ = cell_of(x, y, z, lattice.size)
+    origin = lattice.in_frame(np.array(centre_of(column, row - row % 2, slice_ - slice_ % 2, lattice.size)))
+    return GridFrame(tuple(origin.tolist()), tuple(lattice.turn.ravel().tolist()))

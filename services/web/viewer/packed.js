@@ -11,10 +11,12 @@ export const MIP_SIZES = [32, 16, 8, 4, 2, 1];
 const MOST_CHUNK_BYTES = 1 << 24;
 const TYPES = {
   box_low: Float32Array, box_size: Float32Array, color_low: Int16Array, colors: Uint32Array, codes: Uint32Array, weight_levels: Float32Array,
-  atom_scale: Float32Array, cliplines: Uint32Array, sizes: Uint32Array, ellipsoids: Uint32Array, camera: Uint16Array, group_low: Float32Array,
+  run_base: Int32Array, run_first: Uint32Array, run_start: Uint32Array, atom_scale: Float32Array, cliplines: Uint32Array, sizes: Uint32Array, ellipsoids: Uint32Array, camera: Uint16Array, group_low: Float32Array,
   group_high: Float32Array, group_radius: Float32Array, group_rows: Uint32Array, group_start: BigUint64Array, group_bytes: BigUint64Array,
 }; // all others are bytes
-const STREAMS = ["colors", "codes", "cliplines", "ellipsoids"]; // in the order of group_rows
+const SIGNED = new Set(["normal", "run_normal", "run_codebook"]);
+const RUN_STREAMS = ["run_base", "run_first", "run_start", "run_normal", "run_step"];
+const STREAMS = ["colors", "codes", "cliplines", "ellipsoids"]; // in the order of group_rows, behind those of runs
 
 /** An opened packed file: its header, and arrays when they are asked for. */
 export class Packed {
@@ -44,6 +46,11 @@ export class Packed {
   /** Those word streams that the file has. */
   get streams() {
     return STREAMS.filter((name) => this.has(name));
+  }
+
+  /** Arrays of which groups have any number of rows, in the order of group_rows. */
+  get ragged() {
+    return [...RUN_STREAMS, ...STREAMS].filter((name) => this.has(name));
   }
 
   has(name) {
@@ -85,7 +92,7 @@ function valuesOf(array, bytes) {
   const isTable = array.startsWith("group_"), size = isTable ? bytes.length : promised(bytes);
   if (!(size >= 0 && size <= MOST_CHUNK_BYTES)) throw new Error(`a chunk of ${array} of ${size} bytes`);
   const raw = isTable ? bytes.slice() : decompress(bytes, size);
-  const Type = TYPES[array] || (array === "normal" || array.startsWith("atoms_") ? Int8Array : Uint8Array);
+  const Type = TYPES[array] || (SIGNED.has(array) || array.startsWith("atoms_") ? Int8Array : Uint8Array);
   if (raw.length % Type.BYTES_PER_ELEMENT) throw new Error(`a chunk of ${array} of ${raw.length} bytes`);
   return new Type(raw.buffer);
 }

@@ -4,6 +4,7 @@
 import { groupTree, sharesOf } from "./detail.js";
 import { mapFrames, mapTextures } from "./maps.js";
 import { CHUNK, CHUNKS_PER_GROUP, GROUP, MIP_SIZES } from "./packed.js";
+import { decodeRuns, readRuns } from "./runs.js";
 import { atlasBand, atlasLayout, firstWords, groupBoxes, splatWords, tablesOf, widthsOf } from "./tables.js";
 
 const LINE = 2048; // texels to a line of a texture, as renderer/splats/gles.py has it
@@ -52,7 +53,7 @@ export class Scene {
     if (header.n_dictionary && header.coarsest_size < header.atom_size) this.drawn.add("mip_levels");
     const first = header.batches.findIndex((batch) => batch.clipline || batch.ellipsoid);
     this.nLeading = first < 0 ? header.batches.length : first;
-    this.defines = { COLOR_BOXES: header.color_step ? 1 : 0, SIZE_BITS: header.size_bits, DETAIL: header.levels ? 1 : 0, MAPPED: 0 };
+    this.defines = { COLOR_BOXES: header.color_step ? 1 : 0, SIZE_BITS: header.size_bits, DETAIL: header.levels ? 1 : 0, RUNS: header.runs ? 1 : 0, MAPPED: 0 };
     this.geometryArrays = [...OF_CHUNKS, "position", "normal", "color"].filter((name) => packed.has(name));
     this.shapeArrays = ["colors", "ellipsoids", "cliplines"].filter((name) => packed.has(name));
   }
@@ -131,12 +132,17 @@ export class Scene {
     const { gl, packed, header } = this, { nChunks, nGroups } = packed, widths = widthsOf(header);
     this.arrays = await packed.readWhole(["group_low", "group_high", "group_radius", "group_rows"].filter((name) => packed.has(name)), signal);
     this.outline = { low: this.arrays.group_low, high: this.arrays.group_high, n: nGroups };
-    if (nGroups <= MOST_OUTLINED_BY_CHUNKS) {
+    if (header.runs) this.decoded = decodeRuns(packed, await readRuns(packed, firstWords(packed, this.arrays.group_rows), signal));
+    if (this.decoded) {
+      const { box_low: low, box_size: size } = this.decoded;
+      this.outline = { low, high: low.map((x, i) => x + size[i]), n: nChunks };
+    } else if (nGroups <= MOST_OUTLINED_BY_CHUNKS) {
       const { box_low: low, box_size: size } = await packed.readWhole(["box_low", "box_size"], signal, SMALL_GAP);
       this.outline = { low, high: low.map((x, i) => x + size[i]), n: nChunks };
     }
     for (const [name, [Type, width]] of Object.entries(KEPT)) if (packed.has(name)) this.arrays[name] = new Type(nChunks * width);
-    this.arrays.box_low.fill(Infinity); // of what is not there yet
+    if (this.decoded) Object.assign(this.arrays, { box_low: this.decoded.box_low, box_size: this.decoded.box_size });
+    else this.arrays.box_low.fill(Infinity); // of what is not there yet
     this.first = firstWords(packed, this.arrays.group_rows);
     this.groupBoxes = groupBoxes(packed, this.arrays);
     this.counts = [];
@@ -149,7 +155,10 @@ export class Scene {
       this.textures.shares = new Words(gl, nGroups);
     }
     const pairs = !header.color_step, n = header.n_splats;
-    this.textures.splats = new Words(gl, pairs ? n : Math.ceil((n * 5) / 4) + 1, pairs);
+    if (this.decoded) {
+      this.textures.splats = new Words(gl, 4 * n).put(0, this.decoded.splats);
+      if (pairs) this.textures.colors = new Words(gl, Math.ceil((3 * n) / 4) + 1);
+    } else this.textures.splats = new Words(gl, pairs ? n : Math.ceil((n * 5) / 4) + 1, pairs);
     for (const name of packed.streams) this.textures[name] = new Words(gl, this.first[name][nGroups] + 1);
     this.arrived = Object.fromEntries([...this.geometryArrays, ...packed.streams].map((name) => [name, new Uint8Array(nGroups)]));
   }
@@ -174,7 +183,8 @@ export class Scene {
   putGroup(group, parts) {
     const { header, textures, widths } = this, n = Math.min(GROUP, header.n_splats - group * GROUP), chunk = group * CHUNKS_PER_GROUP;
     const perGroup = header.color_step ? (GROUP * 5) / 4 : GROUP, spared = n < GROUP ? undefined : perGroup * (header.color_step ? 1 : 2);
-    textures.splats.put(group * perGroup, splatWords(n, parts).subarray(0, spared));
+    if (this.decoded) parts = this.ofRuns(group, n, parts);
+    else textures.splats.put(group * perGroup, splatWords(n, parts).subarray(0, spared));
     const first = Object.fromEntries(this.packed.streams.map((name) => [name, this.first[name][group]]));
     const { counts, boxes, running, groups } = tablesOf(header, parts, n, first);
     this.counts[group] = counts;
@@ -183,6 +193,17 @@ export class Scene {
     textures.groups.put(group * widths.groups, groups);
     for (const [name, [, width]] of Object.entries(KEPT))
       if (parts[name]) this.arrays[name].set(parts[name].subarray(0, Math.ceil(n / CHUNK) * width), chunk * width);
+  }
+
+  // Colours of a group of runs to the GPU; with the boxes of its chunks, which are decoded already.
+  ofRuns(group, n, parts) {
+    if (parts.color) {
+      const words = new Uint32Array(Math.ceil((3 * n) / 4));
+      new Uint8Array(words.buffer).set(parts.color.subarray(0, 3 * n));
+      this.textures.colors.put((group * GROUP * 3) / 4, words);
+    }
+    const [first, end] = [3 * group * CHUNKS_PER_GROUP, 3 * (group * CHUNKS_PER_GROUP + Math.ceil(n / CHUNK))];
+    return { ...parts, ...Object.fromEntries(["box_low", "box_size", "box_bits"].map((name) => [name, this.decoded[name].subarray(first, end)])) };
   }
 
   advance(group) {

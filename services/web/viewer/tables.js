@@ -5,11 +5,11 @@ import { CHUNK, MIP_SIZES } from "./packed.js";
 const LONGEST_ELLIPSOID = 4; // half axis in radii that a byte can say
 
 /** Where each group's words begin in a stream that stands one group after the other, and where the last ones end: by stream (nGroups + 1). */
-export function firstWords({ streams, nGroups }, words) {
+export function firstWords({ ragged, nGroups }, words) {
   const found = {};
-  streams.forEach((name, i) => {
+  ragged.forEach((name, i) => {
     const first = (found[name] = new Float64Array(nGroups + 1)); // whole numbers beyond 32 bits
-    for (let group = 0; group < nGroups; ++group) first[group + 1] = first[group] + words[group * streams.length + i];
+    for (let group = 0; group < nGroups; ++group) first[group + 1] = first[group] + words[group * ragged.length + i];
   });
   return found;
 }

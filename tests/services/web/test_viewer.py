@@ -16,6 +16,7 @@ from storage.packed.schema import GROUP, MAX_ATOMS
 from tests.mapped_scenes import STATION, moved, wall_map, with_maps
 from tests.packed_files import write_arrays
 from tests.programs_of_others import node_module
+from tests.runs import on_runs
 from tests.scenes import Dictionary, Settings, build_scene, camera_looking, coded, random_dictionary, sheet
 from tests.services.chromium import Page, chromium_path
 from tests.services.web.served import open_viewer, picture_of, serving, small
@@ -31,6 +32,8 @@ def scene_of(name: str):
     dictionary = random_dictionary(rng)
     if name == "atoms":
         return build_scene(sheet(rng, 400, **coded(rng, 400)), Settings(radius=0.1), dictionary)
+    if name.startswith("runs"):
+        return on_runs(scene_of({"runs": "groups", "runs-in-boxes": "everything"}[name]))
     if name == "groups":
         n = GROUP + 300
         line = np.tile([0.8, 0.6, 0.1], (n, 1))
@@ -78,7 +81,7 @@ def _without_complaints_of_others(page):
 def served(tmp_path_factory):
     """Addresses and scenes by name."""
     folder, running, found = tmp_path_factory.mktemp("files"), [], {}
-    for name in ("atoms", "everything", "groups", "maps"):
+    for name in ("atoms", "everything", "groups", "runs", "runs-in-boxes", "maps"):
         scene = scene_of(name)
         running.append(serving(write_arrays(scene.header, scene.arrays, folder / f"{name}.splatpress")))
         found[name] = running[-1].__enter__(), scene
@@ -118,7 +121,7 @@ VIEWS = {  # eye, size, focal length
 }
 
 
-@pytest.mark.parametrize("name", ["atoms", "everything", "groups", "maps"])
+@pytest.mark.parametrize("name", ["atoms", "everything", "groups", "runs", "runs-in-boxes", "maps"])
 def test_viewer__draws_what_render_does(page, served, renderer, name):
     url, scene = served[name]
     open_viewer(page, url)
