@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pipeline.geometry.runs.frame import GridFrame
 from pipeline.maps.station_map import MapFrame
 from storage.packed.schema import Camera
 
@@ -89,14 +90,6 @@ class VolumeSurfaces:
     method: str
     border: str
     surfaces: tuple[SurfaceFound, ...]
-
-
-@dataclass(frozen=True)
-class GridFrame:
-    """The grid that the points of a volume's surface are cells of: where its cell (0, 0, 0) lies, and how it is turned."""
-
-    origin: Vector
-    turn: tuple[float, ...]  # (9,) rows of the matrix from its axes to the volume's
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from pipeline.stages.maps.panoramas import read_map
 from pipeline.stages.points.neighbours import Neighbourhoods
 from services.flow.maps import draw_maps
 from services.flow.outputs import placed_whole
-from services.flow.prepare import points_of
+from services.flow.points.read import points_of
 from services.flow.run import Run
 from storage.errors import InvalidScan
 

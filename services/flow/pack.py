@@ -16,9 +16,9 @@ from pipeline.stages.maps.map_pictures import stored_maps
 from pipeline.stages.packed.pack import Pack, batches_of, write_packed
 from pipeline.summaries import Packed
 from services.flow.maps import Mapped
+from services.flow.points.runs import RunGeometry
 from services.flow.prepare import Prepared
 from services.flow.run import Run
-from services.flow.runs import RunGeometry
 from services.flow.textures import Coded, color_step
 from storage.packed.groups import FIRST_WORDS
 from storage.packed.schema import BOXES, BY_NAME, EXTRAS, RUNS, Header, RunGrid

@@ -18,22 +18,16 @@ from pipeline.geometry.frame import directions_of
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.stages.maps.map_cliplines import MapCliplines
 from pipeline.stages.points.depth_maps import DepthMaps
-from pipeline.stages.points.grid_counts import IN_MEMORY, GridCounts
-from pipeline.stages.points.ingest import Ingest
-from pipeline.stages.points.leaves import DealtLeaves
 from pipeline.stages.points.levels import with_levels
 from pipeline.stages.points.measure_effects import MeasureEffects
 from pipeline.stages.points.neighbours import Neighbourhoods, radius_of, signs_are_open
-from pipeline.stages.points.partition import Partition
 from pipeline.stages.points.sizes import Sizes
 from pipeline.stages.points.splats import Splats
 from pipeline.summaries import Points, ScanRead, SizesNeeded, Spacings, SplatsMade
-from pipeline.volumes.open import is_volume
 from pipeline.volumes.request import SurfaceRequest
-from services.flow.fingerprint import fingerprint, located
 from services.flow.maps import StationMaps, draw_maps, maps_for, with_edits
-from services.flow.run import Run
-from services.flow.runs import (
+from services.flow.points.read import in_chunk_order, points_of
+from services.flow.points.runs import (
     GeometryRequest,
     RunGeometry,
     as_points,
@@ -42,7 +36,7 @@ from services.flow.runs import (
     grid_for,
     runs_of_splats,
 )
-from services.flow.volumes import refuse_surfaces, surface_points
+from services.flow.run import Run
 from storage.errors import InvalidScan
 from storage.packed.schema import BOXES, RUNS
 from storage.work import work
@@ -121,7 +115,7 @@ def _all_points(run: Run, prepared: Prepared) -> tuple[StageRecord[Points], Stag
     """All points of the scan in chunk order, and their neighbours, whatever share of them became splats."""
     if prepared.partition.summary.n_splats == prepared.scan.summary.n_points:
         return prepared.partition, prepared.neighbours
-    partition = _in_chunk_order(run, prepared.scan, 1.0)
+    partition = in_chunk_order(run, prepared.scan, 1.0)
     return partition, run.do(Neighbourhoods(partition.folder))
 
 
@@ -171,48 +165,6 @@ def splats_of(
 def request_of(prepared: Prepared, request: str) -> str:
     """What is asked of effects, less what the geometry runs has no place for: ellipsoids lie beside the cells."""
     return request if prepared.runs is None else canonical_request([request, "ellipsoids=off", "levels=off"])
-
-
-def ingest_of(run: Run, scan: Path, reading: ReadOptions = ReadOptions()) -> StageRecord[ScanRead]:
-    """Read the scan; where all of its points say otherwise of it than those that were sampled, once more.
-
-    Raises: InvalidScan for a warning about the scan where the run is strict.
-    """
-    path, files = located(scan), fingerprint(scan)
-    ingest = run.do(Ingest(path, files, reading))
-    if ingest.summary.seen:
-        ingest = run.do(Ingest(path, files, reading, ingest.summary.seen))
-    if run.strict and ingest.summary.warnings:
-        raise InvalidScan(str(scan), "; ".join(ingest.summary.warnings), "no warnings, with --strict")
-    return ingest
-
-
-def points_of(
-    run: Run,
-    scan: Path,
-    density: float = 1.0,
-    surface: SurfaceRequest = SurfaceRequest(),
-    reading: ReadOptions = ReadOptions(),
-    on_cells: bool = False,
-) -> tuple[StageRecord[ScanRead], StageRecord[Points]]:
-    """Read the scan or the surfaces of a volume, and put its points in chunk order, or that share of them; `on_cells` leaves those of a
-    volume at the centres of their cells."""
-    if is_volume(scan):
-        ingest = surface_points(run, scan, surface, on_cells)
-    else:
-        refuse_surfaces(scan, surface)
-        ingest = ingest_of(run, scan, reading)
-    return ingest, _in_chunk_order(run, ingest, density)
-
-
-def _in_chunk_order(run: Run, ingest: StageRecord[ScanRead], density: float) -> StageRecord[Points]:
-    if density * ingest.summary.n_points <= IN_MEMORY:
-        return run.do(Partition(ingest.folder, density))
-    counts = run.do(GridCounts(ingest.folder, density))
-    if counts.summary.n_leaves == 1:
-        return run.do(Partition(ingest.folder, density))
-    dealt = run.do(DealtLeaves(ingest.folder, counts.folder, density))
-    return run.do(Partition(ingest.folder, density, counts.folder, dealt.folder))
 
 
 def splats_from(

@@ -30,11 +30,11 @@ from services.flow.code import Texture, texture
 from services.flow.estimate_cache import against, known_estimate
 from services.flow.outputs import placed_whole, write_outputs
 from services.flow.pack import pack, packed_gpu_bytes
+from services.flow.points.runs import geometry_request, runs_report
+from services.flow.points.volumes import surface_request
 from services.flow.prepare import Prepared, prepare
 from services.flow.run import Run
-from services.flow.runs import geometry_request, runs_report
 from services.flow.textures import Coded
-from services.flow.volumes import surface_request
 from storage.packed.packed import SUFFIX, PackedFile
 from storage.work import arrays
 

@@ -16,10 +16,10 @@ from renderer.evaluate.variants import Variant, compare_variants
 from renderer.files import write_json
 from services.flow.code import code
 from services.flow.pack import pack
+from services.flow.points.runs import geometry_request
+from services.flow.points.volumes import surface_request
 from services.flow.prepare import has_photographs, plan_scan, prepare, splats_of
 from services.flow.run import Run
-from services.flow.runs import geometry_request
-from services.flow.volumes import surface_request
 from storage.packed.packed import SUFFIX
 
 

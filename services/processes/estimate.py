@@ -31,12 +31,12 @@ from renderer.report.report import sizes_of
 from services.flow.code import code_prepared, resample
 from services.flow.estimate_cache import keep_estimate
 from services.flow.pack import pack
+from services.flow.points.runs import geometry_request
+from services.flow.points.volumes import surface_request
 from services.flow.prepare import Prepared, prepare, wants_texture
 from services.flow.run import Run
-from services.flow.runs import geometry_request
 from services.flow.stage_lock import stage_lock
 from services.flow.textures import PATCHES_AN_ATOM, Coded, index_bits
-from services.flow.volumes import surface_request
 from services.processes.estimate_gaps import Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
 from storage.packed.packed import SUFFIX, PackedFile
 from storage.packed.schema import ATOM_SIZES, EXTRAS

@@ -20,11 +20,11 @@ from renderer.report.evaluation_page import write_evaluation
 from services.flow.code import code, resample
 from services.flow.outputs import put_in_place
 from services.flow.pack import pack
+from services.flow.points.runs import geometry_request
+from services.flow.points.volumes import surface_request
 from services.flow.prepare import Prepared, has_photographs, prepare
 from services.flow.run import Run
-from services.flow.runs import geometry_request
 from services.flow.textures import encode
-from services.flow.volumes import surface_request
 from services.processes.evaluated_rows import (
     CODED_ROWS,
     PHOTO_ROWS,

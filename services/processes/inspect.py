@@ -57,8 +57,8 @@ def iso_values(path: Path, choice: Choice, executor: Executor, progress: Progres
 
     Raises: UnsupportedScan for what is no volume, and what opening one raises.
     """
+    from services.flow.points.volumes import iso_values_of
     from services.flow.run import Run  # stages take a second to import, and headers do without
-    from services.flow.volumes import iso_values_of
 
     if not is_volume(path):
         raise UnsupportedScan(str(path), "no volume", HANDLED)

@@ -16,9 +16,9 @@ from pipeline.volumes.request import SurfaceRequest
 from renderer.report.document import HardCases, Quality, RunRecord, ScanKnown
 from services.flow.fingerprint import fingerprint
 from services.flow.outputs import write_outputs
-from services.flow.prepare import ingest_of
+from services.flow.points.read import ingest_of
+from services.flow.points.volumes import surface_points, surface_request
 from services.flow.run import Run
-from services.flow.volumes import surface_points, surface_request
 from storage.errors import InvalidScan
 from storage.packed.packed import PackedFile
 

@@ -21,10 +21,10 @@ from renderer.report.tradeoff_page import summarised, write_tradeoff
 from services.flow.code import code_prepared, resample
 from services.flow.outputs import placed_whole
 from services.flow.pack import pack
+from services.flow.points.runs import geometry_request
+from services.flow.points.volumes import surface_request
 from services.flow.prepare import has_photographs, prepare
 from services.flow.run import Run
-from services.flow.runs import geometry_request
-from services.flow.volumes import surface_request
 from services.processes.kinds import BUDGET_S
 from storage.errors import InvalidScan
 from storage.packed.packed import SUFFIX, PackedFile

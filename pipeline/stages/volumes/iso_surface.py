@@ -9,9 +9,10 @@ import numpy as np
 
 from pipeline.geometry.chunks import bounds
 from pipeline.geometry.hcp import cell_of, centre_of, centres_of
+from pipeline.geometry.runs.frame import GridFrame
 from pipeline.numerics.limits import check_bounds
 from pipeline.stages.volumes.voxels import slab
-from pipeline.summaries import GridFrame, ScanRead, SurfaceFound, VolumeRead, VolumeSurfaces
+from pipeline.summaries import ScanRead, SurfaceFound, VolumeRead, VolumeSurfaces
 from pipeline.volumes.field import SUPPORT
 from pipeline.volumes.lattice import HALO, Lattice, auto_size, lattice_of
 from pipeline.volumes.request import CLOSED, Iso

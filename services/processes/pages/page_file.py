@@ -13,7 +13,7 @@ from pipeline.execution.stage import Executor, Progress
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.stages.pages.photo_pages import FILE, PhotoPages
 from pipeline.summaries import Photographs
-from services.flow.prepare import ingest_of
+from services.flow.points.read import ingest_of
 from services.flow.run import Run
 from storage import place
 from storage.errors import InvalidScan

@@ -47,6 +47,7 @@ class RunGeometry:
 
 
 def geometry_request(settings: Settings) -> GeometryRequest:
+    """What settings say of it."""
     return GeometryRequest(settings.geometry, settings.cell, settings.run_length)
 
 
