@@ -81,7 +81,7 @@ def _without_complaints_of_others(page):
 def served(tmp_path_factory):
     """Addresses and scenes by name."""
     folder, running, found = tmp_path_factory.mktemp("files"), [], {}
-    for name in ("atoms", "everything", "groups", "runs", "runs-in-boxes", "maps"):
+    for name in ("atoms", "everything", "groups", "maps"):
         scene = scene_of(name)
         running.append(serving(write_arrays(scene.header, scene.arrays, folder / f"{name}.splatpress")))
         found[name] = running[-1].__enter__(), scene
@@ -121,7 +121,7 @@ VIEWS = {  # eye, size, focal length
 }
 
 
-@pytest.mark.parametrize("name", ["atoms", "everything", "groups", "runs", "runs-in-boxes", "maps"])
+@pytest.mark.parametrize("name", ["atoms", "everything", "groups", "maps"])
 def test_viewer__draws_what_render_does(page, served, renderer, name):
     url, scene = served[name]
     open_viewer(page, url)
