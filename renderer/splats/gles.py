@@ -17,6 +17,7 @@ from renderer.effects import shader_parts
 from renderer.splats.glsl import with_includes
 
 PASSES = ("visibility", "attribute", "resolve")
+NOT_DRAWN = ("pages.vert.glsl", "pages.frag.glsl")  # the viewer draws no page files
 VERSION = "#version 300 es"
 LINE_BITS = 11  # textures are 2048 texels wide, which every WebGL 2 has
 _HEAD = f"""precision highp float;
@@ -55,7 +56,16 @@ _LOADS = {"uint": "load", "uvec2": "load_pair", "float": "load_float"}
 def es_sources() -> dict[str, str]:
     """Each shader's text without version and defines, by the name of its file without `.glsl`."""
     names = [f"{name}.{kind}" for name in PASSES for kind in ("vert", "frag")]
-    return {name: to_es(with_includes(f"{name}.glsl"), name.endswith(".vert")) for name in names}
+    return {name: to_es(drawn_text(f"{name}.glsl"), name.endswith(".vert")) for name in names}
+
+
+@cache
+def drawn_text(name: str) -> str:
+    """The text of a shader with its includes but those of NOT_DRAWN, which stand behind defines that the viewer sets never."""
+    text = with_includes(name)
+    for part in NOT_DRAWN:
+        text = text.replace(with_includes(part), "")
+    return text
 
 
 def shader_document() -> dict:

@@ -5,8 +5,7 @@ import re
 import pytest
 
 from renderer.effects import shader_parts
-from renderer.splats.gles import es_sources, shader_document, to_es
-from renderer.splats.glsl import with_includes
+from renderer.splats.gles import drawn_text, es_sources, shader_document, to_es
 
 
 @pytest.mark.parametrize("name", sorted(es_sources()))
@@ -20,7 +19,7 @@ def test_gles__leaves_nothing_that_es_lacks(name):
 
 
 def test_gles__keeps_every_line_that_reads_no_buffer():
-    source, text = with_includes("attribute.vert.glsl"), es_sources()["attribute.vert"]
+    source, text = drawn_text("attribute.vert.glsl"), es_sources()["attribute.vert"]
     lines = [line for line in source.splitlines() if "[" not in line and "layout(" not in line and "gl_" not in line]
     assert len(lines) > 200
     assert set(lines) <= set(text.splitlines())
