@@ -7,7 +7,7 @@ demo: setup
 
 test:
 	@deploy/setup.sh $(VENV) with-tests
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest --numprocesses 2 --dist loadfile
 
 setup:
 	@deploy/setup.sh $(VENV)

@@ -78,7 +78,7 @@ def test_serve__a_part_that_cannot_start_is_given_up_and_says_why_in_a_line(tmp_
         log=log,
         SPLATPRESS_DATABASE="postgresql://a:b@127.0.0.1:1/c",
     )
-    assert ended(process, 120) == 2
+    assert ended(process, 300) == 2
     said = log.read_text()
     assert "resource error: the database does not answer" in said and "5 times right after its start" in said
     assert not any(word in said for word in ("Traceback", "Fatal Python error", "*** Aborted", "please report"))
