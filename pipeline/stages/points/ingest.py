@@ -168,14 +168,15 @@ def _regrouped(pieces: Iterator[Piece], ends: Iterator[int]) -> Iterator[list[Pi
 
 
 def _cut(piece: Piece, n: int) -> tuple[Piece, Piece]:
-    """The first n points of a piece, and the others."""
+    """The first n points of a piece, and the others; what was seen of all of them goes with the first, to count once."""
     n_seen = 0 if piece.visible_count is None else int(piece.visible_count[:n].sum())
     columns = {
         name: (value, n_seen if name == "visible_camera" else n)
         for name, value in vars(piece).items()
-        if value is not None
+        if value is not None and name != "look"
     }
-    return Piece(**{k: v[:m] for k, (v, m) in columns.items()}), Piece(**{k: v[m:] for k, (v, m) in columns.items()})
+    first, others = ({k: v[cut(m)] for k, (v, m) in columns.items()} for cut in (slice, lambda m: slice(m, None)))
+    return Piece(**first, look=piece.look), Piece(**others)
 
 
 def _store_slice(source: ScanSource, folder: Path, index: int, pieces: list[Piece]) -> dict:

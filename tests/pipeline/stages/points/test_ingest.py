@@ -10,6 +10,7 @@ import pytest
 
 from pipeline.execution.stage import run_stage
 from pipeline.readers import open_scan
+from pipeline.readers.ply import ply
 from pipeline.stages.points import ingest
 from pipeline.stages.points.ingest import Ingest, slice_rows
 from pipeline.summaries import ScanRead
@@ -93,7 +94,10 @@ def test_ingest__slices_are_what_one_reading_from_the_start_gives(tmp_path, smal
     assert any(f"{(np.isnan(rows['red']) & ~np.isnan(rows['x'])).sum()} of" in w for w in summary.warnings)
 
 
-def test_ingest__a_workspace_and_its_archive_are_the_same(tmp_path, small):
+@pytest.mark.parametrize("n_sampled", [1 << 14, 40])
+def test_ingest__a_workspace_and_its_archive_are_the_same(tmp_path, small, monkeypatch, n_sampled):
+    """An archive is read from its start, so its pieces are cut where slices end; what was seen of a piece is not."""
+    monkeypatch.setattr(ply, "_FIRST_POINTS", n_sampled)
     folder = write_workspace(tmp_path / "w").path
     assert_same(made(folder, tmp_path / "1"), made(zip_folder(folder, tmp_path / "w.zip"), tmp_path / "2"))
 
