@@ -2,8 +2,8 @@
 
     8 bytes       magic
     4 bytes       length of the header, little-endian
-    header        JSON: version, scan, page_px, border_px, codec, photographs [{name, width_px, height_px}], n_pages,
-                  bytes
+    header        JSON: version, scan, page_px, border_px, codec, one_light, photographs [{name, width_px, height_px}],
+                  n_pages, bytes
     table         a row a page: offset uint64, length uint32, check 8 bytes (BLAKE2b of the page)
     32 bytes      SHA-256 of all before it
     pages         in the order of their numbers (storage/pages/layout.py)
@@ -46,6 +46,7 @@ class PageHeader:
     border_px: int  # on each side of a page, of the texels of its neighbours
     codec: str
     scan: str  # `scan_digest` of the scan's cameras
+    one_light: bool = False  # photographs as the effect `exposure` corrected them, else as they were taken
 
     @property
     def side_px(self) -> int:
@@ -64,6 +65,7 @@ class PageHeader:
                 "page_px": self.layout.page_px,
                 "border_px": self.border_px,
                 "codec": self.codec,
+                "one_light": self.one_light,
                 "photographs": photographs,
                 "n_pages": self.layout.n_pages,
                 "bytes": n_bytes,
@@ -188,7 +190,8 @@ class PageFile:
             if layout.n_pages != data["n_pages"]:
                 raise ValueError(f"{data['n_pages']} pages where the photographs have {layout.n_pages}")
             names = tuple(str(p["name"]) for p in photos)
-            return PageHeader(names, layout, border_px, data["codec"], str(data["scan"])), int(data["bytes"])
+            header = PageHeader(names, layout, border_px, data["codec"], str(data["scan"]), data.get("one_light") is True)
+            return header, int(data["bytes"])
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise self._wrong(f"a header that is none ({type(error).__name__}: {error})") from error
 

@@ -47,6 +47,7 @@ class PhotoPages:
     page_px: int = DEFAULT_PAGE_PX
     border_px: int = DEFAULT_BORDER_PX
     quality: int = DEFAULT_QUALITY
+    one_light: bool = False  # `photos` are those of the stage `exposure`
     name = "photo-pages"
 
     def init(self, folder: Path) -> int:
@@ -76,9 +77,8 @@ class PhotoPages:
     def finalise(self, folder: Path, results: list[dict]) -> PagesMade:
         cameras = self._cameras()
         layout = self._layout(cameras)
-        header = PageHeader(
-            tuple(camera.name for camera in cameras), layout, self.border_px, self.codec, scan_digest(cameras)
-        )
+        names = tuple(camera.name for camera in cameras)
+        header = PageHeader(names, layout, self.border_px, self.codec, scan_digest(cameras), self.one_light)
         n_bytes = write_pages(folder / FILE, header, self._joined(folder, len(cameras)))
         squared, n = sum(r["squared_error"] for r in results), sum(r["n"] for r in results)
         return PagesMade(

@@ -173,6 +173,8 @@ def _fly(options: argparse.Namespace) -> int:
         packed, pages, options.path, options.out,
         FlightOptions(options.size, options.pool_mib << 20, options.bandwidth, prediction, options.policy, options.every),
     )  # fmt: skip
+    for warning in found["warnings"]:
+        print(f"warning: {warning}", file=sys.stderr)
     if options.json:
         print(json.dumps(found))
         return OK

@@ -74,6 +74,7 @@ def fly(packed: Path, pages: Path, path: Path, out: Path, options: FlightOptions
                 settled = flight.settle(walk.poses[0])
                 records = [_frame(flight, walk, i, options.every, made) for i in range(len(walk.poses))]
                 found = _document(walk, options, n_frame, gpu_scene.pages, settled, records)
+                found["warnings"] = warnings_of(file, scene.header)
                 found["video"] = _video(made, FRAMES_PER_SECOND / options.every)
                 write_json(made / FLIGHT, found)
         finally:
@@ -91,6 +92,16 @@ def refuse_another_scan(file: PageFile, header: Header) -> None:
             f"pages of another scan ({len(file.header.names)} photographs, scan {file.header.scan})",
             f"those of this packed file ({len(header.cameras)} photographs, scan {scan_digest(header.cameras)})",
         )
+
+
+def warnings_of(file: PageFile, header: Header) -> list[str]:
+    """What pictures of these pages would show and a viewer might take for the scan: atoms and pages in different light."""
+    if file.header.one_light or "exposure" not in header.effects:
+        return []
+    return [
+        f"{file.path.name}: pages of photographs as they were taken, atoms as if in one light (effect exposure): seams show "
+        "where pages come; make the pages from the folder of `compress --work`"
+    ]
 
 
 def _frame(flight: Flight, walk: Path90, i: int, every: int, out: Path) -> FrameRecord:

@@ -20,7 +20,8 @@ from storage.errors import InvalidScan
 from storage.whole import whole
 from storage.work import work as work_folder
 
-STAGE_FOLDER = re.compile(r"(ingest|exposure)-[0-9a-f]{16}")
+INGEST, EXPOSURE = "ingest-", "exposure-"
+STAGE_FOLDER = re.compile(rf"({INGEST}|{EXPOSURE})[0-9a-f]{{16}}")
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,8 @@ def make_pages(
         photos = _photos_of(source) if of_work else ingest_of(run, source, reading).folder
         if not work_folder.summary(photos, Photographs).cameras:
             raise InvalidScan(str(source), "no photograph", "a scan with photographs: pages are pieces of them")
-        made = run.do(PhotoPages(photos, form.codec, form.page_px, form.border_px, form.quality))
+        one_light = photos.name.startswith(EXPOSURE)
+        made = run.do(PhotoPages(photos, form.codec, form.page_px, form.border_px, form.quality, one_light))
         place_pages(made.folder, out)
     finally:
         shutil.rmtree(aside, ignore_errors=True)
@@ -85,7 +87,7 @@ def _is_work_folder(source: Path) -> bool:
 
 def _photos_of(source: Path) -> Path:
     found = _stage_folders(source)
-    for name in ("exposure", "ingest"):
+    for name in (EXPOSURE, INGEST):
         of_name = [folder for folder in found if folder.name.startswith(name)]
         if len(of_name) > 1:
             raise InvalidScan(

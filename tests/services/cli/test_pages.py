@@ -1,6 +1,7 @@
 """The verbs `pages`, `path` and `fly` on a small made scene."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -8,7 +9,9 @@ from renderer.residency import paths, simulate
 from renderer.residency.paths import read_path
 from renderer.residency.places import Screen
 from services.cli.main import main
+from services.processes.pages.fly import warnings_of
 from services.processes.pages.table import as_text
+from storage.packed.packed import PackedFile
 from storage.pages.file import PageFile
 from tests.effects_scans import wall_scan
 from tests.services.scans import photo_scan, point_scan
@@ -47,19 +50,21 @@ def test_pages__refuses_scans_without_photographs_and_wrong_forms(scan, tmp_path
 @pytest.fixture(scope="module")
 def packed(scan, tmp_path_factory):
     out = tmp_path_factory.mktemp("packed") / "out"
-    options = [
-        "--preset",
-        "draft",
-        "--executor",
-        "serial",
-        "--no-render",
-        "--training-splats",
-        "256",
-        "--iterations",
-        "1",
-    ]
-    assert main(["compress", str(scan), "--out", str(out), *options]) == 0
+    options = "--preset draft --executor serial --no-render --training-splats 256 --iterations 1 --effects exposure=on"
+    assert main(["compress", str(scan), "--out", str(out), "--work", str(out.parent / "work"), *options.split()]) == 0
     return next(out.glob("*.splatpress"))
+
+
+def test_fly__warns_where_atoms_are_in_one_light_and_pages_are_not(scan, packed, tmp_path):
+    with PackedFile(packed) as opened:
+        header = opened.load().header
+    for source, one_light in ((scan, False), (packed.parent.parent / "work", True)):
+        pages = tmp_path / f"{one_light}.pages"
+        assert run(source, "--out", pages) == 0
+        with PageFile(pages) as file:
+            assert file.header.one_light == one_light
+            assert bool(warnings_of(file, header)) != one_light
+            assert not warnings_of(file, replace(header, effects={}))
 
 
 def test_path__is_recorded_from_photographs_from_its_own_file_and_of_the_paper(packed, tmp_path, capsys):
@@ -100,7 +105,9 @@ def test_fly__draws_a_path_and_says_what_was_missed(scan, packed, tmp_path, rend
     assert main(["path", "record", str(packed), "--out", str(path), "--seconds", "1"]) == 0
     given = ["fly", str(packed), "--path", str(path), "--size", "96x80", "--every", "30", "--pool-mib", "4", "--json"]
     assert main([*given, "--pages", str(pages), "--out", str(out)]) == 0
-    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    told = capsys.readouterr()
+    assert "warning: wall.pages: pages of photographs as they were taken" in told.err
+    found = json.loads(told.out.splitlines()[-1])
     assert found == json.loads((out / "fly.json").read_text())
     assert len(found["frames"]) == 3 == len(list(out.glob("frame_*.png")))
     assert found["loaded"] >= 0 and found["wanted_pages"] > 0 and set(found["pass_ms"]) >= {"cull", "attribute"}
