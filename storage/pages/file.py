@@ -190,7 +190,9 @@ class PageFile:
             if layout.n_pages != data["n_pages"]:
                 raise ValueError(f"{data['n_pages']} pages where the photographs have {layout.n_pages}")
             names = tuple(str(p["name"]) for p in photos)
-            header = PageHeader(names, layout, border_px, data["codec"], str(data["scan"]), data.get("one_light") is True)
+            header = PageHeader(
+                names, layout, border_px, data["codec"], str(data["scan"]), data.get("one_light") is True
+            )
             return header, int(data["bytes"])
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise self._wrong(f"a header that is none ({type(error).__name__}: {error})") from error
