@@ -154,10 +154,10 @@ def _estimate(run: Run, path: Path, textured: Texture, settings: Settings) -> di
 def _scan_record(prepared: Prepared) -> ScanKnown:
     scan = prepared.scan.summary
     warnings = list(scan.warnings)
-    n_bad = prepared.neighbours.summary.n_degenerate
+    n_bad, n_splats = prepared.neighbours.summary.n_degenerate, prepared.splats.summary.n_splats
     if n_bad:
         warnings.append(
-            f"{n_bad} of {scan.n_points} splats have no normal of the scan's, and none that their neighbourhood defines"
+            f"{n_bad:,} of {n_splats:,} splats have no normal of the scan's, and none that their neighbourhood defines"
         )
     if not (scan.has_colors or scan.cameras):
         warnings.append(
@@ -166,7 +166,7 @@ def _scan_record(prepared: Prepared) -> ScanKnown:
         )
     n_blind = prepared.splats.summary.n_without_camera
     if scan.cameras and n_blind:
-        warnings.append(f"{n_blind} of {scan.n_points} splats are seen by no camera and have the scan's colour")
+        warnings.append(f"{n_blind:,} of {n_splats:,} splats are seen by no camera and have the scan's colour")
     return ScanKnown(
         unit=scan.unit,
         n_points=scan.n_read,

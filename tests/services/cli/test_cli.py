@@ -146,7 +146,7 @@ def test_cli__inspect_tells_scan_and_packed_file_apart(scan, compressed, capsys)
     found = json.loads(out)
     assert code == 0 and found["kind"] == "packed" and found["n_splats"] == 1600
     code, out, _ = run(capsys, "inspect", scan)
-    assert code == 0 and "points: 1600" in out
+    assert code == 0 and "points: 1600" in out and "bounds: unknown" in out and "None" not in out
 
 
 def test_cli__render_writes_the_pictures_it_names(compressed, tmp_path, capsys, renderer):

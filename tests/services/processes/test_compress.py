@@ -6,6 +6,7 @@ import contextlib
 import functools
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from services.processes.report import report
 from storage.errors import InvalidScan, ResourceExhausted
 from storage.packed.packed import PackedFile
 from tests.pipeline.execution.test_stage import Heard
+from tests.pipeline.readers.workspace import write_workspace
 from tests.services.processes.published_schemas import misfits
 from tests.services.scans import photo_scan, point_scan
 
@@ -208,6 +210,13 @@ def test_workflow__without_atoms_only_averages_are_kept(scan, tmp_path):
     made = compress(scan, tmp_path / "out", settings_for("draft", max_atoms=0), SerialExecutor(), Heard(), render=False)
     assert made["atoms"]["histogram"][0] == made["splats"] and made["sizes"]["dictionary_bytes"] == 0
     assert 10 < made["quality"]["texture_psnr_db"] < 32
+
+
+def test_workflow__warnings_count_the_splats_of_the_file(tmp_path):
+    scan = write_workspace(tmp_path / "w").path  # no camera sees every fourth point
+    made = compress(scan, tmp_path / "out", replace(SETTINGS, density=0.5), SerialExecutor(), Heard(), render=False)
+    said = next(text for text in made["warnings"] if "seen by no camera" in text)
+    assert f" of {made['splats']:,} splats are" in said and made["splats"] < made["scan"]["n_points"]
 
 
 def test_workflow__points_without_photographs_have_colours_and_no_dictionary(tmp_path):
