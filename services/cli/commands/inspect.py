@@ -62,8 +62,8 @@ def _as_lines(found: dict, indent: str = "") -> str:
             lines += [f"{indent}{key}:"] + [f"{indent}  {v}" for v in value]
         elif value in ([], {}, ""):
             lines.append(f"{indent}{key}: none")
-        elif value is None:  # headers do not say
-            lines.append(f"{indent}{key}: unknown")
+        elif value is None:  # a header that does not say, or a setting that nobody asked for
+            lines.append(f"{indent}{key}: {'unknown' if key == 'bounds' else 'none'}")
         else:
             lines.append(f"{indent}{key}: {value}")
     return "\n".join(lines)

@@ -147,6 +147,8 @@ def test_cli__inspect_tells_scan_and_packed_file_apart(scan, compressed, capsys)
     assert code == 0 and found["kind"] == "packed" and found["n_splats"] == 1600
     code, out, _ = run(capsys, "inspect", scan)
     assert code == 0 and "points: 1600" in out and "bounds: unknown" in out and "None" not in out
+    code, out, _ = run(capsys, "inspect", compressed / "plane.splatpress")
+    assert code == 0 and "budget_bytes: none" in out and "None" not in out
 
 
 def test_cli__render_writes_the_pictures_it_names(compressed, tmp_path, capsys, renderer):
