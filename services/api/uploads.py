@@ -7,21 +7,21 @@ whole, an upload is validated and becomes a scan; one that is refused leaves not
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
-from pipeline.readers.detect import handled_suffixes
 from services.api.context import Database, JobID, Owner, Settings
 from services.jobs.documents import upload_document
+from services.problems import Problem
 from services.settings import ServiceSettings
 from services.store.store import Store
 from services.uploads import tus
 from services.uploads.room import upload_path
 from services.uploads.scans import safe_name
 from services.uploads.upload import begin, discard, joined, offset_of, said_length, state, write
+from services.uploads.volumes import check_name
 from services.uploads.writer import only_writer
 
 router = APIRouter(prefix="/uploads", tags=["uploads"])
@@ -105,9 +105,10 @@ def _check_length(length: int, settings: ServiceSettings) -> None:
 
 
 def _check_file(file: str) -> None:
-    if Path(file).suffix.lower() not in handled_suffixes():
-        detail = f"filename is {file!r}; allowed: {', '.join(handled_suffixes())}"
-        raise tus.refusal(415, "unsupported-scan", detail)
+    try:
+        check_name(file, "filename is ")
+    except Problem as problem:
+        raise tus.refusal(problem.status, problem.slug, problem.detail) from None
 
 
 def upload_of(id: JobID, owner: Owner, settings: Settings, store: Database) -> dict:

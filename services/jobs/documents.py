@@ -75,6 +75,8 @@ def scan_document(scan: dict, settings: ServiceSettings) -> dict:
 
 def calls_for(header: dict) -> list[str]:
     """Which parts of the pipeline a scan will make use of, and why."""
+    if header.get("kind") == "volume":
+        return ["surfaces of the iso values that a job names, or of the one that its histogram proposes first"]
     if not header["cameras"]["count"]:
         wanted = ["colours alone: there are no photographs"]
     elif header["has_visibility"]:

@@ -15,7 +15,6 @@ from urllib.parse import unquote
 
 import httpx
 
-from pipeline.readers.detect import handled_suffixes
 from services.addresses import RefusedAddress, check_url, public_address
 from services.problems import RESOURCE, Problem
 from services.settings import ServiceSettings
@@ -24,6 +23,7 @@ from services.uploads.room import upload_path
 from services.uploads.scans import safe_name
 from services.uploads.tus import LATER
 from services.uploads.upload import Looking, accept, begin, discard, said_length
+from services.uploads.volumes import check_name
 from storage.place import is_remote, objects
 
 TIMEOUT_S = 30.0  # of each step; a body may take as long as it moves
@@ -34,8 +34,7 @@ _BEFORE_AND_AFTER = re.compile(r"^[a-z0-9]+://[^/?#]*|[?#].*$")  # the path of a
 def fetch_scan(url: str, name: str, owner: str, settings: ServiceSettings, store: Store) -> str:
     """The id of the scan, which is there and valid. Raises Problem, after which nothing of it is left."""
     file = safe_name(name or unquote(_BEFORE_AND_AFTER.sub("", url)))
-    if Path(file).suffix.lower() not in handled_suffixes():
-        raise Problem(415, "unsupported-scan", f"{file!r}; allowed: {', '.join(handled_suffixes())}")
+    check_name(file)
     upload = begin(owner, file, LATER, "", "", settings, store)
     try:
         with _opened(url, settings) as (length, blocks):

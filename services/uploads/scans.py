@@ -19,6 +19,7 @@ from services.problems import Problem
 from services.settings import ServiceSettings
 from services.store.store import Store
 from services.uploads.validation import validated_header
+from services.uploads.volumes import taken_suffix
 from storage import place
 
 MAX_NAME = 120
@@ -45,7 +46,7 @@ def incoming_folder(settings: ServiceSettings) -> Path:
 
 def disk_name(file: str) -> str:
     """The same for whoever brings it, but for what the readers go by."""
-    return "scan" + Path(file).suffix.lower()
+    return "scan" + taken_suffix(file)
 
 
 def scan_path(settings: ServiceSettings, scan: dict) -> Path:

@@ -20,6 +20,7 @@ import numpy as np
 
 from services.problems import Problem, mistake
 from services.settings import ServiceSettings
+from services.uploads.volumes import VOLUMES, taken_suffix, volume_header
 
 PIECE = 1 << 16
 MAX_POINTS_READ = 1 << 20  # about a second
@@ -83,6 +84,8 @@ def _answer(path: Path, limits: dict) -> dict:
     try:
         if path.suffix.lower() == ".zip":
             _check_archive(path, limits)
+        if taken_suffix(path.name) in VOLUMES:
+            return {"header": volume_header(path, limits)}
         header = inspect_scan(str(path))
         _check_photos(header, limits)
         _check_points(path, header)

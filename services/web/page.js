@@ -14,13 +14,15 @@ async function take(file) {
   const scan = await upload(file);
   if (!scan) return;
   await listScans(scan.id);
-  const about = `${scan.points.toLocaleString()} points, ${scan.cameras.count} photographs`;
+  const about = `${size(scan)}, ${scan.cameras.count} photographs`;
   $("upload-state").textContent = [about, ...scan.calls_for, ...scan.warnings].join("; ");
 }
 
+const size = (scan) => scan.kind === "volume" ? `${scan.shape.join(" x ")} voxels` : `${scan.points.toLocaleString()} points`;
+
 async function listScans(chosen = $("scan").value) {
   ({ scans } = await get("/v1/scans?limit=1000"));
-  $("scan").replaceChildren(...scans.map((s) => element("option", `${s.file}, ${s.points.toLocaleString()} points`, { value: s.id, selected: s.id === chosen })));
+  $("scan").replaceChildren(...scans.map((s) => element("option", `${s.file}, ${size(s)}`, { value: s.id, selected: s.id === chosen })));
   for (const id of ["start", "estimate", "tradeoff", "delete-scan"]) $(id).disabled = !scans.length;
   choose();
 }
