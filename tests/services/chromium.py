@@ -101,7 +101,7 @@ class Page:
             "value"
         )
 
-    def until(self, script: str, seconds: float = 60.0):
+    def until(self, script: str, seconds: float = 300.0):
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             if found := self.look(script):

@@ -27,7 +27,7 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
-def until(what: Callable[[], object], seconds: float = 90.0, every: float = 0.1):
+def until(what: Callable[[], object], seconds: float = 300.0, every: float = 0.1):
     """The first true answer of `what`."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
@@ -133,7 +133,7 @@ def service(data: Path, workers: int = 2, log: Path | None = None, **settings: s
         family = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
         process.terminate()
         try:
-            process.wait(20)
+            process.wait(60)
         except subprocess.TimeoutExpired:
             process.kill()
         for left in family:
@@ -165,7 +165,7 @@ class ApiProcess:
             self.process = subprocess.Popen(
                 command, env=environment, stdout=stream, stderr=subprocess.STDOUT, cwd=self.data.parent
             )
-        until(self._answers, 60, 0.05)
+        until(self._answers, every=0.05)
 
     def _answers(self) -> bool:
         assert self.process.poll() is None, self.log.read_text()[-3000:]

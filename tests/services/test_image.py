@@ -190,7 +190,7 @@ def test_image__one_that_was_built_starts_by_its_default_command_and_a_job_goes_
         ]
         process = subprocess.Popen([*run, container, "--", *command], start_new_session=True)
         try:
-            until(lambda: process.poll() is not None or _is_ready(port), 180)
+            until(lambda: process.poll() is not None or _is_ready(port), 300)
             token = subprocess.check_output(
                 [*run, container, "--", "splatpress", "token", "ann", "--data", "/data"], text=True
             )

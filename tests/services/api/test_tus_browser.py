@@ -83,7 +83,7 @@ def begin(page: Page, api: ApiProcess, modules: Path, file: Path, **options) -> 
 
 def ended(page: Page, file: Path) -> list[dict]:
     """What the client heard of the service, once the upload is a scan."""
-    assert "url" in page.until("window.ended", 90), page.look("window.ended")
+    assert "url" in page.until("window.ended"), page.look("window.ended")
     heard = page.look("window.said")
     scans = {row["scan"] for row in heard if row["scan"]}
     assert scans == {hashlib.sha256(file.read_bytes()).hexdigest()}

@@ -42,7 +42,7 @@ class Node:
         return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
     def run(self, **options) -> list[dict]:
-        said, complaints = self.start(**options).communicate(timeout=120)
+        said, complaints = self.start(**options).communicate(timeout=300)
         rows = [json.loads(line) for line in said.splitlines()]
         assert rows, complaints
         return rows
@@ -118,7 +118,7 @@ def test_tus_js__goes_on_though_the_api_is_killed_and_started_anew(node, api, la
     time.sleep(0.5)
     restarted = threading.Thread(target=api.start)
     restarted.start()
-    said, complaints = process.communicate(timeout=120)
+    said, complaints = process.communicate(timeout=300)
     restarted.join()
     rows = [json.loads(line) for line in said.splitlines()]
     assert rows[-1].get("done"), (rows[-5:], complaints)

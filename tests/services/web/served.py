@@ -49,7 +49,7 @@ def small(page: Page, width: int = 480, height: int = 360) -> None:
 def open_viewer(page: Page, url: str) -> None:
     """Wait until all of the file is drawn; the page says no problem."""
     page.open(url)
-    page.until(READY, 90)
+    page.until(READY)
     said = page.look("document.getElementById('problem').textContent")
     assert said == "", said
 

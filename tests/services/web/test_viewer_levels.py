@@ -135,7 +135,7 @@ def test_levels__no_hole_while_children_are_on_their_way(page, url, scene):
 
 def test_levels__ready_is_said(page, url):
     page.open(url)
-    page.until(READY, 90)
+    page.until(READY)
     assert page.look("viewer.statistics().complete")
 
 
