@@ -21,7 +21,7 @@ from renderer.residency.prediction import (
     ahead,
     shift_px,
 )  # fmt: skip
-from renderer.residency.simulate import LOAD_FRAMES
+from renderer.residency.simulate import LOAD_FRAMES, SETTLED_FRAMES
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
 from storage.errors import ResourceExhausted
@@ -30,7 +30,6 @@ from storage.pages.file import PageFile
 
 STALL_S = 0.25  # that a frame waits for pages that are due; then it goes on with what is there
 TAIL_S = 10.0  # that a flight waits for a page that is always resident
-SETTLE_FRAMES = 2000
 STALLED_FRAMES = 40  # in a row with pages that are late: then nobody waits any more
 
 
@@ -92,18 +91,24 @@ class Flight:
             pages.put(page, self._loader.texels(page))
             self._loader.give_back(page)
 
-    def settle(self, pose: Pose, n_frames: int = SETTLE_FRAMES) -> int:
-        """Stand still until nothing more is loaded, for so many frames at most, or until the disk stalls; returns how many
-        frames it took."""
+    @property
+    def most_settling(self) -> int:
+        """Frames that a viewer stands still at most, as in simulation: those that a full pool takes, and SETTLED_FRAMES."""
+        assert self.scene.pages is not None
+        return SETTLED_FRAMES + -(-self.scene.pages.shape.n_pages // self.n_frame)
+
+    def settle(self, pose: Pose) -> int:
+        """Stand still until nothing more is loaded, for `most_settling` frames, or until the disk stalls; returns how many
+        frames it took. In a pool that does not hold what a view asks for pages come and go without end."""
         n_late = 0
-        for n in range(n_frames):
+        for n in range(self.most_settling):
             _, record = self.frame(pose, Motion(np.zeros(3), np.zeros(3)))
             n_late = n_late + 1 if record.late else 0
             if n_late == STALLED_FRAMES:
                 return n
             if n > LOAD_FRAMES and not self._due and not (np.isin(self._manager.state, (SEEN, LOADING, LOADED))).any():
                 return n
-        return n_frames
+        return self.most_settling
 
     def frame(self, pose: Pose, motion: Motion) -> tuple[Picture, FrameRecord]:
         """Draw one frame; then the pages that it asked for may come."""

@@ -75,6 +75,11 @@ def fly(packed: Path, pages: Path, path: Path, out: Path, options: FlightOptions
                 records = [_frame(flight, walk, i, options.every, made) for i in range(len(walk.poses))]
                 found = _document(walk, options, n_frame, gpu_scene.pages, settled, records)
                 found["warnings"] = warnings_of(file, scene.header)
+                if settled == flight.most_settling:
+                    found["warnings"].append(
+                        f"after {settled} frames pages of the first view still came and went: the pool holds "
+                        f"{gpu_scene.pages.shape.n_pages}; a larger --pool-mib holds them"
+                    )
                 found["video"] = _video(made, FRAMES_PER_SECOND / options.every)
                 write_json(made / FLIGHT, found)
         finally:

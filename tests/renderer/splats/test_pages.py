@@ -143,6 +143,21 @@ def test_flight__once_it_has_settled_the_picture_is_that_of_whole_photographs(ma
     assert picture.rgb.shape == wanted.rgb.shape and psnr_db(picture.rgb, wanted.rgb, wanted.coverage) > 50
 
 
+def test_flight__in_a_pool_too_small_for_the_view_it_stands_still_no_longer_than_in_simulation(made, renderer):
+    gpu_scene, camera = GpuScene(made.scene, renderer.context), made.scene.header.cameras[1]
+    with PageFile(made.pages) as file:
+        n_bytes = 25 * 3 * file.header.side_px**2
+        label = made.scene.arrays["camera"]
+        gpu_scene.pages = GpuPages(renderer.context, file.layout, 4, made.scene.header.cameras, label, n_bytes)
+        flight = Flight(renderer, gpu_scene, made.places, file, Screen(320, 240, 240.0), 4.0, "nothing", n_frame=8)
+        assert flight.settle(pose_of(camera)) == flight.most_settling < 100
+        picture, record = flight.frame(pose_of(camera), STILL)
+        flight.close()
+    assert record.missed > 0 and picture.coverage.any()
+    gpu_scene.pages.release()
+    gpu_scene.release()
+
+
 def test_flight__a_page_that_was_altered_is_one_error(made, shown, renderer, tmp_path):
     data = bytearray(made.pages.read_bytes())
     data[-200] ^= 1
