@@ -35,9 +35,9 @@ class Settings:
     radius: float | None = None
     levels: int | None = None
     view_distance: float | None = None
+    iso: str = ""  # of a volume, as pipeline.volumes.request writes it; "" leaves the value to the volume
     geometry: str = "auto"  # boxes, runs, or auto
     run_length: int = 25
-    iso: str = ""  # of a volume, as pipeline.volumes.request writes it; "" leaves the value to the volume
     cell: float | None = None
     resampling: str = "trilinear"
     border: str = "open"

@@ -48,6 +48,7 @@ flat in float nearness;
 #define KEEP_DEPTH
 #endif
 """
+_COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
 _BUFFER = re.compile(r"layout\(std430, binding = \d+\) readonly buffer \w+ \{ (\w+) (\w+)\[\]; \};")
 _LOADS = {"uint": "load", "uvec2": "load_pair", "float": "load_float"}
 
@@ -85,11 +86,17 @@ def to_es(text: str, is_vertex: bool) -> str:
         text = text.replace("gl_VertexID", "vertex_number()").replace(
             "gl_Position = quad.clip;", "gl_Position = quad.clip; KEEP_DEPTH"
         )
-        return _HEAD + _VERTEX_HEAD + text
+        return _bare(_HEAD + _VERTEX_HEAD + text)
     text = text.replace("gl_FragCoord.z", "DEPTH_HERE")
     if "splat_fragment" in text or "squared_distance()" in text:
         text = text.replace("void main() {", "void main() {\n    KEEP_DEPTH", 1)
-    return _HEAD + _FRAGMENT_HEAD + text
+    return _bare(_HEAD + _FRAGMENT_HEAD + text)
+
+
+def _bare(text: str) -> str:
+    """The text without comments, indentation and empty lines: it goes over the network, and into each page of its own."""
+    lines = (line.strip() for line in _COMMENT.sub("", text).splitlines())
+    return "\n".join(line for line in lines if line) + "\n"
 
 
 def _loads(text: str) -> str:
