@@ -50,7 +50,7 @@ def page_of(report: dict, scene: PackedScene, folder: Path) -> str:
         quality=report["quality"],
         views=views,
         summary=report_words.summary(report),
-        parts=report_words.PARTS,
+        parts=report_words.PARTS | ({"geometry": report_words.GEOMETRY_OF_RUNS} if scene.header.runs else {}),
         part_colors=report_plots.PART_COLORS,
         series=report_plots.SERIES,
         figures=report_words.QUALITY,

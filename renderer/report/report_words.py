@@ -16,6 +16,8 @@ PARTS = {
     "dictionary": "The atoms with their mip levels, and what the weight codes stand for.",
 }
 
+GEOMETRY_OF_RUNS = "Where runs of cells begin, the steps from each cell to the next, and how normals change along them."
+
 QUALITY = (  # key, title, meaning
     (
         "texture_psnr_db",

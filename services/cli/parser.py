@@ -57,7 +57,7 @@ class Parser(argparse.ArgumentParser):
         lines = [f"usage: {self.prog} [--help] [--version] COMMAND ...", "", self.description or ""]
         for title, names in [*grouped.items(), ("others", others)]:
             if names:
-                lines += ["", f"{title}:", *(f"  {name:<10}{helps.get(name) or ''}" for name in names)]
+                lines += ["", f"{title}:", *(f"  {name:<11}{helps.get(name) or ''}" for name in names)]
         return "\n".join([*lines, "", EXAMPLES])
 
     def _parser_of(self, given: list[str]) -> Parser:

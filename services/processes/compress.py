@@ -162,7 +162,7 @@ def _scan_record(prepared: Prepared) -> ScanKnown:
     if not (scan.has_colors or scan.cameras):
         warnings.append(
             "the scan has neither colours nor intensity nor photographs; its splats are grey, shaded by "
-            + ("its normals" if arrays.exists(prepared.partition.folder, "normal") else "normals that were estimated")
+            + ("its normals" if arrays.exists(prepared.scan.folder, "normal") else "normals that were estimated")
         )
     n_blind = prepared.splats.summary.n_without_camera
     if scan.cameras and n_blind:

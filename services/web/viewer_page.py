@@ -11,6 +11,8 @@ from functools import cache
 from pathlib import Path
 
 from renderer.splats.gles import shader_document
+from storage.errors import UnsupportedScan
+from storage.packed.schema import Header
 
 FOLDER = Path(__file__).parent / "viewer"
 PAGE, SHADERS = "index.html", "shaders.json"
@@ -36,6 +38,17 @@ def viewer_file(name: str) -> tuple[bytes, str] | None:
     if media_type is None or Path(name).name != name or not path.is_file():
         return None
     return path.read_bytes(), media_type
+
+
+def refuse_undrawn(packed: Path, header: Header) -> None:
+    """Raises: UnsupportedScan for a file of a geometry that the viewer does not draw, as its page says too (packed.js)."""
+    if header.geometry != "boxes":
+        raise UnsupportedScan(
+            str(packed),
+            f"geometry {header.geometry}, which the viewer does not draw",
+            "files of --geometry boxes",
+            "splatpress render makes pictures of it, export points and Gaussians",
+        )
 
 
 def one_page(packed: bytes, title: str) -> bytes:

@@ -178,5 +178,7 @@ def _summary(report: dict, out: Path) -> str:
     if quality["views"]:
         lines.append(f"previews         {out / 'previews'}")
     for packed in out.glob("*.splatpress"):  # none where one that lies elsewhere was measured
-        lines += [f"packed           {packed}", f"look at it       splatpress view {shlex.quote(str(packed))}"]
+        name = shlex.quote(str(packed))
+        look = f"render {name} --orbit 8 --out PICTURES" if report.get("runs") else f"view {name}"
+        lines += [f"packed           {packed}", f"look at it       splatpress {look}"]
     return "\n".join(lines)

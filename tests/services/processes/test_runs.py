@@ -10,9 +10,11 @@ import pytest
 
 from pipeline.execution.executors import SerialExecutor
 from pipeline.geometry.hcp import centres_of, keys_of
+from pipeline.geometry.normals import decode_normals
 from pipeline.geometry.runs import bricks
 from pipeline.planning.settings import settings_for
 from pipeline.splats.decoded import scene_normal_codes, scene_positions
+from services.cli.main import main
 from services.processes.compress import compress
 from storage.errors import SplatpressError
 from storage.packed.packed import PackedFile
@@ -37,7 +39,7 @@ def compressed(scan: Path, out: Path, executor=None, **settings):
 
 @pytest.fixture(scope="module")
 def ball_of_points(tmp_path_factory) -> tuple[Path, np.ndarray, np.ndarray]:
-    unit = sphere(20_000)
+    unit = sphere(8_000)
     position = 2 * unit + [1000.0, -50.0, 3.0]
     color = np.where(unit[:, :1] > 0, [[255, 0, 0]], [[0, 0, 255]]).astype(np.uint8)
     path = tmp_path_factory.mktemp("scan") / "ball.ply"
@@ -46,8 +48,13 @@ def ball_of_points(tmp_path_factory) -> tuple[Path, np.ndarray, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def of_runs(ball_of_points, tmp_path_factory):
-    return compressed(ball_of_points[0], tmp_path_factory.mktemp("runs") / "out", geometry="runs")
+def out(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("runs") / "out"
+
+
+@pytest.fixture(scope="module")
+def of_runs(ball_of_points, out):
+    return compressed(ball_of_points[0], out, geometry="runs")
 
 
 def test_runs__hold_the_cell_of_every_point_and_their_normals_and_colours(ball_of_points, of_runs):
@@ -61,8 +68,6 @@ def test_runs__hold_the_cell_of_every_point_and_their_normals_and_colours(ball_o
     assert len(where) == told["runs"]["cells"] and len(found) == len(where) + told["runs"]["added"]
     assert set(map(tuple, where)) <= set(map(tuple, found))
     outwards = (centre + scene.header.origin - [1000.0, -50.0, 3.0]) / 2
-    from pipeline.geometry.normals import decode_normals
-
     cosine = (decode_normals(scene_normal_codes(scene)) * outwards).sum(axis=1) / np.linalg.norm(outwards, axis=1)
     assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean() < 6
     far = np.abs(outwards[:, 0]) > 0.05
@@ -79,23 +84,34 @@ def test_runs__report_what_they_lose_and_cost(of_runs):
     assert sum(runs["bits"].values()) == pytest.approx(counted, rel=0.01)
 
 
+def test_runs__are_refused_by_view_and_pages_which_do_not_draw_them(of_runs, out, capsys):
+    page = out / "ball.html"
+    for command in (["view", "--no-open"], ["export", "--to", "html", "--out", str(page)]):
+        assert main([command[0], str(out / "ball.splatpress"), *command[1:]]) == 5
+        assert "geometry runs, which the viewer does not draw" in capsys.readouterr().err
+    assert not page.exists()
+
+
 def test_runs__are_the_same_bytes_for_any_order_of_tasks_and_bricks_hold_all(ball_of_points, tmp_path, monkeypatch):
-    monkeypatch.setattr(bricks.split, "__defaults__", (2_000,))
+    monkeypatch.setattr(bricks.split, "__defaults__", (1_000,))
     made = []
     for name, executor in (("a", SerialExecutor()), ("b", Backwards())):
-        told, scene = compressed(ball_of_points[0], tmp_path / name, executor, geometry="runs", cell=0.06)
+        told, scene = compressed(ball_of_points[0], tmp_path / name, executor, geometry="runs", cell=0.1)
         made.append((tmp_path / name / "ball.splatpress").read_bytes())
     assert made[0] == made[1]
     _, position, _ = ball_of_points
-    keys = keys_of((position - scene.header.origin) @ np.array(scene.header.runs.turn).reshape(3, 3), 0.06)
-    assert told["runs"]["cells"] == len(np.unique(keys)) and told["runs"]["cell"] == 0.06
+    keys = keys_of((position - scene.header.origin) @ np.array(scene.header.runs.turn).reshape(3, 3), 0.1)
+    assert told["runs"]["cells"] == len(np.unique(keys)) and told["runs"]["cell"] == 0.1
     assert told["runs"]["points"] == len(position)
 
 
 def test_runs__auto_takes_what_is_smaller_at_the_asked_error(ball_of_points, tmp_path):
-    told, scene = compressed(ball_of_points[0], tmp_path / "coarse", geometry="auto", cell=0.06)
-    row = told["effects"][0]
+    bare = write_points(tmp_path / "bare.ply", ball_of_points[1][::8])
+    told, scene = compressed(bare, tmp_path / "coarse", geometry="auto", cell=0.3)
+    row, page = told["effects"][0], (tmp_path / "coarse" / "report.html").read_text()
     assert scene.header.runs and row["effect"] == "geometry_runs" and row["enabled"] and row["measure"] < 1
+    assert any("normals that were estimated" in warning for warning in told["warnings"])
+    assert "cells of 0.3 units" in page and "Where runs of cells begin" in page and "Positions (24 bits)" not in page
     told, scene = compressed(ball_of_points[0], tmp_path / "fine", geometry="auto", cell=0.0001)
     assert scene.header.runs is None and not told["effects"][0]["enabled"] and told["effects"][0]["measure"] >= 1
     told, scene = compressed(ball_of_points[0], tmp_path / "none", geometry="auto")
