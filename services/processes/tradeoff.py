@@ -55,9 +55,11 @@ class Step:
 
 def ladder(settings: Settings, knobs: Mapping[str, Sequence]) -> list[Step]:
     """The presets, the chosen settings first, then the values of each knob, all knobs in turns: where a budget ends the
-    ladder early, every knob has been tried. Settings that come twice are measured once."""
+    ladder early, every knob has been tried. Settings that come twice are measured once. What no preset decides, as the
+    density or how the scan is read, is as chosen everywhere."""
     chosen = Step("chosen", settings, settings.preset if settings == PRESETS[settings.preset] else None)
-    steps = [chosen] + [Step(name, preset, name) for name, preset in PRESETS.items()]
+    kept = {k.name: getattr(settings, k.name) for k in KNOBS if _alike_in_presets(k.name)}
+    steps = [chosen] + [Step(name, replace(preset, **kept), name) for name, preset in PRESETS.items()]
     longest = max(map(len, knobs.values()), default=0)
     for turn in range(longest):
         for name, values in knobs.items():
@@ -68,6 +70,11 @@ def ladder(settings: Settings, knobs: Mapping[str, Sequence]) -> list[Step]:
     for step in steps:
         unique.setdefault(asdict_key(step.settings), step)
     return list(unique.values())
+
+
+def _alike_in_presets(knob: str) -> bool:
+    """Whether no preset decides about it. A budget of bytes stands in the place of the target, which they do decide."""
+    return knob != "budget_bytes" and len({getattr(preset, knob) for preset in PRESETS.values()}) == 1
 
 
 def asdict_key(settings: Settings) -> tuple:

@@ -73,6 +73,14 @@ def test_ladder__every_step_says_the_arguments_that_ask_for_it():
     assert ladder(settings_for("high"), {})[0].command == "--preset high"
 
 
+def test_ladder__presets_are_of_the_same_splats_of_the_same_scan():
+    steps = ladder(settings_for("draft", density=0.1, sparse_model="sparse/1", budget_bytes=9.0), {})
+    assert [s.key for s in steps] == ["chosen", *PRESETS]
+    assert all((s.settings.density, s.settings.sparse_model) == (0.1, "sparse/1") for s in steps)
+    assert [s.settings.budget_bytes for s in steps] == [9.0, None, None, None, None]
+    assert steps[2].command == "--preset balanced --density 0.1 --sparse-model sparse/1"
+
+
 def test_ladder__the_usual_knobs_are_allowed_values():
     for name, values in default_knobs().items():
         assert all(settings_for(**{name: value}) for value in values)
