@@ -88,14 +88,22 @@ class JobRunner:
             return "dismissed"
         except Exception as error:
             drop_ballast(self.settings.data)  # the disk may be full
-            self.store.log(id, "error", f"attempt {attempt}: {type(error).__name__}: {error}")
+            said = f"attempt {attempt}: {type(error).__name__}: {error}"
+            self.store.log(id, "error", self._as_its_owner_calls_it(job, said))
             self.store.log(id, "debug", traceback.format_exc()[-4000:])
-            self.store.end(id, attempt, FAILED, self._kept_if_it_can(out, there), problem_of_job(error))
+            problem = problem_of_job(error)
+            problem["detail"] = self._as_its_owner_calls_it(job, problem["detail"])
+            self.store.end(id, attempt, FAILED, self._kept_if_it_can(out, there), problem)
             return "failed"
         self.store.end(id, attempt, SUCCESSFUL, made)
         if out != there:
             shutil.rmtree(out.parent, ignore_errors=True)
         return "successful"
+
+    def _as_its_owner_calls_it(self, job: dict, said: str) -> str:
+        """With the owner's name of the scan in place of where it lies here."""
+        scan = self.store.scan(job["scan"], job["owner"])
+        return said if scan is None else said.replace(str(scan_path(self.settings, scan)), scan["file"])
 
     def _kept(self, out: Path, there: Path) -> list[dict]:
         """The artifacts, in their place."""
