@@ -36,6 +36,7 @@ from services.flow.prepare import Prepared, prepare
 from services.flow.run import Run
 from services.flow.textures import Coded
 from storage.packed.packed import SUFFIX, PackedFile
+from storage.packed.schema import BOXES
 from storage.work import arrays
 
 
@@ -116,7 +117,7 @@ def finish(
     """Previews and report of a packed file just made."""
     coded = textured.coded
     record = RunRecord(
-        scan=_scan_record(prepared),
+        scan=_scan_record(prepared, settings),
         quality=_quality(prepared, textured),
         learning=msgspec.convert(strict(coded.learning if coded else []), tuple[LearningPass, ...]),
         numerics=_numerics(prepared, coded),
@@ -151,7 +152,7 @@ def _estimate(run: Run, path: Path, textured: Texture, settings: Settings) -> di
     )
 
 
-def _scan_record(prepared: Prepared) -> ScanKnown:
+def _scan_record(prepared: Prepared, settings: Settings) -> ScanKnown:
     scan = prepared.scan.summary
     warnings = list(scan.warnings)
     n_bad, n_splats = prepared.neighbours.summary.n_degenerate, prepared.splats.summary.n_splats
@@ -167,6 +168,10 @@ def _scan_record(prepared: Prepared) -> ScanKnown:
     n_blind = prepared.splats.summary.n_without_camera
     if scan.cameras and n_blind:
         warnings.append(f"{n_blind:,} of {n_splats:,} splats are seen by no camera and have the scan's colour")
+    if prepared.runs is not None and settings.levels:
+        warnings.append(f"levels {settings.levels} is not used: runs have no coarser levels")
+    if prepared.runs is None and scan.volume is None and settings.cell is not None and settings.geometry == BOXES:
+        warnings.append(f"cell {settings.cell:g} is not used: boxes of a scan have no cells")
     return ScanKnown(
         unit=scan.unit,
         n_points=scan.n_read,

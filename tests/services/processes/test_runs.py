@@ -114,7 +114,8 @@ def test_runs__auto_takes_what_is_smaller_at_the_asked_error(ball_of_points, tmp
     assert "cells of 0.3 units" in page and "Where runs of cells begin" in page and "Positions (24 bits)" not in page
     told, scene = compressed(ball_of_points[0], tmp_path / "fine", geometry="auto", cell=0.0001)
     assert scene.header.runs is None and not told["effects"][0]["enabled"] and told["effects"][0]["measure"] >= 1
-    told, scene = compressed(ball_of_points[0], tmp_path / "none", geometry="auto")
+    told, scene = compressed(bare, tmp_path / "none", geometry="boxes", cell=0.3)
+    assert "cell 0.3 is not used: boxes of a scan have no cells" in told["warnings"]
     assert scene.header.runs is None and told["runs"] is None and told["effects"][0]["effect"] != "geometry_runs"
 
 
@@ -135,7 +136,8 @@ def test_runs__of_a_volume_are_the_cells_of_its_own_grid(tmp_path):
 
 def test_runs__of_all_points_in_one_place_or_too_many_cells_say_so(tmp_path, ball_of_points):
     write_points(tmp_path / "one.ply", np.ones((50, 3)), np.tile([0.0, 0, 1], (50, 1)), None)
-    told, scene = compressed(tmp_path / "one.ply", tmp_path / "one", geometry="runs", radius=1.0)
+    told, scene = compressed(tmp_path / "one.ply", tmp_path / "one", geometry="runs", radius=1.0, levels=2)
+    assert "levels 2 is not used: runs have no coarser levels" in told["warnings"]
     assert told["runs"]["cells"] == 1 and scene.header.n_splats == 1
     with pytest.raises(SplatpressError, match="cells along an axis"):
         compressed(ball_of_points[0], tmp_path / "fine", geometry="runs", cell=1e-7)

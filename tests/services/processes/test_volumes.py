@@ -68,12 +68,12 @@ def test_compress__a_volume_becomes_the_surfaces_asked_for_in_the_frame_of_the_f
 
 
 def test_compress__of_a_volume_makes_the_same_bytes_on_dask(volume, tmp_path):
+    """As runs, which splats in boxes are made for first."""
+    made(volume, tmp_path / "serial", iso="50", geometry="runs")
     with DaskExecutor(2) as executor:
-        for geometry in ("boxes", "runs"):
-            for name, runs_tasks in (("serial", SerialExecutor()), ("dask", executor)):
-                made(volume, tmp_path / geometry / name, runs_tasks, iso="50", geometry=geometry)
-            serial, dask = ((tmp_path / geometry / name / "ball.splatpress") for name in ("serial", "dask"))
-            assert serial.read_bytes() == dask.read_bytes()
+        made(volume, tmp_path / "dask", executor, iso="50", geometry="runs")
+    serial, dask = (tmp_path / name / "ball.splatpress" for name in ("serial", "dask"))
+    assert serial.read_bytes() == dask.read_bytes()
 
 
 def test_compress__takes_the_value_that_the_volume_proposes_and_says_so(tmp_path):
