@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import traceback
 
 from fastapi import FastAPI, Request
@@ -33,6 +34,7 @@ from services.problems import RESOURCE, Problem, is_of_database, mistake
 from services.settings import ServiceSettings
 from services.store.store import Store
 from services.store.tokens import note_action
+from storage.place.objects import OBJECT_STORE
 from storage.version import VERSION
 
 PROBLEM_JSON = "application/problem+json"
@@ -86,6 +88,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     app.add_exception_handler(HTTPException, _http)  # type: ignore[arg-type]
     for away in (OperationalError, InterfaceError):
         app.add_exception_handler(away, _database)
+    app.add_exception_handler(OSError, _objects)  # type: ignore[arg-type]
     app.add_exception_handler(Exception, _mistake)
     app.add_middleware(
         BodyGuard,
@@ -166,6 +169,14 @@ async def _database(_: Request, error: Exception) -> JSONResponse:
             headers={"Retry-After": "5"},
         )
     )
+
+
+async def _objects(request: Request, error: OSError) -> JSONResponse:
+    if not (error.strerror or "").startswith(OBJECT_STORE):
+        return await _mistake(request, error)
+    print(f"splatpress: {error}", file=sys.stderr, flush=True)
+    detail = "the object store does not answer, has no such bucket, or refuses the service's keys"
+    return _answer(Problem(503, "objects-away", detail, kind=RESOURCE, retryable=True, headers={"Retry-After": "5"}))
 
 
 async def _mistake(request: Request, error: Exception) -> JSONResponse:

@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 
 SCHEME = "s3:"
 OF_THIS_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # not of the server: trying again helps nothing
+OBJECT_STORE = "the object store"  # how errors of one begin
 TRIES, FIRST_WAIT_S, LONGEST_WAIT_S = 10, 0.05, 5.0  # 503 and cut connections: 20 s in all
 T = TypeVar("T")
 
@@ -99,7 +100,7 @@ def blocks(path: Path) -> Iterator[bytes]:
     try:
         yield from map(bytes, found)
     except Exception as error:
-        raise OSError(errno.EIO, f"the object store: {str(error).splitlines()[0][:300]}", str(path)) from error
+        raise OSError(errno.EIO, f"{OBJECT_STORE}: {str(error).splitlines()[0][:300]}", str(path)) from error
 
 
 def head(path: Path) -> Found | None:
@@ -185,10 +186,12 @@ def worth_another(error: Exception, was_last: bool, what: str) -> bool:
         UnauthenticatedError,
     )
 
+    if isinstance(error, FileNotFoundError) and "NoSuchBucket" in str(error):
+        raise OSError(errno.EIO, f"{OBJECT_STORE}: the bucket is not there", what) from error
     if isinstance(error, (AlreadyExistsError, PreconditionError, FileNotFoundError)):
         return False
     if not isinstance(error, (BaseError, OSError)) or getattr(error, "errno", None) in OF_THIS_DISK:
         return False
     if was_last or isinstance(error, (NotSupportedError, PermissionDeniedError, UnauthenticatedError)):
-        raise OSError(errno.EIO, f"the object store: {str(error).splitlines()[0][:300]}", what) from error
+        raise OSError(errno.EIO, f"{OBJECT_STORE}: {str(error).splitlines()[0][:300]}", what) from error
     return True
