@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
 from pipeline.planning.settings import Settings
+from pipeline.stages.maps.map_pictures import PicturesMade
 from pipeline.stages.maps.resample_maps import ResampleMaps
 from pipeline.stages.texture.prices import price_for
 from pipeline.stages.texture.resample import Resample
@@ -64,23 +65,34 @@ def texture(run: Run, prepared: Prepared, settings: Settings) -> Texture:
     """The texture that the settings ask for; `auto`, of a scan with station maps, that of fewer bytes at the target's PSNR."""
     if not wants_texture(prepared, settings.texture):
         return Texture()
+    pictures, choice = chosen_maps(run, prepared, settings)
+    if pictures is None:
+        return Texture(code(run, prepared, settings), choice=choice)
+    return Texture(mapped=mapped_by(run, prepared, pictures), choice=choice)
+
+
+def chosen_maps(run: Run, prepared: Prepared, settings: Settings) -> tuple[StageRecord[PicturesMade] | None, str]:
+    """The pictures of station maps where these themselves are the texture, None where atoms are, and why."""
     if prepared.maps is None or settings.texture == "atoms":
-        return Texture(code(run, prepared, settings))
+        return None, ""
     if settings.texture == "auto" and settings.budget_bytes is not None:
-        return Texture(
-            code(run, prepared, settings), choice="atoms: a budget of bytes a splat has no room for pictures"
-        )
+        return None, "atoms: a budget of bytes a splat has no room for pictures"
     maps, target = prepared.maps, settings.target_psnr_db
     pictures = map_pictures(run, maps, target)
     n_splats, psnr = prepared.splats.summary.n_splats, pictures.summary.texture_psnr_db or 0.0
     sizes = pictures.summary.color_bytes + pictures.summary.depth_bytes, ATOM_BYTES_A_SPLAT * n_splats
     words = f"maps take about {sizes[0] / 1e3:,.0f} kB at {psnr:.1f} dB, atoms about {sizes[1] / 1e3:,.0f} kB at {target:g} dB"
     if settings.texture == "auto" and (sizes[1] <= sizes[0] or psnr < target or len(maps.log_gain) > MOST_MAPS):
-        return Texture(code(run, prepared, settings), choice=f"atoms: {words}")
+        return None, f"atoms: {words}"
+    return pictures, f"map: {words}" + ("" if settings.texture == "auto" else "; asked for")
+
+
+def mapped_by(run: Run, prepared: Prepared, pictures: StageRecord[PicturesMade]) -> Mapped:
+    """The splats, which have maps, with these as their texture."""
+    assert prepared.maps is not None
     directions = directions_of(prepared.scan.summary.cameras)
     partition, splats = prepared.partition.folder, prepared.splats.folder
-    mapped = map_textures(run, maps, pictures, partition, splats, prepared.radius, directions)
-    return Texture(mapped=mapped, choice=f"map: {words}" + ("" if settings.texture == "auto" else "; asked for"))
+    return map_textures(run, prepared.maps, pictures, partition, splats, prepared.radius, directions)
 
 
 def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:

@@ -28,8 +28,9 @@ from pipeline.stages.texture.strata import shares
 from pipeline.stages.texture.training import TrainingSet, membership
 from pipeline.summaries import AverageColors
 from renderer.report.report import sizes_of
-from services.flow.code import code_prepared, resample
+from services.flow.code import chosen_maps, code_prepared, mapped_by, resample
 from services.flow.estimate_cache import keep_estimate
+from services.flow.maps import Mapped
 from services.flow.pack import pack
 from services.flow.points.runs import geometry_request
 from services.flow.points.volumes import surface_request
@@ -61,6 +62,7 @@ class _Pilot:
     stages: list[tuple[Stage, StageRecord]]
     full: list[StageRecord]  # stages with all splats
     n_workers: int
+    mapped: Mapped | None = None
 
     @property
     def n_splats(self) -> int:
@@ -127,13 +129,18 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
     pilot = Run(scratch / "pilot", run.executor, run.progress, step=noted)
     pilot.work.mkdir(parents=True, exist_ok=True)
     sampled = _sampled(pilot, prepared)
-    coded, own = None, settings
-    if wants_texture(prepared, settings.texture):
+    coded, mapped, own = None, None, settings
+    pictures = None
+    if textured := wants_texture(prepared, settings.texture):
+        pictures, _ = chosen_maps(run, prepared, settings)  # of all points, whatever the sample
+    if pictures:
+        mapped = mapped_by(pilot, sampled, pictures)
+    elif textured:
         patches = resample(pilot, sampled)
         own = _affordable(settings, patches, prepared)
         coded = code_prepared(pilot, sampled, patches, own, prepared.splats.summary.n_splats)
     path = scratch / f"pilot{SUFFIX}"
-    pack(pilot, sampled, coded, own, "pilot", path)
+    pack(pilot, sampled, coded, own, "pilot", path, mapped)
     with PackedFile(path) as packed:
         sizes = sizes_of(packed.load(), path.stat().st_size)
     stages = [(stage, record) for stage, record in ran.values() if stage.name != Sampled.name]
@@ -146,6 +153,7 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
         stages,
         list(run.records),
         run.executor.n_workers,
+        mapped,
     )
 
 
@@ -337,10 +345,14 @@ def _sizes(pilot: _Pilot, learning: dict, taken: float) -> dict:
         learning["n_atoms"] / learning["n_atoms_pilot"] if learning else 1
     )
     sizes["codes"] *= taken
+    if pilot.mapped:  # pictures are as large whatever the sample; a byte a splat names its own
+        sizes["maps"] = pilot.sizes["maps_bytes"] + pilot.n_splats - pilot.n_sample
     return {f"{name}_bytes": int(n) for name, n in sizes.items()} | {"gpu_bytes": int(sum(sizes.values()))}
 
 
 def _psnr_db(pilot: _Pilot, loss: float) -> float | None:
+    if pilot.mapped:
+        return pilot.mapped.texture_psnr_db
     found = pilot.coded.codes.summary.texture_psnr_db if pilot.coded else None
     return None if found is None or not loss else found - 10 * math.log10(loss)
 

@@ -18,6 +18,7 @@ from renderer.evaluate.compare import psnr_of_error
 from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
 from services.flow.map_pictures import map_scan
+from services.processes import estimate as pilot
 from services.processes.compress import compress
 from storage.errors import InvalidScan
 from storage.packed.packed import PackedFile
@@ -133,11 +134,23 @@ def test_maps__stations_are_brought_to_one_light(made):
 
 
 def test_maps__bytes_do_not_depend_on_the_executor(made):
-    for settings in (SETTINGS, replace(SETTINGS, texture="map")):
-        _, path, _ = made(settings)
-        with DaskExecutor(2) as executor:
+    with DaskExecutor(2) as executor:
+        for settings, name in ((SETTINGS, ""), (THINNER, "thinner")):
+            _, path, _ = made(settings, name=name)
             _, other, _ = made(settings, executor, "dask")
-        assert path.read_bytes() == other.read_bytes()
+            assert path.read_bytes() == other.read_bytes()
+
+
+def test_maps__an_estimate_tells_what_the_file_with_maps_has(scan, made, monkeypatch):
+    """Pictures are as large whatever the sample; atoms would be told as a hundredth of these bytes."""
+    report, _, folder = made(THINNER, name="thinner")
+    monkeypatch.setattr(pilot, "SAMPLE", 500)
+    found = pilot.estimate(scan, THINNER, SerialExecutor(), Heard(), folder)
+    assert found["sample"]["n_splats"] < found["splats"] / 2
+    assert found["gpu_bytes"]["value"] == pytest.approx(report["sizes"]["gpu_bytes"], rel=0.01)
+    assert found["sizes"]["maps_bytes"] == report["sizes"]["maps_bytes"]
+    assert found["texture_psnr_db"]["value"] == pytest.approx(report["quality"]["texture_psnr_db"], abs=1e-9)
+    assert {"map-pictures", "mapped-splats"} <= {row["name"] for row in found["stages"]}
 
 
 def test_maps__atoms_of_a_scan_without_stations_are_an_error_that_says_what_to_do(tmp_path):
