@@ -16,7 +16,6 @@ from pipeline.planning.settings import Settings
 from pipeline.stages.texture.patch_sample import PatchSample
 from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluate.held_out import HeldOut, compare_held_out
-from renderer.report.evaluation_page import write_evaluation
 from services.flow.code import code, resample
 from services.flow.outputs import put_in_place
 from services.flow.pack import pack
@@ -116,7 +115,7 @@ def _measure(
 
     def attempt(name: str, step: Callable, *arguments) -> None:
         _attempt(e, name, step, *arguments)
-        write_evaluation(out, document_of(e, wanted))
+        _write(out, document_of(e, wanted))
 
     attempt("lod0", photo_row, e, "lod0", *PHOTO_ROWS["lod0"])
     for key in (key for key in CODED_ROWS if key in wanted):
@@ -132,14 +131,14 @@ def _measure(
         attempt("close-ups and passes", _pictures, e, out)
     if held_out:
         attempt("photographs held out", _held_out, e, out, hold_out, held_out)
-    write_evaluation(out, document := document_of(e, wanted) | {"complete": True})
+    _write(out, document := document_of(e, wanted) | {"complete": True})
     return document
 
 
 def _begin(made: Path, out: Path, document: dict) -> None:
     """`out` with the first row; an older `out` goes only now."""
     made.mkdir()
-    write_evaluation(made, document)
+    _write(made, document)
     put_in_place(made, out)
 
 
@@ -182,6 +181,13 @@ def _figure_9(e: Evaluation) -> None:
         "targets_db": list(FIGURE_9_TARGETS_DB),
         "histograms": shares,
     }
+
+
+def _write(out: Path, document: dict) -> None:
+    """evaluate.json and its page in `out`; `document` as `document_of` gives it."""
+    from renderer.report.evaluation_page import write_evaluation  # bokeh takes half a second to import
+
+    write_evaluation(out, document)
 
 
 def _variants(e: Evaluation) -> list[Variant]:

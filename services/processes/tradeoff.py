@@ -17,7 +17,6 @@ from pipeline.planning.settings import PRESETS, Settings
 from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluate.compare import not_measured
 from renderer.report.report import sizes_of
-from renderer.report.tradeoff_page import summarised, write_tradeoff
 from services.flow.code import code_prepared, resample
 from services.flow.outputs import placed_whole
 from services.flow.pack import pack
@@ -155,6 +154,8 @@ def measure_ladder(
         last = point.pop("_own_seconds")
     run.round(len(steps), len(steps) + 1)
     pictures = _pictures(run, points, photos, out) if render else []
+    from renderer.report.tradeoff_page import summarised, write_tradeoff  # bokeh takes half a second to import
+
     document = summarised(
         {
             "scan": {"name": name or scan.resolve().name, "n_cameras": points[0]["n_cameras"]},
