@@ -16,7 +16,7 @@ from services.jobs.documents import artifact_document
 from services.jobs.workflow import job_folder
 from services.problems import Problem
 from services.store.exports import export_name, packed_artifact, want_export
-from services.store.store import LIVE
+from services.store.rows import LIVE, JobRow
 from services.uploads.scans import safe_name
 from storage import place
 
@@ -42,16 +42,16 @@ def get_artifacts(
     """Of a failed or dismissed job, those that it had made by then. With `format` that one alone, made by a worker
     where it is not there yet: 202 until it is, then it is kept as an artifact."""
     if format is None:
-        return {"artifacts": [artifact_document(a, job, settings) for a in store.artifacts(job["id"])]}
-    packed = packed_artifact(store, job["id"])
+        return {"artifacts": [artifact_document(a, job, settings) for a in store.artifacts(job.id)]}
+    packed = packed_artifact(store, job.id)
     if packed is None:
         raise _absent(job, "packed file", " to make it of")
-    found = store.artifact(job["id"], export_name(packed, format))
+    found = store.artifact(job.id, export_name(packed, format))
     if found is not None:
         return {"artifacts": [artifact_document(found, job, settings)]}
-    if job["status"] in LIVE:
+    if job.status in LIVE:
         raise _absent(job, format)
-    problem = want_export(store, job["id"], format)
+    problem = want_export(store, job.id, format)
     if problem is not None:
         raise Problem(
             problem["status"], "export-failed", problem["detail"], kind=problem["class"], retryable=problem["retryable"]
@@ -68,13 +68,13 @@ def get_artifacts(
 )
 def get_archive(job: Job, settings: Settings, store: Database) -> StreamingResponse:
     """Everything that a job made, in one file."""
-    rows = store.artifacts(job["id"])
+    rows = store.artifacts(job.id)
     if not rows:
         raise _absent(job, "artifact")
-    folder = job_folder(settings, job["id"])
-    name = safe_name(job["name"] + ".zip")
+    folder = job_folder(settings, job.id)
+    name = safe_name(job.name + ".zip")
     headers = {"content-disposition": f"attachment; filename*=UTF-8''{quote(name)}"}
-    files = [(row["name"], folder / row["path"]) for row in rows]
+    files = [(row.name, folder / row.path) for row in rows]
     return StreamingResponse(zipped(files), media_type="application/zip", headers=headers)
 
 
@@ -89,14 +89,14 @@ _FILE = {
 @router.get("/jobs/{id}/artifacts/{name:path}", response_class=FileResponse, responses=_FILE)  # type: ignore[arg-type]
 def get_artifact(job: Job, name: str, settings: Settings, store: Database, request: Request) -> Response:
     """An artifact of a job, whole or in ranges; 304 where the caller has it already."""
-    artifact = store.artifact(job["id"], name) if len(name) <= 300 and name.isprintable() else None
+    artifact = store.artifact(job.id, name) if len(name) <= 300 and name.isprintable() else None
     if artifact is None:
         raise _absent(job, repr(name))
-    headers = {"etag": f'"{artifact["sha256"]}"', "cache-control": "private, max-age=0, must-revalidate"}
+    headers = {"etag": f'"{artifact.sha256}"', "cache-control": "private, max-age=0, must-revalidate"}
     if is_known(request, headers["etag"]):
         return Response(status_code=304, headers=headers)
     try:
-        path = place.here(job_folder(settings, job["id"]) / artifact["path"])
+        path = place.here(job_folder(settings, job.id) / artifact.path)
     except FileNotFoundError:
         path = Path()
     if not path.is_file():
@@ -112,11 +112,11 @@ def is_known(request: Request, etag: str) -> bool:
     return etag in named or "*" in named
 
 
-def _absent(job: dict, what: str, tail: str = "") -> Problem:
-    early = job["status"] in LIVE
+def _absent(job: JobRow, what: str, tail: str = "") -> Problem:
+    early = job.status in LIVE
     return Problem(
         404,
         "result-not-ready" if early else "no-such-artifact",
-        f"job {job['id']} has no {what}{tail}" + (f" yet: it is {job['status']}" if early else ""),
+        f"job {job.id} has no {what}{tail}" + (f" yet: it is {job.status}" if early else ""),
         retryable=early,
     )

@@ -10,6 +10,7 @@ from starlette.requests import HTTPConnection
 
 from services.problems import Problem
 from services.settings import LOOPBACK, ServiceSettings
+from services.store.rows import JobRow
 from services.store.store import Store
 
 LOCAL_OWNER = "local"
@@ -81,7 +82,7 @@ Hash = Annotated[str, Path(pattern="^[0-9a-f]{64}$")]
 JobID = Annotated[str, Path(pattern="^[0-9a-f]{32}$")]
 
 
-def job_of(id: JobID, owner: Owner, store: Database) -> dict:
+def job_of(id: JobID, owner: Owner, store: Database) -> JobRow:
     """A job of one's own; another's is as unknown as none."""
     job = store.job(id, owner)
     if job is None:
@@ -89,4 +90,4 @@ def job_of(id: JobID, owner: Owner, store: Database) -> dict:
     return job
 
 
-Job = Annotated[dict, Depends(job_of)]
+Job = Annotated[JobRow, Depends(job_of)]

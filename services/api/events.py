@@ -14,7 +14,8 @@ from fastapi.responses import StreamingResponse
 
 from services.api.context import Database, Job
 from services.jobs.documents import timestamp
-from services.store.store import LIVE, Store
+from services.store.rows import LIVE
+from services.store.store import Store
 
 router = APIRouter(tags=["jobs"])
 POLL_S = 0.5
@@ -33,7 +34,7 @@ async def get_events(
     last_event_id: Annotated[str | None, Header(pattern="^[0-9]{1,9}$")] = None,
 ) -> StreamingResponse:
     """status, progress, learning and log events; ends after the event that says how the job ended."""
-    stream = _events(job["id"], int(last_event_id or 0), store, request)
+    stream = _events(job.id, int(last_event_id or 0), store, request)
     return StreamingResponse(
         stream, media_type="text/event-stream", headers={"cache-control": "no-store", "x-accel-buffering": "no"}
     )
@@ -45,10 +46,10 @@ async def _events(job: str, after: int, store: Store, request: Request) -> Async
         row = await run_in_threadpool(store.job, job)  # read before the events: none can come after its end
         rows = await run_in_threadpool(store.events, job, after)
         for event in rows:
-            after = event["id"]
-            data = json.dumps({"time": timestamp(event["time"]), **event["data"]})
-            yield f"id: {after}\nevent: {event['kind']}\ndata: {data}\n\n"
-        if not rows and (row is None or row["status"] not in LIVE):
+            after = event.id
+            data = json.dumps({"time": timestamp(event.time), **event.data})
+            yield f"id: {after}\nevent: {event.kind}\ndata: {data}\n\n"
+        if not rows and (row is None or row.status not in LIVE):
             return
         quiet = 0.0 if rows else quiet + POLL_S
         if quiet >= KEEP_ALIVE_S:

@@ -49,7 +49,7 @@ def get_metrics(owner: Owner, settings: Settings, store: Database) -> PlainTextR
     figures = store.figures()
     lines = [
         "# TYPE splatpress_jobs gauge",
-        *(f'splatpress_jobs{{status="{s}"}} {n}' for s, n in figures["jobs"].items()),
+        *(f'splatpress_jobs{{status="{s}"}} {n}' for s, n in figures.jobs.items()),
     ]
     for name, key in (
         ("stage_seconds_total", "seconds"),
@@ -57,11 +57,11 @@ def get_metrics(owner: Owner, settings: Settings, store: Database) -> PlainTextR
         ("stage_splats_total", "splats"),
     ):
         lines.append(f"# TYPE splatpress_{name} counter")
-        lines += [f'splatpress_{name}{{stage="{row["stage"]}"}} {row[key]}' for row in figures["stages"]]
-    coded = sum(row["splats"] for row in figures["stages"] if row["stage"] == "encode")
+        lines += [f'splatpress_{name}{{stage="{row.stage}"}} {getattr(row, key)}' for row in figures.stages]
+    coded = sum(row.splats for row in figures.stages if row.stage == "encode")
     lines += ["# TYPE splatpress_splats_coded_total counter", f"splatpress_splats_coded_total {coded}"]
-    for kind in ("scan", "artifact"):
-        lines += [f"# TYPE splatpress_{kind}_bytes gauge", f"splatpress_{kind}_bytes {figures[f'{kind}_bytes']}"]
+    for kind, n_bytes in (("scan", figures.scan_bytes), ("artifact", figures.artifact_bytes)):
+        lines += [f"# TYPE splatpress_{kind}_bytes gauge", f"splatpress_{kind}_bytes {n_bytes}"]
     lines += [
         "# TYPE splatpress_disk_free_bytes gauge",
         f"splatpress_disk_free_bytes {shutil.disk_usage(settings.data).free}",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal, Union
 
@@ -17,8 +18,9 @@ from services.jobs.documents import job_document, timestamp
 from services.jobs.webhooks import RefusedAddress, check_url
 from services.jobs.workflow import dismissal_token, job_folder
 from services.problems import RESOURCE, Problem
-from services.processes.kinds import BUDGET_S, COMPRESS, PROCESSES, stored
-from services.store.store import DISMISSED, FAILED, LEVELS, LIVE, STATES, SUCCESSFUL, KeyReused, TooManyJobs
+from services.processes.kinds import BUDGET_S, COMPRESS, PROCESSES, TRADEOFF, check_knobs
+from services.store.rows import DISMISSED, FAILED, LEVELS, LIVE, STATES, SUCCESSFUL, NewJob
+from services.store.store import KeyReused, TooManyJobs
 from storage import place
 
 router = APIRouter(tags=["jobs"])
@@ -76,15 +78,19 @@ def post_job(
         raise Problem(
             422, "no-such-scan", f"no scan {request.scan}", hint="upload it first; its id is the answer's `id`"
         )
-    row = {
-        "owner": owner,
-        "scan": scan["id"],
-        "name": request.name or Path(scan["file"]).stem,
-        "settings": _settings(request),
-        "webhook": _webhook(request, settings),
-        "request_key": idempotency_key,
-        "request_hash": _hash(request),
-    }
+    tradeoff = request.process == TRADEOFF
+    row = NewJob(
+        owner=owner,
+        scan=scan.id,
+        name=request.name or Path(scan.file).stem,
+        settings=_settings(request),
+        process=request.process,
+        knobs=request.knobs,
+        budget_s=request.budget_s if tradeoff else None,
+        webhook=_webhook(request, settings),
+        request_key=idempotency_key,
+        request_hash=_hash(request),
+    )
     try:
         job, new = store.add_job(row, settings.max_jobs_in_flight)
     except KeyReused:
@@ -98,7 +104,7 @@ def post_job(
             retryable=True,
             headers={"Retry-After": "60"},
         ) from None
-    response.headers["Location"] = f"/v1/jobs/{job['id']}"
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
     if not new:
         response.headers["Idempotent-Replayed"] = "true"
     return job_document(job, settings)
@@ -107,7 +113,8 @@ def post_job(
 def _settings(request: JobRequest) -> dict:
     try:
         settings = settings_for(request.preset, **request.options.model_dump(), seed=request.seed)  # type: ignore[attr-defined]
-        return stored(settings, request.process, request.knobs, request.budget_s)
+        check_knobs(request.process, request.knobs)
+        return asdict(settings)
     except ValueError as error:
         raise Problem(422, "invalid-option", str(error)) from None
 
@@ -154,33 +161,31 @@ def get_job(job: Job, settings: Settings) -> dict:
 @router.patch("/jobs/{id}")
 def patch_job(job: Job, change: JobChange, settings: Settings, store: Database) -> dict:
     """Pin a job, and its artifacts do not expire; or give it another name."""
-    store.change_job(job["id"], **change.model_dump(exclude_none=True))
-    return job_document(store.job(job["id"]), settings)
+    store.change_job(job.id, **change.model_dump(exclude_none=True))
+    return job_document(store.job(job.id), settings)
 
 
 @router.delete("/jobs/{id}")
 def delete_job(job: Job, settings: Settings, store: Database) -> dict:
     """Dismiss a job: one that runs stops, and what it made so far stays until it expires; one that has ended loses its
     artifacts, unless it is pinned (409). Again: 410."""
-    if job["pinned"] and job["status"] in (SUCCESSFUL, FAILED):
-        raise Problem(409, "pinned", f"job {job['id']} is pinned", hint="unpin it first")
-    was = store.dismiss(job["id"])
+    if job.pinned and job.status in (SUCCESSFUL, FAILED):
+        raise Problem(409, "pinned", f"job {job.id} is pinned", hint="unpin it first")
+    was = store.dismiss(job.id)
     if was is None:
-        raise Problem(410, "dismissed", f"job {job['id']} was dismissed before")
+        raise Problem(410, "dismissed", f"job {job.id} was dismissed before")
     if was not in LIVE:
-        place.remove_folder(job_folder(settings, job["id"]))
-    place.touch(dismissal_token(settings, job["id"], job["attempt"]))
-    return job_document(store.job(job["id"]), settings)
+        place.remove_folder(job_folder(settings, job.id))
+    place.touch(dismissal_token(settings, job.id, job.attempt))
+    return job_document(store.job(job.id), settings)
 
 
 @router.post("/jobs/{id}/retry", status_code=202)
 def post_retry(job: Job, settings: Settings, store: Database) -> dict:
     """Go on from the stage that failed or was dismissed; log and creation date stay."""
-    if not store.retry(job["id"]):
-        raise Problem(
-            409, "not-ended", f"job {job['id']} is {store.job(job['id'])['status']}; allowed: failed, {DISMISSED}"
-        )
-    return job_document(store.job(job["id"]), settings)
+    if not store.retry(job.id):
+        raise Problem(409, "not-ended", f"job {job.id} is {store.job(job.id).status}; allowed: failed, {DISMISSED}")
+    return job_document(store.job(job.id), settings)
 
 
 @router.get("/jobs/{id}/logs")
@@ -192,10 +197,10 @@ def get_logs(
     limit: Annotated[int, Query(ge=1, le=1000)] = 200,
 ) -> dict:
     """Lines of `level` and above, oldest first."""
-    rows = store.logs(job["id"], offset, limit, level)
+    rows = store.logs(job.id, offset, limit, level)
     return {
         "logs": [
-            {"id": row["id"], "time": timestamp(row["time"]), "level": row["level"], "message": row["data"]["message"]}
+            {"id": row.id, "time": timestamp(row.time), "level": row.level, "message": row.data["message"]}
             for row in rows
         ],
         "next_offset": offset + len(rows),

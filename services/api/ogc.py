@@ -18,7 +18,7 @@ from services.api.context import Database, Job, Owner, Settings
 from services.api.jobs import IdempotencyKey, JobRequest, post_job
 from services.problems import Problem
 from services.processes.kinds import COMPRESS, PROCESSES, TRADEOFF
-from services.store.store import LIVE, SUCCESSFUL
+from services.store.rows import LIVE, SUCCESSFUL
 from storage.version import VERSION
 
 router = APIRouter(tags=["processes"])
@@ -156,14 +156,14 @@ def post_execution(
 @router.get("/jobs/{id}/results")
 def get_results(job: Job, store: Database) -> dict:
     """References to all that a job made, by name; 404 while it is under way, and where it failed what failed."""
-    if job["status"] in LIVE:
-        raise Problem(404, "result-not-ready", f"job {job['id']} is {job['status']}", retryable=True)
-    if job["status"] != SUCCESSFUL:
-        problem = job["problem"] or {"detail": f"job {job['id']} was dismissed", "class": "data", "status": 410}
-        raise Problem(problem["status"], "job-" + job["status"], problem["detail"], kind=problem["class"])
-    rows = store.artifacts(job["id"])
-    base = f"/v1/jobs/{job['id']}/artifacts/"
-    return {row["name"]: {"href": base + row["name"], "type": _kind(row["name"])} for row in rows}
+    if job.status in LIVE:
+        raise Problem(404, "result-not-ready", f"job {job.id} is {job.status}", retryable=True)
+    if job.status != SUCCESSFUL:
+        problem = job.problem or {"detail": f"job {job.id} was dismissed", "class": "data", "status": 410}
+        raise Problem(problem["status"], "job-" + job.status, problem["detail"], kind=problem["class"])
+    rows = store.artifacts(job.id)
+    base = f"/v1/jobs/{job.id}/artifacts/"
+    return {row.name: {"href": base + row.name, "type": _kind(row.name)} for row in rows}
 
 
 def _kind(name: str) -> str:

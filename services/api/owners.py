@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Response
@@ -10,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from services.api.context import Database, Owner
 from services.jobs.documents import timestamp
 from services.problems import Problem
+from services.store.rows import TokenRow
 from services.store.tokens import ID_LENGTH, actions_of, add_token, revoke_token, tokens_of
 
 router = APIRouter(tags=["owners"])
@@ -25,10 +27,10 @@ class TokenRequest(BaseModel):
     days: float | None = Field(None, gt=0, le=3650, description="how long it is good; for ever where it is left out")
 
 
-def token_document(row: dict) -> dict:
+def token_document(row: TokenRow) -> dict:
     """A token as the API shows it: never itself, but by its id."""
-    times = {name: timestamp(row[name]) for name in ("created", "expires", "used")}
-    return {"id": row["hash"][:ID_LENGTH], "label": row["label"], **times}
+    times = {name: timestamp(getattr(row, name)) for name in ("created", "expires", "used")}
+    return {"id": row.hash[:ID_LENGTH], "label": row.label, **times}
 
 
 @router.get("/tokens")
@@ -65,5 +67,7 @@ def get_audit(
     """What was changed in your name, newest first; `before` takes the last id of the page before."""
     rows = actions_of(store, owner, limit, before)
     return {
-        "actions": [{**{k: v for k, v in row.items() if k != "owner"}, "time": timestamp(row["time"])} for row in rows]
+        "actions": [
+            {**{k: v for k, v in asdict(row).items() if k != "owner"}, "time": timestamp(row.time)} for row in rows
+        ]
     }

@@ -13,6 +13,7 @@ from pipeline.stages.points.measure_effects import known_rows
 from services.api.context import Database, Hash, Owner, Settings
 from services.jobs.documents import scan_document
 from services.problems import Problem
+from services.store.rows import ScanRow
 from services.uploads.by_url import fetch_scan
 from services.uploads.scans import (
     BLOCK_BYTES,
@@ -33,7 +34,7 @@ async def post_scan(
     """Take in a scan of one file. 201 if it is new to you, 200 if you have brought its content before."""
     scan, new = await run_in_threadpool(_take_in, file, owner, settings, store)
     response.status_code = 201 if new else 200
-    response.headers["Location"] = f"/v1/scans/{scan['id']}"
+    response.headers["Location"] = f"/v1/scans/{scan.id}"
     return scan_document(scan, settings)
 
 
@@ -59,7 +60,7 @@ def post_scan_by_url(
     return scan_document(store.scan(id, owner), settings)
 
 
-def _take_in(file: UploadFile, owner: str, settings, store) -> tuple[dict, bool]:
+def _take_in(file: UploadFile, owner: str, settings, store) -> tuple[ScanRow, bool]:
     folder = incoming_folder(settings)
     try:
         path = folder / safe_name(file.filename or "")

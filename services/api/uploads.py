@@ -16,6 +16,7 @@ from services.api.context import Database, JobID, Owner, Settings
 from services.jobs.documents import upload_document
 from services.problems import Problem
 from services.settings import ServiceSettings
+from services.store.rows import UploadRow
 from services.store.store import Store
 from services.uploads import tus
 from services.uploads.room import upload_path
@@ -49,7 +50,7 @@ def get_abilities_of_one(id: JobID, settings: Settings) -> Response:
 @router.get("")
 def get_uploads(owner: Owner, settings: Settings, store: Database) -> dict:
     """Those of yours that are not whole yet."""
-    mine = [upload for upload in store.open_uploads() if upload["owner"] == owner]
+    mine = [upload for upload in store.open_uploads() if upload.owner == owner]
     return {"uploads": [upload_document(upload, offset_of(upload, settings)) for upload in mine]}
 
 
@@ -65,11 +66,11 @@ async def create(request: Request, owner: Owner, settings: Settings, store: Data
         if request.headers.get("content-type") == tus.OFFSET_TYPE:
             async with only_writer(upload_path(settings, upload).parent):
                 upload = await write(upload, request, 0, tus.checksum(request), settings, store)
-    headers = {**state(upload, settings), "Location": f"/v1/uploads/{upload['id']}"}
+    headers = {**state(upload, settings), "Location": f"/v1/uploads/{upload.id}"}
     return Response(status_code=201, headers=headers)
 
 
-def _begin(request: Request, concat: str, owner: str, settings: ServiceSettings, store: Store) -> dict:
+def _begin(request: Request, concat: str, owner: str, settings: ServiceSettings, store: Store) -> UploadRow:
     length, text = tus.length_of(request), request.headers.get("upload-metadata", "")
     _check_length(length, settings)
     file = safe_name(tus.metadata(text).get("filename", ""))
@@ -78,22 +79,20 @@ def _begin(request: Request, concat: str, owner: str, settings: ServiceSettings,
     return begin(owner, file, length, text, concat, settings, store)
 
 
-def _join(concat: str, request: Request, owner: str, settings: ServiceSettings, store: Store) -> dict:
+def _join(concat: str, request: Request, owner: str, settings: ServiceSettings, store: Store) -> UploadRow:
     """Raises Problem where a part is not the owner's, is no part, or is not whole yet."""
     text = request.headers.get("upload-metadata", "")
     file = safe_name(tus.metadata(text).get("filename", ""))
     _check_file(file)
     parts = [store.upload(id, owner) for id in tus.parts_of(concat)]
     for part, id in zip(parts, tus.parts_of(concat), strict=True):
-        if part is None or part["concat"] != tus.PART:
+        if part is None or part.concat != tus.PART:
             raise tus.refusal(400, "no-such-part", f"{id[:80]} is no partial upload")
-        if offset_of(part, settings) != part["length"]:
-            raise tus.refusal(
-                400, "part-not-whole", f"{id} has {offset_of(part, settings):,} of {part['length']:,} bytes"
-            )
-    if len({part["id"] for part in parts}) != len(parts):
+        if offset_of(part, settings) != part.length:
+            raise tus.refusal(400, "part-not-whole", f"{id} has {offset_of(part, settings):,} of {part.length:,} bytes")
+    if len({part.id for part in parts}) != len(parts):
         raise tus.refusal(400, "part-twice", "Upload-Concat names a part twice")
-    length = sum(part["length"] for part in parts)
+    length = sum(part.length for part in parts)
     _check_length(length, settings)
     return joined(begin(owner, file, length, text, concat, settings, store), parts, settings, store)
 
@@ -111,23 +110,23 @@ def _check_file(file: str) -> None:
         raise tus.refusal(problem.status, problem.slug, problem.detail) from None
 
 
-def upload_of(id: JobID, owner: Owner, settings: Settings, store: Database) -> dict:
+def upload_of(id: JobID, owner: Owner, settings: Settings, store: Database) -> UploadRow:
     """The caller's upload of that id. Raises: Problem 404 where there is none."""
     upload = store.upload(id, owner)
     if upload is None:
         raise tus.refusal(404, "no-such-upload", f"no upload {id}")
-    if upload["expires"] < time.time():
+    if upload.expires < time.time():
         raise tus.refusal(410, "expired", f"upload {id} has expired")
     return upload
 
 
-Upload = Annotated[dict, Depends(upload_of)]
+Upload = Annotated[UploadRow, Depends(upload_of)]
 
 
 @router.head("/{id}", dependencies=_versioned)
 def head(upload: Upload, settings: Settings) -> Response:
     """How far an upload is."""
-    metadata = {"Upload-Metadata": upload["metadata"]} if upload["metadata"] else {}
+    metadata = {"Upload-Metadata": upload.metadata} if upload.metadata else {}
     return Response(headers={**state(upload, settings), "Cache-Control": "no-store", **metadata})
 
 
@@ -153,7 +152,7 @@ async def patch(upload: Upload, request: Request, settings: Settings, store: Dat
         raise tus.refusal(415, "wrong-type", f"Content-Type is {found!r}; allowed: {tus.OFFSET_TYPE}")
     offset, checksum = tus.number(request, "upload-offset"), tus.checksum(request)
     async with only_writer(upload_path(settings, upload).parent):
-        upload = await run_in_threadpool(store.upload, upload["id"])  # the holder before may have ended it
+        upload = await run_in_threadpool(store.upload, upload.id)  # the holder before may have ended it
         if upload is None:
             raise tus.refusal(404, "no-such-upload", "the upload is gone")
         there = offset_of(upload, settings)

@@ -16,15 +16,12 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import sqlalchemy as sa
-
 from services.jobs.disk import make_data_folder
 from services.jobs.workflow import job_folder
 from services.settings import ServiceSettings
 from services.store.copy import copy_rows
 from services.store.migrate import newest
 from services.store.store import Store
-from services.store.tables import ARTIFACTS, SCANS
 from services.uploads.scans import scan_path
 from storage import place
 from storage.errors import InvalidPackedFile, ResourceExhausted
@@ -66,10 +63,10 @@ def back_up(settings: ServiceSettings, path: Path) -> Backup:
 
 def _files(settings: ServiceSettings, rows: Store) -> Iterator[Path]:
     yield settings.place / KEY
-    for scan in rows._all(sa.select(SCANS)):
-        yield scan_path(settings, {"id": scan["id"], "path_name": scan["file"]})
-    for artifact in rows._all(sa.select(ARTIFACTS).order_by(ARTIFACTS.c.job, ARTIFACTS.c.path)):
-        yield job_folder(settings, artifact["job"]) / artifact["path"]
+    for scan in rows.all_scans():
+        yield scan_path(settings, scan)
+    for job, path in rows.all_artifact_paths():
+        yield job_folder(settings, job) / path
 
 
 def _write(partial: Path, database: Path, rows: dict[str, int], files: list[Path], folder: Path) -> Backup:

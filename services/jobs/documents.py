@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from services.processes.kinds import process_of_job, settings_of_job
 from services.settings import ServiceSettings
-from services.store.store import LIVE
+from services.store.rows import LIVE, ArtifactRow, JobRow, ScanRow, UploadRow
 
 
 def timestamp(seconds: float | None) -> str | None:
@@ -14,37 +13,37 @@ def timestamp(seconds: float | None) -> str | None:
     return None if seconds is None else datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
 
 
-def expires(job: dict, settings: ServiceSettings) -> str | None:
+def expires(job: JobRow, settings: ServiceSettings) -> str | None:
     """None while it runs, and where it is pinned."""
-    if job["pinned"] or job["status"] in LIVE or job["finished"] is None:
+    if job.pinned or job.status in LIVE or job.finished is None:
         return None
-    return timestamp(job["finished"] + settings.retention_s)
+    return timestamp(job.finished + settings.retention_s)
 
 
-def job_document(job: dict, settings: ServiceSettings) -> dict:
+def job_document(job: JobRow, settings: ServiceSettings) -> dict:
     """OGC API - Processes, statusInfo, and what this service adds."""
     return {
-        "jobID": job["id"],
+        "jobID": job.id,
         "type": "process",
-        "processID": process_of_job(job)["name"],
-        "status": job["status"],
-        "progress": job["progress"],
-        "message": job["message"] or "",
-        "created": timestamp(job["created"]),
-        "started": timestamp(job["started"]),
-        "finished": timestamp(job["finished"]),
-        "updated": timestamp(job["updated"]),
-        "name": job["name"],
-        "scan": job["scan"],
-        "settings": settings_of_job(job),
-        "attempt": job["attempt"],
-        "stage": job["stage"],
-        "live": job["live"],
-        "problem": job["problem"],
-        "pinned": job["pinned"],
+        "processID": job.process,
+        "status": job.status,
+        "progress": job.progress,
+        "message": job.message or "",
+        "created": timestamp(job.created),
+        "started": timestamp(job.started),
+        "finished": timestamp(job.finished),
+        "updated": timestamp(job.updated),
+        "name": job.name,
+        "scan": job.scan,
+        "settings": job.settings,
+        "attempt": job.attempt,
+        "stage": job.stage,
+        "live": job.live,
+        "problem": job.problem,
+        "pinned": job.pinned,
         "expires_at": expires(job, settings),
         "links": [
-            {"rel": rel, "href": f"/v1/jobs/{job['id']}{tail}"}
+            {"rel": rel, "href": f"/v1/jobs/{job.id}{tail}"}
             for rel, tail in (
                 ("self", ""),
                 ("events", "/events"),
@@ -57,16 +56,16 @@ def job_document(job: dict, settings: ServiceSettings) -> dict:
     }
 
 
-def scan_document(scan: dict, settings: ServiceSettings) -> dict:
+def scan_document(scan: ScanRow, settings: ServiceSettings) -> dict:
     """Its headers' account; bounds that they lack and `effects`, the plan with what decided, once a job has measured
     them."""
-    header = scan["header"]
+    header = scan.header
     return {
-        "id": scan["id"],
-        "file": scan["file"],
-        "bytes": scan["bytes"],
-        "created": timestamp(scan["created"]),
-        "expires_at": timestamp(scan["created"] + settings.retention_s),
+        "id": scan.id,
+        "file": scan.file,
+        "bytes": scan.bytes,
+        "created": timestamp(scan.created),
+        "expires_at": timestamp(scan.created + settings.retention_s),
         "effects": None,
         **header,
         "calls_for": calls_for(header),
@@ -86,25 +85,25 @@ def calls_for(header: dict) -> list[str]:
     return wanted + ([] if header["has_normals"] else ["normals estimated from neighbours: it has none"])
 
 
-def artifact_document(artifact: dict, job: dict, settings: ServiceSettings) -> dict:
+def artifact_document(artifact: ArtifactRow, job: JobRow, settings: ServiceSettings) -> dict:
     """An artifact as the API shows it."""
     return {
-        "name": artifact["name"],
-        "bytes": artifact["bytes"],
-        "sha256": artifact["sha256"],
+        "name": artifact.name,
+        "bytes": artifact.bytes,
+        "sha256": artifact.sha256,
         "expires_at": expires(job, settings),
-        "href": f"/v1/jobs/{job['id']}/artifacts/{artifact['name']}",
+        "href": f"/v1/jobs/{job.id}/artifacts/{artifact.name}",
     }
 
 
-def upload_document(upload: dict, offset: int) -> dict:
+def upload_document(upload: UploadRow, offset: int) -> dict:
     """An upload as the API shows it, of which `offset` bytes have arrived."""
     return {
-        "id": upload["id"],
-        "file": upload["file"],
-        "length": upload["length"],
+        "id": upload.id,
+        "file": upload.file,
+        "length": upload.length,
         "offset": offset,
-        "expires_at": timestamp(upload["expires"]),
-        "scan": upload["scan"],
-        "problem": upload["problem"],
+        "expires_at": timestamp(upload.expires),
+        "scan": upload.scan,
+        "problem": upload.problem,
     }

@@ -17,6 +17,7 @@ from services.problems import problem_of_job
 from services.processes.export import export
 from services.settings import ServiceSettings
 from services.store.exports import export_name, fail_export, keep_export, packed_artifact, wanted_exports
+from services.store.rows import ArtifactRow
 from services.store.store import Store
 from services.uploads.scans import file_hash
 from storage import place
@@ -25,7 +26,7 @@ from storage import place
 def make_next_export(settings: ServiceSettings, store: Store, scheduler: str) -> None:
     """The one that was asked for first, if any. Its failure is kept for whoever asks."""
     for wanted in wanted_exports(store, limit=1):
-        job, format = wanted["job"], wanted["format"]
+        job, format = wanted.job, wanted.format
         try:
             artifact = _made(settings, store, scheduler, job, format)
         except Exception as error:
@@ -36,22 +37,22 @@ def make_next_export(settings: ServiceSettings, store: Store, scheduler: str) ->
             keep_export(store, job, format, artifact)
 
 
-def _made(settings: ServiceSettings, store: Store, scheduler: str, job: str, format: str) -> dict:
+def _made(settings: ServiceSettings, store: Store, scheduler: str, job: str, format: str) -> ArtifactRow:
     folder, packed = job_folder(settings, job), packed_artifact(store, job)
     if packed is None:
         raise Dismissed
     name = export_name(packed, format)
     path = folder / name
     check_room(settings, "export")
-    token = dismissal_token(settings, job, store.job(job)["attempt"])
+    token = dismissal_token(settings, job, store.job(job).attempt)
 
     def check() -> None:
         if place.is_file(token):
             raise Dismissed
 
     with SchedulerLink(lambda: scheduler, store, job, check, Path(), float("inf")) as link:
-        made = call_there(link, folder, "export", export, folder / packed["path"], format, path)
+        made = call_there(link, folder, "export", export, folder / packed.path, format, path)
     store.log(job, "info", f"export as {format}: {made.n_elements:,} {FORMATS[format].kind}, {made.n_bytes:,} bytes")
     for text in made.lost:
         store.log(job, "info", f"export as {format} loses {text}")
-    return {"name": name, "path": name, "bytes": made.n_bytes, "sha256": file_hash(place.here(path))}
+    return ArtifactRow(name, name, made.n_bytes, file_hash(place.here(path)))

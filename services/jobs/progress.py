@@ -12,6 +12,7 @@ from pipeline.stages.texture.training import TrainingSet
 from pipeline.summaries import Training
 from services.flow.textures import estimated_psnr_db
 from services.jobs.portion import Portion
+from services.store.rows import JobRow
 from services.store.store import Store
 
 TELL_EVERY_S = 0.5
@@ -25,9 +26,9 @@ class JobProgress:
     scan has photographs.
     """
 
-    def __init__(self, store: Store, job: dict, check: Callable[[], None], textured: bool) -> None:
-        self._store, self._id, self._attempt, self._check = store, job["id"], job["attempt"], check
-        self._portion = Portion(job["settings"]["iterations"], textured)
+    def __init__(self, store: Store, job: JobRow, check: Callable[[], None], textured: bool) -> None:
+        self._store, self._id, self._attempt, self._check = store, job.id, job.attempt, check
+        self._portion = Portion(job.settings["iterations"], textured)
         self._begun = self._told = time.monotonic()
         self.stage, self._n_tasks, self._n_done, self._n_splats, self._stage_begun = "", 1, 0, 0, self._begun
         self._training: Training | None = None

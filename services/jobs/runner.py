@@ -25,6 +25,7 @@ from services.jobs.heartbeat import Heartbeat, show_dashboard, show_gone
 from services.jobs.webhooks import deliver_due
 from services.jobs.workflow import JobRunner, job_folder
 from services.settings import ServiceSettings
+from services.store.rows import JobRow
 from services.store.store import Store
 from services.store.tokens import forget_actions
 from services.uploads.scans import discard_unused_scans
@@ -113,7 +114,7 @@ def _serve(settings: ServiceSettings, store: Store, stop: threading.Event, sched
     found = DBOS.list_workflows(status=list(UNDER_WAY), app_version=APPLICATION_VERSION, load_input=False)
     under_way = {"-".join(w.workflow_id.split("-")[:2]): DBOS.retrieve_workflow(w.workflow_id) for w in found}
     for job in store.running_jobs():
-        store.log(job["id"], "warning", f"attempt {job['attempt']}: the runner was started anew and goes on")
+        store.log(job.id, "warning", f"attempt {job.attempt}: the runner was started anew and goes on")
     heartbeat = Heartbeat(settings.place)
     while not stop.is_set():
         try:
@@ -130,7 +131,7 @@ def _look_after(settings: ServiceSettings, store: Store, under_way: dict) -> dic
     under_way = {id: handle for id, handle in under_way.items() if _is_under_way(handle)}
     for job in store.running_jobs():
         if _workflow_id(job) not in under_way:  # it could not write its end
-            store.log(job["id"], "warning", f"attempt {job['attempt']}: ended without a word; it goes on")
+            store.log(job.id, "warning", f"attempt {job.attempt}: ended without a word; it goes on")
             under_way[_workflow_id(job)] = _start(job, again=True)
     for job in store.waiting_jobs(settings.jobs_at_once):
         if len(under_way) < settings.jobs_at_once and _workflow_id(job) not in under_way:
@@ -142,14 +143,14 @@ def _complain(error: Exception) -> None:
     print(f"splatpress: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
 
 
-def _workflow_id(job: dict) -> str:
-    return f"{job['id']}-{job['attempt']}"
+def _workflow_id(job: JobRow) -> str:
+    return f"{job.id}-{job.attempt}"
 
 
-def _start(job: dict, again: bool = False):
+def _start(job: JobRow, again: bool = False):
     """Starting the same attempt twice starts it once: the workflow's name says which it is."""
     with SetWorkflowID(_workflow_id(job) + (f"-{time.time_ns()}" if again else "")):
-        return DBOS.start_workflow(_job, job["id"], job["attempt"])
+        return DBOS.start_workflow(_job, job.id, job.attempt)
 
 
 def _is_under_way(handle) -> bool:
@@ -183,11 +184,11 @@ def tidy(settings: ServiceSettings, store: Store) -> None:
     """Delete what has outlived its time. The row goes first: files without a row are harmless, a row without is not."""
     before = time.time() - settings.retention_s
     for job in store.expired_jobs(before):
-        if store.forget_job(job["id"]):
-            place.remove_folder(job_folder(settings, job["id"]))
+        if store.forget_job(job.id):
+            place.remove_folder(job_folder(settings, job.id))
     forget_actions(store, time.time() - settings.audit_s)
     store.disown_expired_scans(before)
     discard_unused_scans(settings, store)
     for upload in store.expired_uploads():
-        store.forget_upload(upload["id"])
-        shutil.rmtree(settings.data / "uploads" / upload["id"], ignore_errors=True)
+        store.forget_upload(upload.id)
+        shutil.rmtree(settings.data / "uploads" / upload.id, ignore_errors=True)

@@ -21,6 +21,7 @@ from standardwebhooks import Webhook
 
 from services.addresses import RefusedAddress, check_url, public_address
 from services.settings import ServiceSettings
+from services.store.rows import JobRow
 from services.store.store import Store
 from storage import place
 
@@ -36,7 +37,7 @@ def owner_secret(settings: ServiceSettings, owner: str) -> str:
 
 
 def deliver_due(
-    settings: ServiceSettings, store: Store, describe: Callable[[dict], dict], timeout_s: float = TIMEOUT_S
+    settings: ServiceSettings, store: Store, describe: Callable[[JobRow], dict], timeout_s: float = TIMEOUT_S
 ) -> None:
     """Try each due webhook once, side by side; `describe(job)` is its payload's data.
 
@@ -51,10 +52,10 @@ def deliver_due(
         )
 
     for job, error in zip(due, asyncio.run(try_all()), strict=True):
-        next_due, level, message = _outcome(error, job["webhook_tries"])
+        next_due, level, message = _outcome(error, job.webhook_tries)
         try:
-            store.note_webhook(job["id"], job["attempt"], next_due)
-            store.log(job["id"], level, message)
+            store.note_webhook(job.id, job.attempt, next_due)
+            store.log(job.id, level, message)
         except IntegrityError:  # the job was deleted meanwhile
             pass
 
@@ -73,13 +74,15 @@ def _outcome(error: BaseException | None, tries: int) -> tuple[float | None, str
     return next_due, "warning", f"webhook failed ({type(error).__name__}: {error}), {when}"
 
 
-async def _deliver(job: dict, settings: ServiceSettings, describe: Callable[[dict], dict], timeout_s: float) -> None:
-    url = check_url(job["webhook"], settings.webhook_private)
+async def _deliver(
+    job: JobRow, settings: ServiceSettings, describe: Callable[[JobRow], dict], timeout_s: float
+) -> None:
+    url = check_url(job.webhook, settings.webhook_private)
     host, port = url.raw_host.decode("ascii"), url.port or (443 if url.scheme == "https" else 80)
     now = datetime.now(UTC)
-    body = json.dumps({"type": f"job.{job['status']}", "timestamp": now.isoformat(), "data": describe(job)})
-    id = f"msg_{job['id']}_{job['attempt']}_{job['status']}"
-    signature = Webhook(owner_secret(settings, job["owner"])).sign(id, now, body)
+    body = json.dumps({"type": f"job.{job.status}", "timestamp": now.isoformat(), "data": describe(job)})
+    id = f"msg_{job.id}_{job.attempt}_{job.status}"
+    signature = Webhook(owner_secret(settings, job.owner)).sign(id, now, body)
     headers = {
         "host": url.netloc.decode(),
         "content-type": "application/json",

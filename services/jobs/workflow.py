@@ -31,10 +31,11 @@ from services.jobs.progress import JobProgress
 from services.jobs.scheduler import SchedulerLink
 from services.problems import is_of_database, problem_of_job
 from services.processes.compress import make
-from services.processes.kinds import TRADEOFF, process_of_job, settings_of_job
+from services.processes.kinds import TRADEOFF
 from services.processes.tradeoff import measure_ladder
 from services.settings import ServiceSettings
-from services.store.store import FAILED, SUCCESSFUL, Store
+from services.store.rows import FAILED, SUCCESSFUL, ArtifactRow, JobRow
+from services.store.store import Store
 from services.uploads.scans import file_hash, scan_path, work_folder
 from storage import place
 from storage.work.work import stage_folder, write_json
@@ -73,7 +74,7 @@ class JobRunner:
         """The body of the workflow. Every ending of a job is committed here."""
         take_ballast(self.settings.data)
         job = self.store.job(id)
-        if job is None or job["attempt"] != attempt or not self.store.begin(id, attempt):
+        if job is None or job.attempt != attempt or not self.store.begin(id, attempt):
             return "not wanted"
         out = made_folder(self.settings, id, attempt)
         out.mkdir(parents=True, exist_ok=True)
@@ -100,24 +101,24 @@ class JobRunner:
             shutil.rmtree(out.parent, ignore_errors=True)
         return "successful"
 
-    def _as_its_owner_calls_it(self, job: dict, said: str) -> str:
+    def _as_its_owner_calls_it(self, job: JobRow, said: str) -> str:
         """With the owner's name of the scan in place of where it lies here."""
-        scan = self.store.scan(job["scan"], job["owner"])
-        return said if scan is None else said.replace(str(scan_path(self.settings, scan)), scan["file"])
+        scan = self.store.scan(job.scan, job.owner)
+        return said if scan is None else said.replace(str(scan_path(self.settings, scan)), scan.file)
 
-    def _kept(self, out: Path, there: Path) -> list[dict]:
+    def _kept(self, out: Path, there: Path) -> list[ArtifactRow]:
         """The artifacts, in their place."""
         place.put_folder(out, there)
         return artifacts_in(out)
 
-    def _kept_if_it_can(self, out: Path, there: Path) -> list[dict]:
+    def _kept_if_it_can(self, out: Path, there: Path) -> list[ArtifactRow]:
         """Those of a job that failed, perhaps because its place is full or away."""
         try:
             return self._kept(out, there)
         except OSError:
             return []
 
-    def _make_though_the_database_may_go(self, job: dict, out: Path, there: Path) -> None:
+    def _make_though_the_database_may_go(self, job: JobRow, out: Path, there: Path) -> None:
         """Again where a step's end could not be noted: what the step did is on disk, and found there."""
         while True:
             try:
@@ -126,19 +127,20 @@ class JobRunner:
                 if not is_of_database(error) or is_of_database(error, full=True):
                     raise
                 self.store.log(
-                    job["id"], "warning", "the database was away at the end of a step; going on"
+                    job.id, "warning", "the database was away at the end of a step; going on"
                 )  # once it is back
 
-    def _make(self, job: dict, out: Path, there: Path) -> None:
+    def _make(self, job: JobRow, out: Path, there: Path) -> None:
         check = self._check_of(job)
-        n_cameras = self.store.scan(job["scan"])["header"]["cameras"]["count"]
+        n_cameras = self.store.scan(job.scan).header["cameras"]["count"]
         progress = JobProgress(self.store, job, check, textured=bool(n_cameras))
-        work = work_folder(self.settings, job["scan"])
+        work = work_folder(self.settings, job.scan)
         place.make_folder(work)
-        scan = scan_path(self.settings, self.store.scan(job["scan"]))
-        file = (self.store.scan(job["scan"], job["owner"]) or {"file": job["name"]})["file"]
+        scan = scan_path(self.settings, self.store.scan(job.scan))
+        owned = self.store.scan(job.scan, job.owner)
+        file = owned.file if owned else job.name
         link = SchedulerLink(
-            self.scheduler, self.store, job["id"], check, out / PERFORMANCE, self.settings.performance_from_s
+            self.scheduler, self.store, job.id, check, out / PERFORMANCE, self.settings.performance_from_s
         )
         run = Run(work, link, progress)
 
@@ -152,7 +154,7 @@ class JobRunner:
             progress.passed(record)
             if stage.name == Ingest.name:
                 bounds = {"min": record.summary.low, "max": record.summary.high}
-                self.store.note_of_scan(job["scan"], job["owner"], bounds=bounds)
+                self.store.note_of_scan(job.scan, job.owner, bounds=bounds)
             if stage.name == KsvdUpdate.name:
                 write_json(out / LEARNING, progress.learning)
             return record
@@ -192,16 +194,16 @@ class JobRunner:
             raise error_of_disk(progress.stage, error) from error
         check()
 
-    def _run_process(self, run: Run, scan: Path, file: str, job: dict, out: Path) -> None:
-        process, settings = process_of_job(job), Settings(**settings_of_job(job))
-        if process["name"] == TRADEOFF:
-            measure_ladder(run, scan, out, settings, process["knobs"], process["budget_s"], name=file)
+    def _run_process(self, run: Run, scan: Path, file: str, job: JobRow, out: Path) -> None:
+        settings = Settings(**job.settings)
+        if job.process == TRADEOFF:
+            measure_ladder(run, scan, out, settings, job.knobs, job.budget_s, name=file)
         else:
             effects = make(run, scan, settings, out, name=Path(file).stem)["effects"]
-            self.store.note_of_scan(job["scan"], job["owner"], effects=effects)
+            self.store.note_of_scan(job.scan, job.owner, effects=effects)
 
-    def _check_of(self, job: dict) -> Callable[[], None]:
-        token = dismissal_token(self.settings, job["id"], job["attempt"])
+    def _check_of(self, job: JobRow) -> Callable[[], None]:
+        token = dismissal_token(self.settings, job.id, job.attempt)
 
         every_s, looked = BUCKET_LOOK_S if place.is_remote(token) else 0.0, float("-inf")
 
@@ -216,15 +218,10 @@ class JobRunner:
         return check
 
 
-def artifacts_in(out: Path) -> list[dict]:
+def artifacts_in(out: Path) -> list[ArtifactRow]:
     """What lies in an attempt's folder whole, with its hash."""
     files = [p for p in sorted(out.rglob("*")) if p.is_file() and not p.name.endswith(".partial")]
     return [
-        {
-            "name": p.relative_to(out).as_posix(),
-            "path": p.relative_to(out.parent).as_posix(),
-            "bytes": p.stat().st_size,
-            "sha256": file_hash(p),
-        }
+        ArtifactRow(p.relative_to(out).as_posix(), p.relative_to(out.parent).as_posix(), p.stat().st_size, file_hash(p))
         for p in files
     ]

@@ -5,17 +5,35 @@ from __future__ import annotations
 import functools
 import secrets
 import time
+from dataclasses import asdict
+from typing import TypeVar
 
 import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
 from services.problems import is_of_database
 from services.store import tokens
+from services.store.rows import (
+    ACCEPTED,
+    DISMISSED,
+    FAILED,
+    LEVELS,
+    LIVE,
+    RUNNING,
+    STATES,
+    SUCCESSFUL,
+    ArtifactRow,
+    EventRow,
+    Figures,
+    JobRow,
+    NewJob,
+    ScanRow,
+    StageTotals,
+    UploadRow,
+)
 from services.store.tables import ARTIFACTS, EVENTS, JOBS, SCAN_OWNERS, SCANS, STAGE_TOTALS, UPLOADS, engine_for
 
-ACCEPTED, RUNNING, SUCCESSFUL, FAILED, DISMISSED = STATES = ("accepted", "running", "successful", "failed", "dismissed")
-LIVE = (ACCEPTED, RUNNING)
-LEVELS = ("debug", "info", "warning", "error")
+R = TypeVar("R")
 RETRY_S = 0.5
 
 
@@ -50,7 +68,7 @@ def _patient(method):
 
 
 class Store:
-    """Opens the database of a URL. Safe in threads; rows come as dicts.
+    """Opens the database of a URL. Safe in threads; rows come as their types (`services.store.rows`).
 
     `patience_s` is how long each call waits for a database that is away: none in the API, which says so at once, long
     in the runner, whose jobs are to outlive its restart.
@@ -73,9 +91,7 @@ class Store:
         since, self.away_since = self.away_since, None
         if since is not None:
             for job in self.running_jobs():
-                self.log(
-                    job["id"], "warning", f"the database was away, for up to {time.time() - since:.0f} s; going on"
-                )
+                self.log(job.id, "warning", f"the database was away, for up to {time.time() - since:.0f} s; going on")
 
     # --- tokens
 
@@ -87,30 +103,29 @@ class Store:
 
     # --- scans
 
-    def add_scan(self, scan: dict, owner: str) -> bool:
+    def add_scan(self, scan: ScanRow, owner: str) -> bool:
         """Whether the scan is new to its owner, who has it from here on either way; whoever else has it makes no
         difference. Its time starts anew."""
-        now = time.time()
-        content = {name: scan[name] for name in ("id", "bytes", "header")}
-        if not self._insert_new(SCANS, {**content, "file": scan["path_name"], "created": now}):
-            self._write(SCANS.update().where(SCANS.c.id == scan["id"]).values(created=now))
-        row = {"scan": scan["id"], "owner": owner, "file": scan["file"], "header": scan["header"], "created": now}
-        new = self._insert_new(SCAN_OWNERS, row)
+        content = {"id": scan.id, "bytes": scan.bytes, "header": scan.header, "created": scan.created}
+        if not self._insert_new(SCANS, {**content, "file": scan.path_name}):
+            self._write(SCANS.update().where(SCANS.c.id == scan.id).values(created=scan.created))
+        known = {"file": scan.file, "header": scan.header, "created": scan.created}
+        new = self._insert_new(SCAN_OWNERS, {"scan": scan.id, "owner": owner, **known})
         if not new:
-            self._write(SCAN_OWNERS.update().where(_owned(scan["id"], owner)).values(created=now))
+            self._write(SCAN_OWNERS.update().where(_owned(scan.id, owner)).values(created=scan.created))
         return new
 
-    def scan(self, id: str, owner: str | None = None) -> dict | None:
-        """With an owner: as that one knows it, under that one's name for it; `path_name` is its name on disk."""
+    def scan(self, id: str, owner: str | None = None) -> ScanRow | None:
+        """As its owner knows it; without an owner, under its name on disk."""
         if owner is None:
-            return self._one(sa.select(SCANS, SCANS.c.file.label("path_name")).where(SCANS.c.id == id))
-        return self._one(_OWNED_SCANS.where(_owned(id, owner)))
+            return self._one(ScanRow, _SCANS.where(SCANS.c.id == id))
+        return self._one(ScanRow, _OWNED_SCANS.where(_owned(id, owner)))
 
-    def scans(self, owner: str, limit: int, offset: int) -> tuple[list[dict], int]:
+    def scans(self, owner: str, limit: int, offset: int) -> tuple[list[ScanRow], int]:
         """One page, newest first, and how many there are in all."""
         mine = SCAN_OWNERS.c.owner == owner
         order = (SCAN_OWNERS.c.created.desc(), SCANS.c.id)
-        rows = self._all(_OWNED_SCANS.where(mine).order_by(*order).limit(limit).offset(offset))
+        rows = self._all(ScanRow, _OWNED_SCANS.where(mine).order_by(*order).limit(limit).offset(offset))
         return rows, self._value(sa.select(sa.func.count()).select_from(SCAN_OWNERS).where(mine))
 
     def disown_expired_scans(self, before: float) -> None:
@@ -123,9 +138,13 @@ class Store:
         live = sa.exists().where(JOBS.c.scan == id, JOBS.c.owner == owner, JOBS.c.status.in_(LIVE))
         return self._write(SCAN_OWNERS.delete().where(_owned(id, owner), ~live)) == 1
 
-    def unused_scans(self) -> list[dict]:
+    def all_scans(self) -> list[ScanRow]:
+        """Of all owners, under their names on disk."""
+        return self._all(ScanRow, _SCANS)
+
+    def unused_scans(self) -> list[ScanRow]:
         """That no owner has any more, and no job needs."""
-        return self._all(sa.select(SCANS).where(*_UNUSED))
+        return self._all(ScanRow, _SCANS.where(*_UNUSED))
 
     def forget_scan(self, id: str) -> bool:
         """Unless an owner or a job has come to need it."""
@@ -133,7 +152,7 @@ class Store:
 
     # --- jobs
 
-    def add_job(self, job: dict, max_in_flight: int) -> tuple[dict, bool]:
+    def add_job(self, job: NewJob, max_in_flight: int) -> tuple[JobRow, bool]:
         """The job and whether it is new: a request key that came before with the same request gives the first job.
 
         Raises: KeyReused, TooManyJobs.
@@ -142,7 +161,7 @@ class Store:
             return known, False
         now = time.time()
         row = {
-            **job,
+            **asdict(job),
             "id": secrets.token_hex(16),
             "status": ACCEPTED,
             "attempt": 1,
@@ -154,18 +173,19 @@ class Store:
         }
         try:
             with self.engine.begin() as connection:
-                self._count_in_flight(connection, job["owner"], max_in_flight)
+                self._count_in_flight(connection, job.owner, max_in_flight)
                 connection.execute(JOBS.insert().values(row))
                 connection.execute(_event(row["id"], "status", {"status": ACCEPTED, "attempt": 1}))
         except sa.exc.IntegrityError:  # the same request came at the same moment
             return self._known(job), False
         return self.job(row["id"]), True
 
-    def _known(self, job: dict) -> dict | None:
-        if not job.get("request_key"):
+    def _known(self, job: NewJob) -> JobRow | None:
+        if not job.request_key:
             return None
-        row = self._one(sa.select(JOBS).where(JOBS.c.owner == job["owner"], JOBS.c.request_key == job["request_key"]))
-        if row and row["request_hash"] != job["request_hash"]:
+        mine = (JOBS.c.owner == job.owner, JOBS.c.request_key == job.request_key)
+        row = self._one(JobRow, sa.select(JOBS).where(*mine))
+        if row and row.request_hash != job.request_hash:
             raise KeyReused
         return row
 
@@ -174,13 +194,13 @@ class Store:
         if connection.scalar(live) >= allowed:
             raise TooManyJobs
 
-    def job(self, id: str, owner: str | None = None) -> dict | None:
+    def job(self, id: str, owner: str | None = None) -> JobRow | None:
         query = sa.select(JOBS).where(JOBS.c.id == id)
-        return self._one(query if owner is None else query.where(JOBS.c.owner == owner))
+        return self._one(JobRow, query if owner is None else query.where(JOBS.c.owner == owner))
 
     def jobs(
         self, owner: str, limit: int, offset: int, status: str | None = None, scan: str | None = None, words: str = ""
-    ) -> tuple[list[dict], int]:
+    ) -> tuple[list[JobRow], int]:
         """One page, newest first, and how many there are in all."""
         wanted = [
             JOBS.c.owner == owner,
@@ -188,18 +208,16 @@ class Store:
             *([JOBS.c.scan == scan] if scan else []),
             *(JOBS.c.name.icontains(word, autoescape=True) for word in words.split()),
         ]
-        rows = self._all(
-            sa.select(JOBS).where(*wanted).order_by(JOBS.c.created.desc(), JOBS.c.id).limit(limit).offset(offset)
-        )
+        page = sa.select(JOBS).where(*wanted).order_by(JOBS.c.created.desc(), JOBS.c.id).limit(limit).offset(offset)
+        rows = self._all(JobRow, page)
         return rows, self._value(sa.select(sa.func.count()).select_from(JOBS).where(*wanted))
 
-    def waiting_jobs(self, limit: int) -> list[dict]:
-        return self._all(
-            sa.select(JOBS).where(JOBS.c.status == ACCEPTED).order_by(JOBS.c.created, JOBS.c.id).limit(limit)
-        )
+    def waiting_jobs(self, limit: int) -> list[JobRow]:
+        waiting = sa.select(JOBS).where(JOBS.c.status == ACCEPTED)
+        return self._all(JobRow, waiting.order_by(JOBS.c.created, JOBS.c.id).limit(limit))
 
-    def running_jobs(self) -> list[dict]:
-        return self._all(sa.select(JOBS).where(JOBS.c.status == RUNNING))
+    def running_jobs(self) -> list[JobRow]:
+        return self._all(JobRow, sa.select(JOBS).where(JOBS.c.status == RUNNING))
 
     @_patient
     def begin(self, id: str, attempt: int) -> bool:
@@ -220,7 +238,9 @@ class Store:
         return self._value(sa.select(JOBS.c.status).where(JOBS.c.id == id, JOBS.c.attempt == attempt)) == RUNNING
 
     @_patient
-    def end(self, id: str, attempt: int, status: str, artifacts: list[dict], problem: dict | None = None) -> bool:
+    def end(
+        self, id: str, attempt: int, status: str, artifacts: list[ArtifactRow], problem: dict | None = None
+    ) -> bool:
         """Commit what an attempt came to, unless it was dismissed or tried again meanwhile."""
         now = time.time()
         with self.engine.begin() as connection:
@@ -250,7 +270,7 @@ class Store:
             return done
 
     @_patient
-    def keep_artifacts(self, id: str, attempt: int, artifacts: list[dict]) -> None:
+    def keep_artifacts(self, id: str, attempt: int, artifacts: list[ArtifactRow]) -> None:
         """What a dismissed attempt left."""
         with self.engine.begin() as connection:
             if (
@@ -286,7 +306,7 @@ class Store:
         """What a job of the owner's has learned of a scan, beside what its headers told."""
         scan = self.scan(id, owner)
         if scan is not None:
-            self._write(SCAN_OWNERS.update().where(_owned(id, owner)).values(header=scan["header"] | found))
+            self._write(SCAN_OWNERS.update().where(_owned(id, owner)).values(header=scan.header | found))
 
     @_patient
     def retry(self, id: str) -> bool:
@@ -320,10 +340,9 @@ class Store:
         """What its owner may change at any time: pinned, name."""
         self._write(JOBS.update().where(JOBS.c.id == id).values(**values, updated=time.time()))
 
-    def expired_jobs(self, before: float) -> list[dict]:
-        return self._all(
-            sa.select(JOBS).where(JOBS.c.finished < before, JOBS.c.pinned.is_(False), JOBS.c.status.not_in(LIVE))
-        )
+    def expired_jobs(self, before: float) -> list[JobRow]:
+        ended = (JOBS.c.finished < before, JOBS.c.pinned.is_(False), JOBS.c.status.not_in(LIVE))
+        return self._all(JobRow, sa.select(JOBS).where(*ended))
 
     def forget_job(self, id: str) -> bool:
         return (
@@ -332,13 +351,13 @@ class Store:
 
     # --- webhooks
 
-    def due_webhooks(self, limit: int, of_one_owner: int) -> list[dict]:
+    def due_webhooks(self, limit: int, of_one_owner: int) -> list[JobRow]:
         """Those that are due for longest, at most so many of one owner."""
         due = (JOBS.c.webhook.is_not(None)) & (JOBS.c.webhook_due <= time.time())
         place = sa.func.row_number().over(partition_by=JOBS.c.owner, order_by=(JOBS.c.webhook_due, JOBS.c.id))
         ranked = sa.select(JOBS.c.id, place.label("place")).where(due).subquery()
         query = sa.select(JOBS).join(ranked, ranked.c.id == JOBS.c.id).where(ranked.c.place <= of_one_owner)
-        return self._all(query.order_by(JOBS.c.webhook_due, JOBS.c.id).limit(limit))
+        return self._all(JobRow, query.order_by(JOBS.c.webhook_due, JOBS.c.id).limit(limit))
 
     def note_webhook(self, id: str, attempt: int, next_due: float | None) -> None:
         mine = (JOBS.c.id == id) & (JOBS.c.attempt == attempt)
@@ -367,39 +386,45 @@ class Store:
     def note_learning(self, id: str, point: dict) -> None:
         self._write(_event(id, "learning", point))
 
-    def events(self, job: str, after: int, limit: int = 500) -> list[dict]:
-        return self._all(
-            sa.select(EVENTS).where(EVENTS.c.job == job, EVENTS.c.id > after).order_by(EVENTS.c.id).limit(limit)
-        )
+    def events(self, job: str, after: int, limit: int = 500) -> list[EventRow]:
+        later = sa.select(EVENTS).where(EVENTS.c.job == job, EVENTS.c.id > after)
+        return self._all(EventRow, later.order_by(EVENTS.c.id).limit(limit))
 
-    def logs(self, job: str, offset: int, limit: int, level: str = "debug") -> list[dict]:
+    def logs(self, job: str, offset: int, limit: int, level: str = "debug") -> list[EventRow]:
         wanted = LEVELS[LEVELS.index(level) :]
         query = sa.select(EVENTS).where(EVENTS.c.job == job, EVENTS.c.kind == "log", EVENTS.c.level.in_(wanted))
-        return self._all(query.order_by(EVENTS.c.id).limit(limit).offset(offset))
+        return self._all(EventRow, query.order_by(EVENTS.c.id).limit(limit).offset(offset))
 
     # --- artifacts
 
-    def artifacts(self, job: str) -> list[dict]:
-        return self._all(sa.select(ARTIFACTS).where(ARTIFACTS.c.job == job).order_by(ARTIFACTS.c.name))
+    def artifacts(self, job: str) -> list[ArtifactRow]:
+        return self._all(ArtifactRow, _ARTIFACTS.where(ARTIFACTS.c.job == job).order_by(ARTIFACTS.c.name))
 
-    def artifact(self, job: str, name: str) -> dict | None:
-        return self._one(sa.select(ARTIFACTS).where(ARTIFACTS.c.job == job, ARTIFACTS.c.name == name))
+    def artifact(self, job: str, name: str) -> ArtifactRow | None:
+        return self._one(ArtifactRow, _ARTIFACTS.where(ARTIFACTS.c.job == job, ARTIFACTS.c.name == name))
+
+    def all_artifact_paths(self) -> list[tuple[str, str]]:
+        """Job and path below the job's folder, of all artifacts there are."""
+        query = sa.select(ARTIFACTS.c.job, ARTIFACTS.c.path).order_by(ARTIFACTS.c.job, ARTIFACTS.c.path)
+        return [(job, path) for job, path in self._rows(query)]
 
     # --- uploads
 
-    def add_upload(self, upload: dict) -> dict:
-        row = {"id": secrets.token_hex(16), "scan": None, "problem": None, "concat": "", **upload}
-        self._write(UPLOADS.insert().values(row))
+    def add_upload(
+        self, owner: str, file: str, length: int, metadata: str, expires: float, concat: str = ""
+    ) -> UploadRow:
+        row = UploadRow(secrets.token_hex(16), owner, file, length, metadata, expires, concat=concat)
+        self._write(UPLOADS.insert().values(asdict(row)))
         return row
 
-    def upload(self, id: str, owner: str | None = None) -> dict | None:
+    def upload(self, id: str, owner: str | None = None) -> UploadRow | None:
         query = sa.select(UPLOADS).where(UPLOADS.c.id == id)
-        return self._one(query if owner is None else query.where(UPLOADS.c.owner == owner))
+        return self._one(UploadRow, query if owner is None else query.where(UPLOADS.c.owner == owner))
 
-    def open_uploads(self) -> list[dict]:
+    def open_uploads(self) -> list[UploadRow]:
         """Of all owners, newest last."""
         wanted = (UPLOADS.c.scan.is_(None), UPLOADS.c.expires >= time.time())
-        return self._all(sa.select(UPLOADS).where(*wanted).order_by(UPLOADS.c.expires, UPLOADS.c.id))
+        return self._all(UploadRow, sa.select(UPLOADS).where(*wanted).order_by(UPLOADS.c.expires, UPLOADS.c.id))
 
     def bytes_of(self, owner: str) -> int:
         """Of the scans that an owner has."""
@@ -412,8 +437,8 @@ class Store:
     def forget_upload(self, id: str) -> None:
         self._write(UPLOADS.delete().where(UPLOADS.c.id == id))
 
-    def expired_uploads(self) -> list[dict]:
-        return self._all(sa.select(UPLOADS).where(UPLOADS.c.expires < time.time()))
+    def expired_uploads(self) -> list[UploadRow]:
+        return self._all(UploadRow, sa.select(UPLOADS).where(UPLOADS.c.expires < time.time()))
 
     # --- figures
 
@@ -426,27 +451,28 @@ class Store:
             .values(seconds=totals.seconds + seconds, runs=totals.runs + 1, splats=totals.splats + n_splats)
         )
 
-    def figures(self) -> dict:
-        states = self._all(sa.select(JOBS.c.status, sa.func.count().label("n")).group_by(JOBS.c.status))
-        return {
-            "jobs": dict.fromkeys(STATES, 0) | {row["status"]: row["n"] for row in states},
-            "stages": self._all(sa.select(STAGE_TOTALS).order_by(STAGE_TOTALS.c.stage)),
-            "scan_bytes": int(self._value(sa.select(sa.func.coalesce(sa.func.sum(SCANS.c.bytes), 0)))),
-            "artifact_bytes": int(self._value(sa.select(sa.func.coalesce(sa.func.sum(ARTIFACTS.c.bytes), 0)))),
-        }
+    def figures(self) -> Figures:
+        states = self._rows(sa.select(JOBS.c.status, sa.func.count()).group_by(JOBS.c.status))
+        return Figures(
+            jobs=dict.fromkeys(STATES, 0) | dict(tuple(row) for row in states),
+            stages=self._all(StageTotals, sa.select(STAGE_TOTALS).order_by(STAGE_TOTALS.c.stage)),
+            scan_bytes=int(self._value(sa.select(sa.func.coalesce(sa.func.sum(SCANS.c.bytes), 0)))),
+            artifact_bytes=int(self._value(sa.select(sa.func.coalesce(sa.func.sum(ARTIFACTS.c.bytes), 0)))),
+        )
 
     # --- helpers
 
     @_patient
-    def _all(self, query) -> list[dict]:
+    def _rows(self, query) -> list[sa.Row]:
         with self.engine.connect() as connection:
-            return [dict(row) for row in connection.execute(query).mappings()]
+            return list(connection.execute(query).all())
 
-    @_patient
-    def _one(self, query) -> dict | None:
-        with self.engine.connect() as connection:
-            row = connection.execute(query).mappings().first()
-            return dict(row) if row else None
+    def _all(self, kind: type[R], query) -> list[R]:
+        return [kind(**row._mapping) for row in self._rows(query)]
+
+    def _one(self, kind: type[R], query) -> R | None:
+        rows = self._all(kind, query.limit(1))
+        return rows[0] if rows else None
 
     @_patient
     def _value(self, query):
@@ -463,6 +489,8 @@ class Store:
         return self._write(insert(table).values(row).on_conflict_do_nothing()) == 1  # type: ignore[attr-defined]
 
 
+_SCANS = sa.select(SCANS, SCANS.c.file.label("path_name"))
+_ARTIFACTS = sa.select(ARTIFACTS.c.name, ARTIFACTS.c.path, ARTIFACTS.c.bytes, ARTIFACTS.c.sha256)
 _OWNED_SCANS = sa.select(
     SCANS.c.id,
     SCANS.c.bytes,
@@ -486,7 +514,7 @@ def _event(job: str, kind: str, data: dict, level: str | None = None):
     return EVENTS.insert().values(job=job, time=time.time(), kind=kind, level=level, data=data)
 
 
-def _replace_artifacts(connection, job: str, artifacts: list[dict]) -> None:
+def _replace_artifacts(connection, job: str, artifacts: list[ArtifactRow]) -> None:
     connection.execute(ARTIFACTS.delete().where(ARTIFACTS.c.job == job))
     if artifacts:
-        connection.execute(ARTIFACTS.insert(), [{**a, "job": job} for a in artifacts])
+        connection.execute(ARTIFACTS.insert(), [{**asdict(a), "job": job} for a in artifacts])

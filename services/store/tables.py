@@ -50,6 +50,9 @@ JOBS = sa.Table(
     sa.Column("scan", sa.String(64), nullable=False, index=True),
     sa.Column("name", sa.String(200), nullable=False),
     sa.Column("settings", sa.JSON, nullable=False),
+    sa.Column("process", sa.String(40), nullable=False, server_default="compress"),
+    sa.Column("knobs", sa.JSON),  # of a trade-off: the values to measure by knob; None leaves them to it
+    sa.Column("budget_s", sa.Float),  # of a trade-off
     sa.Column("webhook", sa.String(2000)),
     sa.Column("webhook_due", sa.Float),  # None: nothing to deliver
     sa.Column("webhook_tries", sa.Integer, nullable=False, default=0),

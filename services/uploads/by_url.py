@@ -18,6 +18,7 @@ import httpx
 from services.addresses import RefusedAddress, check_url, public_address
 from services.problems import RESOURCE, Problem
 from services.settings import ServiceSettings
+from services.store.rows import UploadRow
 from services.store.store import Store
 from services.uploads.room import upload_path
 from services.uploads.scans import safe_name
@@ -42,7 +43,7 @@ def fetch_scan(url: str, name: str, owner: str, settings: ServiceSettings, store
                 _check_length(length, settings)
                 upload = said_length(upload, length, settings, store)
             upload = said_length(upload, _write(upload, blocks, length, settings), settings, store)
-        return accept(upload, settings, store)["scan"]
+        return accept(upload, settings, store).scan
     except RefusedAddress as error:
         raise Problem(422, "refused-url", str(error)) from None
     except httpx.HTTPError as error:
@@ -57,7 +58,7 @@ def _check_length(length: int, settings: ServiceSettings) -> None:
         raise Problem(413, "too-large", f"{length:,} bytes; allowed: {settings.max_upload_bytes:,}")
 
 
-def _write(upload: dict, blocks: Iterator[bytes], length: int | None, settings: ServiceSettings) -> int:
+def _write(upload: UploadRow, blocks: Iterator[bytes], length: int | None, settings: ServiceSettings) -> int:
     """Looked at as it arrives, as an upload is. Returns the number of bytes."""
     path, n_bytes = upload_path(settings, upload), 0
     look: Callable[[int], None] = Looking(path, length or settings.max_upload_bytes, upload, settings)

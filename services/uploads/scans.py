@@ -12,11 +12,13 @@ from __future__ import annotations
 import hashlib
 import re
 import secrets
+import time
 from contextlib import AbstractContextManager
 from pathlib import Path
 
 from services.problems import Problem
 from services.settings import ServiceSettings
+from services.store.rows import ScanRow
 from services.store.store import Store
 from services.uploads.validation import validated_header
 from services.uploads.volumes import taken_suffix
@@ -49,9 +51,9 @@ def disk_name(file: str) -> str:
     return "scan" + taken_suffix(file)
 
 
-def scan_path(settings: ServiceSettings, scan: dict) -> Path:
+def scan_path(settings: ServiceSettings, scan: ScanRow) -> Path:
     """Where a scan lies."""
-    return settings.place / "scans" / scan["id"] / scan["path_name"]
+    return settings.place / "scans" / scan.id / scan.path_name
 
 
 def work_folder(settings: ServiceSettings, scan_id: str) -> Path:
@@ -59,7 +61,7 @@ def work_folder(settings: ServiceSettings, scan_id: str) -> Path:
     return settings.place / "work" / scan_id
 
 
-def accept_scan(path: Path, owner: str, settings: ServiceSettings, store: Store) -> tuple[dict, bool]:
+def accept_scan(path: Path, owner: str, settings: ServiceSettings, store: Store) -> tuple[ScanRow, bool]:
     """Make a scan of the uploaded file at `path`, which may be moved; returns it, and whether it is new to its
     owner.
 
@@ -69,14 +71,8 @@ def accept_scan(path: Path, owner: str, settings: ServiceSettings, store: Store)
         raise Problem(422, "bad-scan", f"{path.name}: an empty file, 0 bytes; allowed: a scan")
     id = file_hash(path)
     known = store.scan(id, owner)
-    header = known["header"] if known else validated_header(path, settings)  # read anew for a new owner, whoever has it
-    scan = {
-        "id": id,
-        "file": path.name,
-        "path_name": disk_name(path.name),
-        "bytes": path.stat().st_size,
-        "header": header,
-    }
+    header = known.header if known else validated_header(path, settings)  # read anew for a new owner, whoever has it
+    scan = ScanRow(id, path.name, disk_name(path.name), path.stat().st_size, header, time.time())
     with scans_alone(settings):
         target = scan_path(settings, store.scan(id) or scan)
         if not place.is_file(target):
@@ -100,8 +96,8 @@ def discard_unused_scans(settings: ServiceSettings, store: Store) -> None:
     """The row goes first: files without a row are harmless, a row without is not."""
     for scan in store.unused_scans():
         with scans_alone(settings):
-            if store.forget_scan(scan["id"]):
-                _discard(settings, scan["id"])
+            if store.forget_scan(scan.id):
+                _discard(settings, scan.id)
 
 
 def _discard(settings: ServiceSettings, id: str) -> None:

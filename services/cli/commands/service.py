@@ -98,8 +98,8 @@ def _token(options: argparse.Namespace) -> int:
     elif options.list:
         day = lambda seconds: time.strftime("%Y-%m-%d", time.gmtime(seconds)) if seconds else "never"
         for row in tokens_of(store, options.owner):
-            id, made, used, ends = row["hash"][:ID_LENGTH], row["created"], row["used"], row["expires"]
-            print(f"{id}  made {day(made)}  used {day(used):<10}  expires {day(ends):<10}  {row['label']}")
+            id, made, used, ends = row.hash[:ID_LENGTH], row.created, row.used, row.expires
+            print(f"{id}  made {day(made)}  used {day(used):<10}  expires {day(ends):<10}  {row.label}")
     else:
         lasts_s = None if options.days is None else options.days * 86_400
         print(add_token(store, options.owner, options.label, lasts_s)[0])

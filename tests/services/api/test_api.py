@@ -29,7 +29,7 @@ from services.cli.client import zip_folder
 from services.jobs.runner import tidy
 from services.problems import Problem
 from services.settings import settings_from
-from services.store.store import RUNNING
+from services.store.rows import RUNNING, ArtifactRow
 from services.uploads import by_url
 from services.uploads.first_bytes import Look, look
 from services.uploads.validation import validated_header
@@ -475,14 +475,13 @@ def test_api__a_tradeoff_is_a_process_of_its_own(api, scan):
     assert api.post("/v1/jobs", json={"scan": scan}).json()["processID"] == "compress"
 
 
-def test_api__an_estimate_is_made_once_and_then_known(api, scan):
+def test_api__an_estimate_is_made_once_and_then_known(api, scan, monkeypatch):
     found = api.get("/v1/jobs/estimate", params={"scan": scan, "preset": "draft", "iterations": 2})
     assert found.status_code == 200 and found.json()["splats"] == 50 and found.json()["seconds"]["value"] > 0
-    begun = time.monotonic()
+    monkeypatch.setattr("services.api.estimates._pilot", None)  # there is none to be made
     assert (
         api.get("/v1/jobs/estimate", params={"scan": scan, "preset": "draft", "iterations": 2}).json() == found.json()
     )
-    assert time.monotonic() - begun < found.elapsed.total_seconds()
 
 
 @pytest.mark.parametrize(
@@ -535,9 +534,7 @@ def test_api__deleting_a_job_that_has_ended_removes_its_artifacts_unless_it_is_p
     made.parent.mkdir(parents=True)
     made.write_text("{}")
     store.begin(id, 1)
-    store.end(
-        id, 1, "successful", [{"name": "report.json", "path": "attempt-1/report.json", "bytes": 2, "sha256": "0" * 64}]
-    )
+    store.end(id, 1, "successful", [ArtifactRow("report.json", "attempt-1/report.json", 2, "0" * 64)])
     api.patch(f"/v1/jobs/{id}", json={"pinned": True})
     problem(api.delete(f"/v1/jobs/{id}"), 409, "pinned")
     assert api.get(f"/v1/jobs/{id}/artifacts/report.json").text == "{}"
@@ -554,7 +551,7 @@ def test_api__an_older_attempt_commits_nothing(api, scan):
     assert store.begin(id, 1) and store.begin(id, 1)
     store.dismiss(id)
     assert not store.end(id, 1, "successful", []) and store.retry(id) and store.begin(id, 2)
-    assert not store.end(id, 1, "failed", []) and store.job(id)["status"] == RUNNING
+    assert not store.end(id, 1, "failed", []) and store.job(id).status == RUNNING
     assert store.end(id, 2, "successful", []) and not store.end(id, 2, "successful", [])
 
 

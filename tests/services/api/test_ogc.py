@@ -14,6 +14,7 @@ from fastapi.testclient import TestClient
 from services.api.app import create_app
 from services.cli.main import main
 from services.settings import settings_from
+from services.store.rows import ArtifactRow
 from services.store.store import Store
 from tests.services.scans import photo_scan, point_scan
 from tests.services.service_process import service
@@ -46,7 +47,7 @@ def ended(api, scan) -> str:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
         hash = hashlib.sha256(content).hexdigest()
-        rows.append({"name": name, "path": f"attempt-1/{name}", "bytes": len(content), "sha256": hash})
+        rows.append(ArtifactRow(name, f"attempt-1/{name}", len(content), hash))
     store.begin(id, 1)
     store.end(id, 1, "successful", rows)
     return id

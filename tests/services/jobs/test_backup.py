@@ -12,6 +12,7 @@ from services.cli.main import main
 from services.jobs.backup import back_up, restore
 from services.jobs.disk import make_data_folder
 from services.settings import ServiceSettings, settings_from
+from services.store.rows import ArtifactRow, NewJob
 from services.store.store import Store
 from services.uploads.scans import accept_scan
 from storage.errors import InvalidPackedFile, ResourceExhausted, SplatpressError
@@ -61,27 +62,13 @@ def filled(tmp_path):
     make_data_folder(settings)
     store = Store(settings.database_url)
     scan, _ = accept_scan(point_scan(tmp_path / "ball.ply", 50), "ann", settings, store)
-    row = {
-        "owner": "ann",
-        "scan": scan["id"],
-        "name": "n",
-        "settings": {},
-        "webhook": None,
-        "request_key": None,
-        "request_hash": None,
-    }
-    job, _ = store.add_job(row, 10)
-    made = settings.data / "jobs" / job["id"] / "attempt-1" / "report.json"
+    job, _ = store.add_job(NewJob("ann", scan.id, "n", {}, "compress"), 10)
+    made = settings.data / "jobs" / job.id / "attempt-1" / "report.json"
     made.parent.mkdir(parents=True)
     made.write_text("{}")
-    store.begin(job["id"], 1)
-    store.end(
-        job["id"],
-        1,
-        "successful",
-        [{"name": "report.json", "path": "attempt-1/report.json", "bytes": 2, "sha256": "0" * 64}],
-    )
-    store.add_upload({"owner": "ann", "file": "a.zip", "length": 9, "metadata": "", "expires": 1e12})
+    store.begin(job.id, 1)
+    store.end(job.id, 1, "successful", [ArtifactRow("report.json", "attempt-1/report.json", 2, "0" * 64)])
+    store.add_upload("ann", "a.zip", 9, "", 1e12)
     store.close()
     return settings
 
@@ -92,13 +79,13 @@ def test_backup__is_restored_into_either_database_and_ids_go_on_behind_the_old_o
     settings = settings_from({}, data=tmp_path / "new", database=url)
     assert restore(settings, tmp_path / "b.tar") == made
     old, new = Store(filled.database_url), Store(url)
-    id = old.jobs("ann", 1, 0)[0][0]["id"]
+    id = old.jobs("ann", 1, 0)[0][0].id
     assert (
         new.job(id) == old.job(id) and new.events(id, 0) == old.events(id, 0) and new.artifacts(id) == old.artifacts(id)
     )
     assert new.scans("ann", 9, 0) == old.scans("ann", 9, 0)
     new.log(id, "info", "and on")
-    assert new.events(id, 0)[-1]["id"] > old.events(id, 0)[-1]["id"]
+    assert new.events(id, 0)[-1].id > old.events(id, 0)[-1].id
     assert (settings.data / "jobs" / id / "attempt-1" / "report.json").read_text() == "{}"
     assert not list(settings.data.glob("*restored*")) and not (settings.data / "backup.json").exists()
     old.close(), new.close()

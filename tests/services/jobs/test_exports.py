@@ -13,7 +13,7 @@ from services.jobs import exports
 from services.jobs.exports import make_next_export
 from services.jobs.workflow import job_folder
 from services.settings import settings_from
-from services.store.store import RUNNING, SUCCESSFUL
+from services.store.rows import RUNNING, SUCCESSFUL, ArtifactRow, NewJob
 from storage.errors import ResourceExhausted
 from tests.packed_files import Case, write_packed_file
 
@@ -47,17 +47,17 @@ def api(tmp_path, monkeypatch):
 def job_in(api, *names: str, status: str = SUCCESSFUL) -> str:
     """A job with packed files of those names among its artifacts."""
     settings, store = api.app.state.settings, api.app.state.store
-    job, _ = store.add_job({"owner": "local", "scan": SCAN, "name": "tiny", "settings": {}}, 100)
-    store.begin(job["id"], 1)
+    job, _ = store.add_job(NewJob("local", SCAN, "tiny", {}, "compress"), 100)
+    store.begin(job.id, 1)
     artifacts = []
     for name in names:
-        path = job_folder(settings, job["id"]) / "attempt-1" / name
+        path = job_folder(settings, job.id) / "attempt-1" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(write_packed_file(Case(), path.with_name("made.splatpress")), path)
-        artifacts.append({"name": name, "path": f"attempt-1/{name}", "bytes": path.stat().st_size, "sha256": "0" * 64})
+        artifacts.append(ArtifactRow(name, f"attempt-1/{name}", path.stat().st_size, "0" * 64))
     if status != RUNNING:
-        store.end(job["id"], 1, status, artifacts)
-    return job["id"]
+        store.end(job.id, 1, status, artifacts)
+    return job.id
 
 
 def make_next(api) -> None:

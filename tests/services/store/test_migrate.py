@@ -13,11 +13,12 @@ from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 
 from services.store.migrate import NewerDatabase, _config, newest
+from services.store.rows import ScanRow
 from services.store.store import Store
 from services.store.tables import METADATA
 from tests.services.service_process import ROOT
 
-SCAN, JOB = "0" * 64, "1" * 32
+SCAN, JOB, VARIED = "0" * 64, "1" * 32, "2" * 32
 
 
 @pytest.fixture(scope="module")
@@ -70,19 +71,24 @@ def test_migrate__a_database_of_before_there_were_revisions_keeps_what_it_holds(
         connection.execute(sa.text("INSERT INTO tokens VALUES ('h', 'ann', 1.0)"))
         connection.execute(sa.text(f"INSERT INTO scans VALUES ('{SCAN}', 'a.ply', 9, '{{\"points\": 5}}', 2.0)"))
         connection.execute(sa.text(f"INSERT INTO scan_owners VALUES ('{SCAN}', 'ann')"))
-        connection.execute(
-            sa.text(
-                "INSERT INTO jobs (id, owner, scan, name, settings, webhook_tries, status, attempt, progress, created,"
-                f" updated, pinned) VALUES ('{JOB}', 'ann', '{SCAN}', 'n', '{{}}', 0, 'successful', 1, 100, 3, 3, false)"
+        process = '{"seed": 5, "process": {"name": "tradeoff", "knobs": {"seed": [1]}, "budget_s": 60.0}}'
+        for id, settings in ((JOB, "{}"), (VARIED, process)):
+            connection.execute(
+                sa.text(
+                    "INSERT INTO jobs (id, owner, scan, name, settings, webhook_tries, status, attempt, progress,"
+                    " created, updated, pinned)"
+                    f" VALUES ('{id}', 'ann', '{SCAN}', 'n', :settings, 0, 'successful', 1, 100, 3, 3, false)"
+                ),
+                {"settings": settings},
             )
-        )
     store.close()
     store = Store(url)
     assert difference(store) == []
-    assert store.scan(SCAN, "ann") == {
-        "id": SCAN, "bytes": 9, "path_name": "a.ply", "file": "a.ply", "header": {"points": 5}, "created": 2.0,
-    }  # fmt: skip
-    assert store.job(JOB, "ann")["status"] == "successful"
+    assert store.scan(SCAN, "ann") == ScanRow(SCAN, "a.ply", "a.ply", 9, {"points": 5}, 2.0)
+    job, varied = store.job(JOB, "ann"), store.job(VARIED, "ann")
+    assert job.status == "successful" and (job.process, job.knobs, job.budget_s) == ("compress", None, None)
+    assert (varied.process, varied.knobs, varied.budget_s) == ("tradeoff", {"seed": [1]}, 60.0)
+    assert varied.settings == {"seed": 5}
     store.close()
 
 
