@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from pipeline.cameras.pinhole import resized
@@ -15,6 +17,7 @@ Direction = tuple[float, float, float]  # in the scan's own axes, of any length
 ORBIT_FIELD_DEGREES = 45.0  # of the shorter side of the picture
 ORBIT_HEIGHT_DEGREES = 20.0
 MARGIN = 1.08  # about what fills the picture
+FRAMED_FROM = 8  # directions of an orbit from each of which all of the bulk is to be in the picture
 MOST_OUTLINED_BY_CHUNKS = 64  # groups; those of more stand in a file's table, which a viewer has before anything else
 STRAY_SHARE = 0.02  # of chunks that a picture of the whole may leave out: stray and background points must not push the camera away
 TRIMMED_SHARE, LONGEST_TAIL = (
@@ -29,41 +32,58 @@ def view_of(camera: Camera, size: tuple[int, int] | None = None) -> Camera:
 
 
 def orbit_views(scene: PackedScene, n: int, size: tuple[int, int], up: Direction | None = None) -> list[Camera]:
-    """`n` cameras in a circle around the scene, looking slightly down on its middle, which fills the picture; `up` (3,) is the scan's where
-    it is known better than the file does.
+    """`n` cameras in a circle around the scene, looking slightly down on its middle, all as near as its bulk stays in the picture from
+    FRAMED_FROM directions, whatever `n`; `up` (3,) is the scan's where it is known better than the file does.
 
     The first one stands where the photographs were taken from, if there are any.
     """
-    has_strays = not has_own_lamp(scene.header)  # surfaces of a volume have none: all of them is to be seen
-    centre, reach = bulk_of(scene, STRAY_SHARE if has_strays else 0.0)
+    low, high = bulk_of(scene)
+    centre = (low.min(axis=0) + high.max(axis=0)) / 2
     middle = centre + scene.header.origin
     upright = up_direction(scene.header) if up is None else np.asarray(up, np.float64) / np.linalg.norm(up)
     start = _start_direction(scene.header, middle, upright)
-    side = np.cross(upright, start)
+    corners = np.concatenate([np.where(pick, high, low) for pick in product((False, True), repeat=3)]) - centre
     field = np.radians(ORBIT_FIELD_DEGREES)
-    distance = MARGIN * max(reach, scene.header.radius) / np.sin(field / 2)
-    height = np.radians(ORBIT_HEIGHT_DEGREES)
-    views = []
-    for index, angle in enumerate(np.arange(n) * 2 * np.pi / n):
-        level = np.cos(angle) * start + np.sin(angle) * side
-        centre = middle + distance * (np.cos(height) * level + np.sin(height) * upright)
-        views.append(_camera_at(f"orbit_{index:03d}", centre, middle, upright, field, size))
-    return views
+    tangents = np.tan(field / 2) / MARGIN * np.asarray(size) / min(size)
+    outwards = _outwards(start, upright, FRAMED_FROM)
+    distance = max(scene.header.radius, *(_framing_distance(corners, out, upright, tangents) for out in outwards))
+    return [
+        _camera_at(f"orbit_{index:03d}", middle + distance * out, middle, upright, field, size)
+        for index, out in enumerate(_outwards(start, upright, n))
+    ]
 
 
-def bulk_of(scene: PackedScene, share: float = STRAY_SHARE) -> tuple[np.ndarray, float]:
-    """Middle (3,) against the origin and radius of a ball that holds all but a `share` of the chunks, of a large scene of the groups: the middle of the ranges that
-    TRIMMED_SHARE of their centres lie below and above of, and how far all but the `share` reach from there, where that is no further than
-    LONGEST_TAIL times what all but TRIMMED_SHARE do. With a `share` of 0 it holds all."""
+def _outwards(start: np.ndarray, upright: np.ndarray, n: int) -> list[np.ndarray]:
+    """Unit vectors (3,) from the middle of an orbit to its `n` cameras; the first is above `start`."""
+    side, height = np.cross(upright, start), np.radians(ORBIT_HEIGHT_DEGREES)
+    angles = np.arange(n) * 2 * np.pi / n
+    return [np.cos(height) * (np.cos(a) * start + np.sin(a) * side) + np.sin(height) * upright for a in angles]
+
+
+def _framing_distance(corners: np.ndarray, out: np.ndarray, upright: np.ndarray, tangents: np.ndarray) -> float:
+    """How far along `out` a camera that looks back has to stand to see all `corners` (n, 3) within `tangents` (2,), across and up."""
+    right, down = _camera_axes(-out, upright)
+    seen = np.abs(corners @ np.stack([right, down], axis=1)) / tangents
+    return float((seen.max(axis=1) + corners @ out).max())
+
+
+def bulk_of(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corners (m, 3) against the origin of the chunks, of a large scene of the groups, that a picture of the whole
+    shows: those within a ball about the middle of the ranges that TRIMMED_SHARE of their centres lie below and above of, as far as all
+    but STRAY_SHARE reach from there, and no further than LONGEST_TAIL times what all but TRIMMED_SHARE do. The surfaces of a volume have
+    no strays: all of them."""
     low, high = scene_bounds(scene)
     if scene.header.n_groups > MOST_OUTLINED_BY_CHUNKS:
         groups = np.arange(0, len(low), CHUNKS_PER_GROUP)
         low, high = np.minimum.reduceat(low, groups), np.maximum.reduceat(high, groups)
-    centre, trimmed = (low + high) / 2, TRIMMED_SHARE if share else 0.0
-    middle = np.quantile(centre, [trimmed, 1 - trimmed], axis=0).mean(axis=0)
+    if has_own_lamp(scene.header):
+        return low, high
+    centre = (low + high) / 2
+    middle = np.quantile(centre, [TRIMMED_SHARE, 1 - TRIMMED_SHARE], axis=0).mean(axis=0)
     reach = np.linalg.norm(centre - middle, axis=1) + np.linalg.norm(high - low, axis=1) / 2
-    most, usual = np.quantile(reach, [1 - share, 1 - trimmed])
-    return middle, float(min(most, LONGEST_TAIL * usual))
+    most, usual = np.quantile(reach, [1 - STRAY_SHARE, 1 - TRIMMED_SHARE])
+    within = reach <= max(min(most, LONGEST_TAIL * usual), reach.min())
+    return low[within], high[within]
 
 
 def up_direction(header: Header) -> np.ndarray:
@@ -96,10 +116,9 @@ def _camera_at(
 ) -> Camera:
     """A camera that looks at `target`; `field` in radians is what the shorter side of the picture sees."""
     forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
+    right, down = _camera_axes(forward, up)
     focal_px = min(size) / 2 / np.tan(field / 2)
-    rotation = np.stack([right, np.cross(forward, right), forward])
+    rotation = np.stack([right, down, forward])
     return Camera(
         name,
         *size,
@@ -110,3 +129,10 @@ def _camera_at(
         tuple(map(tuple, rotation.tolist())),
         tuple(centre.tolist()),
     )
+
+
+def _camera_axes(forward: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (3,) to the right of and down in a picture that looks along `forward`, a unit vector too."""
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    return right, np.cross(forward, right)

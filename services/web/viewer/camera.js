@@ -3,7 +3,7 @@
 import { upOf } from "./packed.js";
 import { add, cross, dot, looking, scaled, squared, turned, unit } from "./vectors.js";
 
-const FIELD = (45 * Math.PI) / 180, HEIGHT = (20 * Math.PI) / 180, STRAYS = 0.02, TRIMMED = 0.1, LONGEST_TAIL = 1.3, MARGIN = 1.08; // as renderer/splats/views.py
+const FIELD = (45 * Math.PI) / 180, HEIGHT = (20 * Math.PI) / 180, STRAYS = 0.02, TRIMMED = 0.1, LONGEST_TAIL = 1.3, MARGIN = 1.08, FRAMED_FROM = 8; // as renderer/splats/views.py
 const PLAIN_LENS = { width: 1, height: 1, fx: 0.5 / Math.tan(FIELD / 2), fy: 0.5 / Math.tan(FIELD / 2), cx: 0.5, cy: 0.5 };
 const CLOSEST_TO_UP = 0.02; // radians that turning keeps from looking straight up or down
 
@@ -11,9 +11,8 @@ export class Camera {
   constructor(scene) {
     this.header = scene.header;
     this.up = upOf(scene.header);
-    const { middle, reach } = bulkOf(scene, scene.header.effects.relighting?.lamp ? 0 : STRAYS); // surfaces of a volume have no strays
-    this.middle = middle;
-    this.size = Math.max(reach, scene.header.radius);
+    this.corners = bulkOf(scene);
+    this.middle = [0, 1, 2].map((i) => (extreme(this.corners, i, 1) + extreme(this.corners, i, -1)) / 2);
     this.nearest = 4 * scene.header.radius;
     this.home();
   }
@@ -27,11 +26,20 @@ export class Camera {
       const level = add(mean, this.up, -dot(mean, this.up));
       if (Math.hypot(...level) > 1e-6 * Math.hypot(...mean)) towards = level;
     }
-    this.distance = (MARGIN * this.size) / Math.sin(FIELD / 2);
-    const out = add(scaled(unit(towards), Math.cos(HEIGHT)), this.up, Math.sin(HEIGHT));
+    const start = unit(towards), side = cross(this.up, start), from = Array.from({ length: FRAMED_FROM }, (_, i) => (2 * Math.PI * i) / FRAMED_FROM);
+    const outwards = from.map((a) => add(scaled(add(scaled(start, Math.cos(a)), side, Math.sin(a)), Math.cos(HEIGHT)), this.up, Math.sin(HEIGHT)));
+    const [out] = outwards;
+    this.distance = Math.max(this.header.radius, ...outwards.map((way) => this.framing(way)));
     this.eye = add(this.middle, out, this.distance);
     this.rows = looking(scaled(out, -1), this.up);
     this.lens = PLAIN_LENS;
+  }
+
+  /** How far along `out` all of the bulk is in a square picture; as _framing_distance of renderer/splats/views.py. */
+  framing(out) {
+    const [right, down] = looking(scaled(out, -1), this.up), most = Math.tan(FIELD / 2) / MARGIN;
+    const distance = (off) => Math.max(Math.abs(dot(off, right)), Math.abs(dot(off, down))) / most + dot(off, out);
+    return this.corners.reduce((far, corner) => Math.max(far, distance(add(corner, this.middle, -1))), 0);
   }
 
   /** Where a photograph was taken. */
@@ -120,19 +128,25 @@ export class Camera {
   }
 }
 
-// A ball that holds most of a scene; mirrors bulk_of of renderer/splats/views.py.
-function bulkOf({ outline: { low, high, n } }, share) {
+// The corners of the boxes that a picture of the whole shows; mirrors bulk_of of renderer/splats/views.py.
+function bulkOf({ outline: { low, high, n }, header }) {
   const boxes = Array.from({ length: n }, (_, i) => i), centre = (i, axis) => (low[3 * i + axis] + high[3 * i + axis]) / 2;
   const quantile = (values, part) => {
     const sorted = Float64Array.from(values).sort(), place = part * (n - 1), i = Math.floor(place);
     return sorted[i] + (place - i) * (sorted[Math.min(i + 1, n - 1)] - sorted[i]);
   };
-  const trimmed = share ? TRIMMED : 0, middle = [0, 1, 2].map((axis) => {
+  const middle = [0, 1, 2].map((axis) => {
     const along = boxes.map((i) => centre(i, axis));
-    return (quantile(along, trimmed) + quantile(along, 1 - trimmed)) / 2;
+    return (quantile(along, TRIMMED) + quantile(along, 1 - TRIMMED)) / 2;
   });
   const off = (i) => Math.hypot(...middle.map((x, axis) => centre(i, axis) - x));
   const half = (i) => Math.hypot(...[0, 1, 2].map((axis) => high[3 * i + axis] - low[3 * i + axis])) / 2;
   const reach = boxes.map((i) => off(i) + half(i));
-  return { middle, reach: Math.min(quantile(reach, 1 - share), LONGEST_TAIL * quantile(reach, 1 - trimmed)) };
+  const usual = Math.min(quantile(reach, 1 - STRAYS), LONGEST_TAIL * quantile(reach, 1 - TRIMMED));
+  const most = header.effects.relighting?.lamp ? Infinity : Math.max(usual, reach.reduce((a, b) => Math.min(a, b))); // a volume has no strays
+  return boxes.filter((i) => reach[i] <= most).flatMap((i) => Array.from({ length: 8 }, (_, k) => [0, 1, 2].map((axis) => ((k >> axis) & 1 ? high : low)[3 * i + axis])));
+}
+
+function extreme(corners, axis, sign) {
+  return sign * corners.reduce((most, corner) => Math.max(most, sign * corner[axis]), -Infinity);
 }

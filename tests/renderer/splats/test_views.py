@@ -35,13 +35,22 @@ def scene_with_strays(cameras=()):
 
 
 def test_bulk_of__is_not_spoilt_by_strays():
-    middle, reach = bulk_of(scene_with_strays())
-    assert middle == pytest.approx([1, -1, 0], abs=0.2)
-    assert 1.2 < reach < 1.9  # the sheet's corners are 1.41 away
+    low, high = bulk_of(scene_with_strays())
+    assert low.min(axis=0) == pytest.approx([0, -1, -1], abs=0.2)
+    assert high.max(axis=0) == pytest.approx([2, -1, 1], abs=0.2)
 
 
-def test_bulk_of__holds_all_where_there_are_no_strays():
-    assert bulk_of(scene_with_strays(), 0.0)[1] > 400
+def test_orbit_views__of_a_long_scene_fill_the_picture_from_the_side_and_see_all_of_it_from_everywhere():
+    rng = np.random.default_rng(0)
+    splats = sheet(rng, 128 * 40, half_width=1.0)
+    position = splats.position * [8, 1, 1]
+    scene = build_scene(Splats(position, splats.normal, splats.color), Settings())
+    for size in ((400, 300), (300, 400), (200, 200)):
+        seen = [np.array([project(view, p) for p in position[::7]]) for view in orbit_views(scene, 8, size)]
+        assert all((p > 0).all() and (p < size).all() for p in seen)
+        assert max(np.ptp(p[:, 0]) / size[0] for p in seen) > 0.8
+    distances = [np.linalg.norm(view.centre) for view in orbit_views(scene, 5, (400, 300))]
+    assert np.ptp(distances) < 0.1
 
 
 @pytest.mark.parametrize("up", [(0, 1, 0), (1, 0, 0), (0, 0, -1), (1, 1, 1)])
