@@ -19,8 +19,7 @@ from scipy.spatial import cKDTree
 from pipeline.geometry.hcp import centres_of
 from pipeline.geometry.normals import decode_normals
 from pipeline.geometry.runs.cells import average_normals, in_grid, mean_spacing, search_size
-from pipeline.geometry.runs.codes import RunCodes, cones, decode_runs, encode_runs
-from pipeline.geometry.runs.disk import pack_runs, unpack_runs
+from pipeline.geometry.runs.codes import RunCodes, cones, decode_runs, encode_runs, turn_across
 from pipeline.geometry.runs.gaps import close_gaps
 from pipeline.geometry.runs.walks import RUN_LENGTH, runs_of
 from pipeline.readers import open_scan
@@ -29,6 +28,9 @@ from pipeline.volumes.field import SUPPORT
 from pipeline.volumes.lattice import HALO, auto_size, lattice_of
 from pipeline.volumes.open import open_volume
 from pipeline.volumes.surface import sampled, surface_in
+from storage.packed.runs.coded import GroupRuns, pack_runs
+from storage.packed.scene import PackedScene
+from storage.packed.schema import GROUP, RUNS, Batch, Header, RunGrid
 
 TASK = 32  # slices of a volume at a time
 REPEATS = 5
@@ -92,7 +94,7 @@ def _compile() -> None:
     key = np.arange(40, dtype=np.int64) + (1 << 20) * ((1 << 42) + (1 << 21) + 1)
     codes, _ = encode_runs(key, np.tile([0.0, 0.0, 1.0], (40, 1)), runs_of(key))
     decode_runs(codes)
-    unpack_runs(pack_runs(codes), len(codes.start), len(codes.step))
+    packed_groups(codes)
 
 
 def row_of(name: str, key: np.ndarray, normal: np.ndarray, facts: dict, gpu: bool) -> dict:
@@ -103,18 +105,29 @@ def row_of(name: str, key: np.ndarray, normal: np.ndarray, facts: dict, gpu: boo
         codes, place = encode_runs(key, normal, runs)
         times.append(time.process_time() - begun)
     begun = time.process_time()
-    data = pack_runs(codes)
+    n_bytes = packed_groups(codes)
     packed_s = time.process_time() - begun
     _, code = decode_runs(codes)
     off = np.degrees(np.arccos(np.clip((decode_normals(code) * normal[place]).sum(axis=1), -1, 1)))
     bits = codes.bits()
-    tables = 8 * (codes.base.nbytes + codes.first_run.nbytes + codes.first_step.nbytes + codes.codebook.nbytes)
     row = {"name": name, **facts, "cells": len(key), "runs": len(codes.start), "efficiency": runs.mean_length / RUN_LENGTH,
            "twice": len(runs.cells) / len(key) - 1, "gpu_bits": sum(bits.values()), **{f"gpu_bits_{k}": v for k, v in bits.items()},
-           "disk_bits": (8 * len(data) + tables) / codes.n_cells, "normals_off_degrees": float(off.mean()),
+           "disk_bits": 8 * (n_bytes + codes.codebook.nbytes) / codes.n_cells, "normals_off_degrees": float(off.mean()),
            "normals_off_p99_degrees": float(np.quantile(off, 0.99)), "culled_by_cones": culled(codes),
            "encode_cells_a_second": len(key) / min(times), "pack_cells_a_second": len(key) / packed_s}  # fmt: skip
     return row | ({"gpu_decode_ms": gpu_ms(codes)} if gpu else {})
+
+
+def packed_groups(codes: RunCodes) -> int:
+    """Bytes of all groups' runs, each alone, as a packed file has them."""
+    begin = codes.first_run.astype(int) + codes.first_step
+    n_bytes, sections = 0, np.append(np.flatnonzero(begin % GROUP == 0), len(begin))
+    runs, steps = np.append(codes.first_run, len(codes.start)), np.append(codes.first_step, len(codes.step))
+    for a, b in zip(sections, sections[1:]):
+        r, s = slice(runs[a], runs[b]), slice(steps[a], steps[b])
+        first = codes.first_run[a:b] - codes.first_run[a]
+        n_bytes += len(pack_runs(GroupRuns(codes.base[a:b], first, codes.start[r], codes.normal[r], codes.step[s])))
+    return n_bytes
 
 
 def culled(codes: RunCodes) -> float:
@@ -127,12 +140,18 @@ def culled(codes: RunCodes) -> float:
 
 
 def gpu_ms(codes: RunCodes) -> float:
-    from renderer.splats.runs import upload_runs
-
     from renderer.splats.context import gl_context
+    from renderer.splats.upload.runs import upload_runs
 
+    begin = codes.first_run.astype(int) + codes.first_step
+    arrays = {"run_base": codes.base, "run_first": codes.first_run, "run_start": codes.start, "run_normal": codes.normal,
+              "run_step": codes.step, "run_codebook": codes.codebook,
+              "run_section": np.flatnonzero(begin % GROUP == 0).astype(np.uint32)}  # fmt: skip
+    grid = RunGrid(1.0, turn_across(2), len(codes.base), len(codes.start))
+    header = Header(codes.n_cells, 1.0, "m", (0.0, 0.0, 0.0), (0, 0, 1), (1, 0, 0), 1.0, 0, 1, 4, (Batch(0),), (), {}, {},
+                    geometry=RUNS, runs=grid)  # fmt: skip
     with gl_context() as context:
-        gpu = upload_runs(context, codes, 1.0)
+        gpu = upload_runs(context, PackedScene(header, arrays))
         times = []
         for _ in range(REPEATS):
             begun = time.perf_counter()

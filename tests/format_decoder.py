@@ -14,6 +14,8 @@ import zarr
 from PIL import Image
 from zarr.storage import ZipStore
 
+from tests.format_runs import Run, runs_of_group
+
 NEAR_IN_RADII, NUDGE, LEAST_WEIGHT, SMALLEST_PX = 0.01, 1e-5, 1 / 1024, 1e-3
 
 
@@ -120,19 +122,10 @@ class Packed:
             root = zarr.open_group(store, mode="r")
             self.header = dict(root.attrs)
             self.arrays = {name: np.asarray(root[name][:]) for name in root.array_keys()}
-        several = (
-            "run_base",
-            "run_first",
-            "run_start",
-            "run_normal",
-            "run_step",
-            "colors",
-            "codes",
-            "cliplines",
-            "ellipsoids",
-        )
+        several = ("run_codes", "colors", "codes", "cliplines", "ellipsoids")
         several = [name for name in several if name in self.arrays]  # in the order of the page
         self.rows_of = dict(zip(several, self.arrays["group_rows"].T)) if several else {}
+        self.runs: dict[int, list[Run]] = {}  # by group
         self.batches = self.header["batches"]
         counts = self.arrays["batch_count"].astype(int)
         self.batch = np.repeat(np.tile(np.arange(len(self.batches)), len(counts)), counts.ravel())
@@ -159,24 +152,19 @@ class Packed:
         cell = i
         if "run_batch" in a:
             cell = first + int(np.argsort(a["run_batch"][first : first + 128], kind="stable")[i - first])
-        base, run_first, run_start, run_normal, run_step = (
-            a[name][group, : self.rows_of[name][group]]
-            for name in ("run_base", "run_first", "run_start", "run_normal", "run_step")
-        )
+        if group not in self.runs:
+            coded = a["run_codes"][group, : self.rows_of["run_codes"][group]].tobytes()
+            self.runs[group] = runs_of_group(coded, min(8192, len(self) - 8192 * group))
         cell -= 8192 * group
-        length = (run_start >> 27).astype(int) + 1
-        end = np.cumsum(length)
-        run = int(np.searchsorted(end, cell, side="right"))
-        steps = run_step[end[run] - length[run] - run :][: cell - (end[run] - length[run])].astype(int)
-        section = int(np.searchsorted(run_first, run, side="right")) - 1
-        start = int(run_start[run])
-        c, r, s = (base[section] + [start & 2047, start >> 11 & 2047, start >> 22 & 31]).tolist()
-        (x, y), k = run_normal[run].tolist(), 0
-        for step in steps.tolist():
-            k, q = (k + (step & 7)) % 6, (r + s) % 2
+        end = np.cumsum([1 + len(run.steps) for run in self.runs[group]])
+        run = self.runs[group][int(np.searchsorted(end, cell, side="right"))]
+        c, r, s = run.column, run.row, run.slice_
+        (x, y), k = run.normal, 0
+        for turn, entry in run.steps[: cell - int(end[end <= cell].max(initial=0))]:
+            k, q = (k + turn) % 6, (r + s) % 2
             c += (1, q, q - 1, -1, q - 1, q)[k]
             r += (0, 1, 1, 0, -1, -1)[k]
-            x, y = (p + d for p, d in zip((x, y), a["run_codebook"][step >> 3].tolist()))
+            x, y = (p + d for p, d in zip((x, y), a["run_codebook"][entry].tolist()))
             if abs(x) > 127:
                 x, y = int(np.sign(x)) * 254 - x, -y
             if abs(y) > 127:

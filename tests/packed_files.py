@@ -14,8 +14,21 @@ import numpy as np
 
 from storage.maps import NO_MAP, StoredMap
 from storage.packed.batches import CHUNKS_PER_GROUP, group_batch_counts
+from storage.packed.runs.tables import DECODED
 from storage.packed.scene import streams_of
-from storage.packed.schema import BOXES, CHUNK, FORMS, GROUP, NO_CAMERA, RUNS, Batch, Camera, Header, RunGrid, arrays_of
+from storage.packed.schema import (
+    BOXES,
+    CHUNK,
+    FORMS,
+    GROUP,
+    NO_CAMERA,
+    RUNS,
+    Batch,
+    Camera,
+    Header,
+    RunGrid,
+    arrays_of,
+)
 from storage.packed.writer import begin_packed, seal_packed, write_array, write_group, write_table
 
 LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
@@ -147,15 +160,15 @@ def write_arrays(header: Header, arrays: dict[str, np.ndarray], path: Path) -> P
 def fill_folder(header: Header, arrays: dict[str, np.ndarray], folder: Path, edit=None) -> None:
     """As stages do it, a group after the other; `edit` may change what the table of groups will say (a list of WrittenGroup)."""
     begin_packed(folder, header)
-    stored = [array for array in arrays_of(header) if array.name in arrays]
+    stored = [array for array in (*arrays_of(header), *DECODED) if array.name in arrays]
     for array in stored:
-        if not array.in_groups:
+        if not array.in_groups and array not in DECODED:
             write_array(folder, array.name, arrays[array.name])
     groups = []
     for group in range(header.n_groups):
         part = {}
         for array in stored:
-            if array.is_ragged:
+            if array.is_ragged or array in DECODED:
                 bounds = _bounds(header, arrays, array.name)
             elif array.in_groups:
                 bounds = {"n": GROUP, "c": CHUNKS_PER_GROUP}[array.dims[0]] * np.arange(header.n_groups + 1)

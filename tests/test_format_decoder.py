@@ -12,7 +12,7 @@ from pipeline.splats.decoded import scene_normal_codes, scene_radii
 from renderer.splats.scene import GpuScene
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Camera
-from tests import format_decoder
+from tests import format_decoder, format_runs
 from tests.format_decoder import Packed, View, render
 from tests.mapped_scenes import STATION, wall_map, with_maps
 from tests.packed_files import Case, write_arrays, write_packed_file
@@ -40,10 +40,13 @@ CASES = [
 
 
 def test_format_decoder__knows_nothing_of_the_product():
-    tree = ast.parse(Path(format_decoder.__file__).read_text())
-    names = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    names |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
-    assert names == {"__future__", "dataclasses", "io", "pathlib", "numpy", "zarr", "zarr.storage", "PIL"}
+    names = set()
+    for file in (format_decoder.__file__, format_runs.__file__):
+        tree = ast.parse(Path(file).read_text())
+        names |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+        names |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    own = {"tests.format_runs"}
+    assert names == {"__future__", "dataclasses", "io", "pathlib", "numpy", "zarr", "zarr.storage", "PIL"} | own
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.geometry.runs.codes import RunCodes, decode_runs, positions_of, turned
-from storage.packed.runs import cell_order, lengths_of
+from storage.packed.runs.tables import cell_order, lengths_of
 from storage.packed.scene import PackedScene
 from storage.packed.schema import CHUNK
 

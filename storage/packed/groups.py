@@ -13,7 +13,7 @@ import numpy as np
 from storage.packed.batches import group_batch_counts
 from storage.packed.bits import unpack_sizes
 from storage.packed.colors import color_words
-from storage.packed.runs import run_bounds
+from storage.packed.runs.tables import DECODED, most_bytes, run_bounds
 from storage.packed.schema import (
     CHUNK,
     EXTRAS,
@@ -48,14 +48,14 @@ class GroupTable:
     seal: np.ndarray  # (g, 32) uint8: SHA-256 of their zarr chunks
 
 
-# Tables that readers make of the lengths of streams, for memory and GPUs, and the row of the size table that their bytes are counted in.
+# Tables that readers make of the lengths of streams and of runs, for memory and GPUs, and the row of the size table that their bytes are counted in.
 FIRST_WORDS = {
     "run_section": "geometry",
     "color_word": "colors",
     "group_word": "codes",
     "clipline_word": "geometry",
     "ellipsoid_word": "geometry",
-}
+} | {array.name: array.part for array in DECODED}
 TABLE = tuple(PREFIX + field.name for field in fields(GroupTable))
 
 
@@ -65,10 +65,10 @@ def ragged_in(header: Header) -> tuple[Array, ...]:
 
 
 def most_rows(header: Header, array: Array) -> int:
-    """What a group has no more rows of: of words by the bits that a splat may take, of runs one a splat. All have so many in the file."""
+    """What a group has no more rows of: of words and bytes by the bits that a splat may take. All have so many in the file."""
     n = min(GROUP, header.n_splats)
-    if "e" not in array.dims:
-        return n
+    if "u" in array.dims:
+        return most_bytes(n)
     bits = {"codes": header.n_ranks * header.entry_bits, "colors": MOST_COLOR_BITS}
     bits |= {extra.stream: extra.bits * extra.n_fields for extra in EXTRAS}
     return -(-n // CHUNK) * CHUNK * bits[array.name] // 32

@@ -20,7 +20,7 @@ from storage.errors import InvalidPackedFile
 from storage.packed.checks import ZSTD_HEADER_BYTES, check_frame, check_layout, check_members, check_table, read_header
 from storage.packed.groups import TABLE, GroupTable, check_outline, first_words, ragged_in, rows_told
 from storage.packed.layout import chunk_bytes, chunk_member, chunk_shape, group_members, shape_of
-from storage.packed.runs import joined_tables
+from storage.packed.runs.tables import DECODED, joined_tables
 from storage.packed.scene import PackedScene, check_tables
 from storage.packed.schema import BY_NAME, GROUP, Array, Header, arrays_of
 from storage.packed.seal import check_seal, is_packed_file
@@ -83,7 +83,7 @@ class PackedFile:
         """The whole file in memory, with the tables checked against each other."""
         groups = range(self.header.n_groups)
         dictionary = {a.name: self.read(a.name) for a in arrays_of(self.header) if not (a.in_groups or a.name in TABLE)}
-        return self._checked(self.header, [self._group_arrays(index) for index in groups], dictionary, slice(None))
+        return self._checked(self.header, [self._group_arrays(index) for index in groups], dictionary)
 
     def group(self, index: int) -> PackedScene:
         """One group of GROUP splats as a scene of its own, without the dictionary, checked like `load` and against the table.
@@ -93,16 +93,15 @@ class PackedFile:
         if not 0 <= index < self.header.n_groups:
             raise IndexError(f"group {index} of {self.header.n_groups}")
         arrays = self._group_arrays(index)
-        of_all = {"run_codebook": self.read("run_codebook")} if self.header.runs else {}
-        return self._checked(self._header_of(index), [arrays], of_all, slice(index, index + 1))
+        header, of_all = self._header_of(index), {}
+        if header.runs:
+            runs = replace(header.runs, n_sections=len(arrays["run_first"]), n_runs=len(arrays["run_start"]))
+            header, of_all = replace(header, runs=runs), {"run_codebook": self.read("run_codebook")}
+        return self._checked(header, [arrays], of_all)
 
     def _header_of(self, index: int) -> Header:
-        """The header of one group alone."""
-        rows = dict(zip((array.name for array in ragged_in(self.header)), self.groups.rows[index].tolist()))
-        runs = self.header.runs
-        if runs:
-            runs = replace(runs, n_sections=rows["run_first"], n_runs=rows["run_start"])
-        return replace(self.header, n_splats=min(GROUP, self.header.n_splats - index * GROUP), levels=(), runs=runs)
+        """The header of one group alone, but for how many runs it has."""
+        return replace(self.header, n_splats=min(GROUP, self.header.n_splats - index * GROUP), levels=())
 
     def _group_arrays(self, index: int) -> dict[str, np.ndarray]:
         """The rows of a group that count, once its seal and the table fit them."""
@@ -121,27 +120,24 @@ class PackedFile:
             for name, told in rows_told(header, arrays).items():
                 if n_rows[name] != told[0]:
                     raise ValueError(f"group_rows says {n_rows[name]} of {name} in group {index}, its counts {told[0]}")
+            if header.runs:
+                arrays |= decoded_runs(arrays.pop("run_codes"), header.n_splats)
             check_outline(header, self.groups, index, arrays)
         return arrays
 
-    def _checked(self, header: Header, groups: list[dict], others: dict[str, np.ndarray], which: slice) -> PackedScene:
-        """The scene of consecutive groups, `which` of the table."""
+    def _checked(self, header: Header, groups: list[dict], others: dict[str, np.ndarray]) -> PackedScene:
+        """The scene of consecutive groups."""
         arrays = dict(others)
-        for array in arrays_of(self.header):
-            if array.in_groups:
-                spare = [np.zeros(1, np.uint32)] if "e" in array.dims else []
-                arrays[array.name] = np.concatenate([group[array.name] for group in groups] + spare)
+        streams = {array.name for array in arrays_of(self.header) if "e" in array.dims}
+        for name in groups[0]:
+            spare = [np.zeros(1, np.uint32)] if name in streams else []
+            arrays[name] = np.concatenate([group[name] for group in groups] + spare)
         with _damage_is_an_error(self.path):
             arrays |= first_words(header, arrays)
             if header.runs:
-                names = [array.name for array in ragged_in(self.header)]
-                sections, runs = (
-                    self.groups.rows[which, names.index(n)].astype(int) for n in ("run_first", "run_start")
-                )
+                sections, runs = (np.array([len(g[name]) for g in groups]) for name in ("run_first", "run_start"))
                 if (sections.sum(), runs.sum()) != (header.runs.n_sections, header.runs.n_runs):
-                    raise ValueError(
-                        f"group_rows of {sections.sum()} sections and {runs.sum()} runs, not {header.runs}"
-                    )
+                    raise ValueError(f"groups of {sections.sum()} sections and {runs.sum()} runs, not {header.runs}")
                 arrays |= joined_tables(sections, runs, arrays["run_first"])
             scene = PackedScene(header, arrays)
             check_tables(scene)
@@ -159,6 +155,14 @@ class PackedFile:
             raise ValueError(f"a chunk of {array.name} of {len(raw)} bytes, not {n_bytes}")
         values = np.frombuffer(raw, np.dtype(array.dtype).newbyteorder("<")).reshape(chunk_shape(array, shape))
         return values.astype(array.dtype), stored
+
+
+def decoded_runs(data: np.ndarray, n_cells: int) -> dict[str, np.ndarray]:
+    """The arrays DECODED of a group's `run_codes`, `run_first` counted from its first run. What compiles loops is loaded for runs alone."""
+    from storage.packed.runs.coded import unpack_runs
+
+    runs = unpack_runs(data, n_cells)
+    return {array.name: getattr(runs, array.name.removeprefix("run_")) for array in DECODED}
 
 
 def _table(n_groups: int, arrays: dict[str, np.ndarray]) -> GroupTable:

@@ -13,7 +13,7 @@ from storage.packed.batches import Rows, group_batch_counts, rows_of
 from storage.packed.bits import unpack_sizes, words_for
 from storage.packed.codes import unpack_codes
 from storage.packed.colors import color_words, unpack_colors
-from storage.packed.runs import check_runs
+from storage.packed.runs.tables import DECODED, check_runs
 from storage.packed.schema import (
     BY_NAME,
     CHUNK,
@@ -149,8 +149,9 @@ def _check_colors(header: Header, arrays: dict[str, np.ndarray]) -> None:
 
 
 def _check_numbers(arrays: dict[str, np.ndarray]) -> None:
+    dtypes = {array.name: array.dtype for array in (*BY_NAME.values(), *DECODED)}
     for name, values in arrays.items():
-        kind = BY_NAME[name].dtype if name in BY_NAME else "uint32"  # first words, which no file holds
+        kind = dtypes.get(name, "uint32")  # first words, which no file holds
         if kind == "float32" and not np.isfinite(values).all():
             raise ValueError(f"{name} is not finite")
         if kind == "int8" and values.min() < -127:

@@ -1,8 +1,8 @@
 """The packed file: every array, its dimensions, dtype, unit and meaning. docs/FORMAT.md says the same in prose.
 
 Dimensions: n splats; c chunks of CHUNK splats; g groups of GROUP splats; b batches; k atoms; r ranks (atoms a splat,
-at most); w weight levels; s words of a chunk's sizes; and of a group, as many as it has at most: e 32-bit words of a stream, q
-sections of m runs, with t steps; v arrays whose rows a group has any number of; and y bytes of maps' pictures, x texels of maps.
+at most); w weight levels; s words of a chunk's sizes; and of a group, as many as it has at most: e 32-bit words of a stream, u
+bytes of its runs; v arrays whose rows a group has any number of; and y bytes of maps' pictures, x texels of maps.
 """
 
 from __future__ import annotations
@@ -201,7 +201,7 @@ class Array:
     @property
     def is_ragged(self) -> bool:
         """Whether groups have any number of rows of it: `group_rows` says how many of a group's count, the others are 0."""
-        return self.dims[0] == "g" and bool({"e", "q", "m", "t"} & set(self.dims))
+        return self.dims[0] == "g" and bool({"e", "u"} & set(self.dims))
 
     @property
     def in_groups(self) -> bool:
@@ -217,11 +217,7 @@ ARRAYS = (
     Array("sizes", ("c", "s"), "uint32", "geometry", "radius of each splat between them, a chunk in whole words"),
     Array("position", ("n", "3"), "uint8", "geometry", "24-bit cell index, little-endian: x lowest, then y, then z"),
     Array("normal", ("n", "2"), "int8", "geometry", "octahedral normal, -127..127"),
-    Array("run_base", ("g", "q", "3"), "int32", "geometry", "column, row, slice that each section's starts count from"),
-    Array("run_first", ("g", "q"), "uint32", "geometry", "first run of each section, counted from its group's first"),
-    Array("run_start", ("g", "m"), "uint32", "geometry", "11 bits of column, 11 of row, 5 of slice, 5 of length - 1"),
-    Array("run_normal", ("g", "m", "2"), "int8", "geometry", "octahedral normal of each run's first cell, -127..127"),
-    Array("run_step", ("g", "t"), "uint8", "geometry", "turn, 3 bits, and step of the normal, 5, of each further cell"),
+    Array("run_codes", ("g", "u"), "uint8", "geometry", "sections, starts, turns and steps of normals, range coded"),
     Array("run_codebook", ("32", "2"), "int8", "geometry", "steps of normals on the octahedral map"),
     Array("run_batch", ("n",), "uint8", "geometry", "batch of each cell, in the order of the runs"),
     Array("color", ("n", "3"), "uint8", "colors", "average of the patch, sRGB"),

@@ -32,6 +32,7 @@ from storage.packed.layout import (
     members_in_order,
     shape_of,
 )
+from storage.packed.runs.tables import DECODED
 from storage.packed.schema import BY_NAME, GROUP, Array, Header, arrays_of
 from storage.packed.seal import UNSEALED, write_seal
 from storage.whole import whole
@@ -78,8 +79,10 @@ def begin_packed(folder: Path, header: Header) -> zarr.Group:
 
 def write_group(folder: Path, header: Header, index: int, arrays: dict[str, np.ndarray]) -> WrittenGroup:
     """Write the zarr chunks of group `index` of a begun packed file. `arrays` are its rows by name, of streams the words without a spare
-    one, `run_first` counted from its own first run. For tasks, which may run more than once, also side by side: chunks are there whole, and equal tasks make equal bytes."""
+    one, of runs those of DECODED, `run_first` counted from its own first run. For tasks, which may run more than once, also side by side: chunks are there whole, and equal tasks make equal bytes."""
     n_bytes, state = 0, hashlib.sha256()
+    if header.runs:
+        arrays = arrays | {"run_codes": _coded(arrays)}
     for array, member in group_members(header, index):
         shape = chunk_shape(array, shape_of(header, array))
         rows, values = np.zeros(shape, array.dtype), arrays[array.name]
@@ -95,6 +98,12 @@ def write_group(folder: Path, header: Header, index: int, arrays: dict[str, np.n
     outline = {name: value.tolist() for name, value in outline_of(alone, arrays).items()}
     n_rows = [len(arrays[array.name]) for array in ragged_in(header)]
     return WrittenGroup(**outline, rows=n_rows, bytes=n_bytes, seal=list(state.digest()))
+
+
+def _coded(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    from storage.packed.runs.coded import GroupRuns, pack_runs  # compiles loops: for runs alone
+
+    return pack_runs(GroupRuns(*(arrays[array.name] for array in DECODED)))
 
 
 def write_array(folder: Path, name: str, rows: np.ndarray) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from storage.packed.codes import pack_codes
 from storage.packed.colors import pack_colors
 from storage.packed.groups import TABLE, ragged_in
 from storage.packed.layout import bytes_on_gpu, shape_of
+from storage.packed.runs.tables import DECODED
 from storage.packed.scene import streams_of
 from storage.packed.schema import BY_NAME, CHUNK, EXTRAS, GROUP, Batch, Header, arrays_of, color_bits
 from storage.packed.writer import (
@@ -215,7 +217,20 @@ def array_bytes(header: Header, groups: list[WrittenGroup]) -> dict[str, int]:
         if array.name not in TABLE and not array.is_ragged:
             n_bytes = int(np.prod(shape_of(header, array))) * np.dtype(array.dtype).itemsize
             found[array.name] = bytes_on_gpu(header, array, n_bytes)
+    if header.runs:
+        counts = {
+            "q": header.runs.n_sections,
+            "m": header.runs.n_runs,
+            "t": header.n_splats - header.runs.n_runs,
+            "3": 3,
+            "2": 2,
+        }
+        for array in DECODED:
+            found[array.name] = math.prod(counts[d] for d in array.dims) * np.dtype(array.dtype).itemsize
+        found["run_section"] = 4 * header.n_groups
     for i, array in enumerate(ragged_in(header)):
+        if array.name == "run_codes":
+            continue
         a_row = int(np.prod(shape_of(header, array)[2:])) * np.dtype(array.dtype).itemsize
         found[array.name] = a_row * (sum(group.rows[i] for group in groups) + ("e" in array.dims))
         if array.name in tables:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.stages.runs.found import CellsFilled
-from storage.packed.runs import lengths_of
+from storage.packed.runs.tables import lengths_of
 from storage.work import arrays, work
 
 NAMES = ("run_base", "run_first", "run_start", "run_normal", "run_step")

@@ -43,12 +43,6 @@ def changed(name, at, value):
 @pytest.mark.parametrize(
     "edit",
     [
-        changed("run_first", 0, 1),
-        changed("run_first", 1, 0),
-        changed("run_first", -2, 2**31),
-        changed("run_start", 3, 31 << 27),
-        changed("run_base", (0, 0), 2**20 + 1),
-        changed("run_base", (0, 2), -(2**31)),
         changed("run_step", 5, 6),
         changed("run_batch", 9, 2),
         changed("run_codebook", (7, 1), -128),

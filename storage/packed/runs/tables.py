@@ -16,11 +16,29 @@ from storage.packed.schema import (
     MOST_RUNS,
     ROW_BITS,
     SLICE_BITS,
+    Array,
     Header,
 )
 
 MOST_INDEX = 1 << 20  # of a cell along an axis, either way: its centre is a whole number that float32 holds
 N_TURNS = 6
+
+# What `run_codes` of a file holds, of q sections, m runs and t steps, as a graphics card takes it: in memory alone.
+DECODED = (
+    Array("run_base", ("q", "3"), "int32", "geometry", "column, row, slice that each section's starts count from"),
+    Array("run_first", ("q",), "uint32", "geometry", "first run of each section"),
+    Array("run_start", ("m",), "uint32", "geometry", "11 bits of column, 11 of row, 5 of slice, 5 of length - 1"),
+    Array("run_normal", ("m", "2"), "int8", "geometry", "octahedral normal of each run's first cell, -127..127"),
+    Array("run_step", ("t",), "uint8", "geometry", "turn, 3 bits, and step of the normal, 5, of each further cell"),
+)
+
+# Of a cell that is a run and a section of its own: 43 bits by models, which take no more than 9 each, and 90 others are 60 bytes.
+_MOST_BYTES_A_CELL, _ENDING = 64, 4
+
+
+def most_bytes(n_cells: int) -> int:
+    """What the codes of so many cells take no more than (storage/packed/runs/coded.py)."""
+    return _ENDING + _MOST_BYTES_A_CELL * n_cells
 
 
 def lengths_of(start: np.ndarray) -> np.ndarray:
