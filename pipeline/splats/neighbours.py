@@ -52,6 +52,21 @@ def find_neighbours(
     return Neighbours(distance[inverse], position[inverse])
 
 
+def points_around(
+    block: int,
+    reach: float,
+    load: Callable[[int], np.ndarray],  # positions (m, 3) float64 of a block
+    low: np.ndarray,  # (n_blocks, 3) lowest corners of the blocks' boxes
+    high: np.ndarray,  # (n_blocks, 3)
+) -> np.ndarray:
+    """The positions (m, 3) float64 of other blocks that lie within `reach` of the block's box, in order of blocks."""
+    near = np.flatnonzero(_box_distance(low[block], high[block], low, high) <= reach)
+    there = [load(other) for other in near if other != block]
+    return np.concatenate(
+        [np.empty((0, 3)), *(p[_box_distance(p, p, low[block], high[block]) <= reach] for p in there)]
+    )
+
+
 def _ask(there: np.ndarray, needy: np.ndarray, points: np.ndarray, distance: np.ndarray, position: np.ndarray) -> None:
     """Merge the neighbours that the `needy` points have among `there` into `distance` and `position`."""
     n_asked = min(distance.shape[1] + 1, len(there))

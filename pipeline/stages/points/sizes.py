@@ -1,11 +1,15 @@
-"""Spacing -> a radius for each splat, in steps of its chunk's scale; and whether one radius would do."""
+"""Spacing and gaps -> a radius for each splat, in steps of its chunk's scale; and whether one radius would do."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.geometry.sizes import decode_sizes, encode_sizes, fit_scales
+import numpy as np
+
+from pipeline.geometry.sizes import MOST_MEDIANS, decode_sizes, encode_sizes, fit_scales
+from pipeline.splats.gaps import MOST, gap_radii, neighbours_in_reach
+from pipeline.splats.neighbours import points_around
 from pipeline.splats.sizes import areas, needed_sizes
 from pipeline.summaries import Points, SizesNeeded
 from storage.packed.schema import CHUNK
@@ -15,11 +19,12 @@ from storage.work import arrays, work
 @dataclass(frozen=True)
 class Sizes:
     """A task a block. Arrays: size_code (n,) uint8 and, by chunk, size_scale (c, 2) uint8. The summary has the share of the
-    surface whose splats need to be LARGE."""
+    surface whose splats need to be LARGE, before any is made to close a gap."""
 
     partition: Path
     neighbours: Path
     radius: float
+    closed: float = MOST  # times its size: gaps that a splat grows to close
     name = "sizes"
 
     def init(self, folder: Path) -> int:
@@ -31,8 +36,9 @@ class Sizes:
         start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
         position = arrays.read(self.partition, "position", start, stop)
         size = needed_sizes(position, arrays.read(self.neighbours, "spacing", start, stop), self.radius)
-        scales = fit_scales(size, self.radius)
-        code = encode_sizes(size, scales)
+        closing = np.maximum(size, self._gaps(index, position, size))
+        scales = fit_scales(closing, self.radius)
+        code = encode_sizes(closing, scales)
         arrays.write(folder, "size_code", start, code)
         arrays.write(folder, "size_scale", start // CHUNK, scales.step)
         area, large = areas(size, self.radius)
@@ -42,8 +48,21 @@ class Sizes:
             "area": area,
             "large_area": large,
             "made_area": areas(made, self.radius)[0],
-            "n_too_small": int((made < size * (1 - 1e-6)).sum()),
+            "n_too_small": int((made < closing * (1 - 1e-6)).sum()),
         }
+
+    def _gaps(self, index: int, position: np.ndarray, size: np.ndarray) -> np.ndarray:
+        points = work.summary(self.partition, Points)
+        start, stop = arrays.block_range(index, points.n_splats)
+        around = points_around(
+            index,
+            2 * self.closed * min(size.max(), MOST_MEDIANS * np.median(size)),
+            lambda b: arrays.read(self.partition, "position", *arrays.block_range(b, points.n_splats)),
+            np.array(points.block_low),
+            np.array(points.block_high),
+        )
+        normal = arrays.read(self.neighbours, "normal", start, stop).astype(np.float64)
+        return gap_radii(*neighbours_in_reach(position, around), normal, size, self.closed)
 
     def finalise(self, folder: Path, results: list[dict]) -> SizesNeeded:
         n, area, large, made, n_too_small = (
