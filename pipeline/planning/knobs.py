@@ -38,6 +38,7 @@ class Knob:
     canonical: Callable[[str], str] | None = None  # of a list in one text: the one text for what it asks, or ValueError
     words: str = ""  # what such a list allows
     metavar: str = "NAME=CHOICE"  # of a part of it, on a command line
+    usual: float | None = None  # of a picture: what nobody asked for, where that is neither a first choice nor the most
 
     @property
     def allowed(self) -> str:
@@ -506,5 +507,25 @@ VIEW_KNOBS = (
         "16: up to 24/255 off where a thousand splats lie on each other",
         "render",
         choices=("auto", "16", "32"),
+    ),
+    Knob(
+        "detail",
+        float,
+        "of a file with levels: pixels of a splat's radius up to which a coarser level is drawn, 1 unless asked; 0 draws the finest level alone",
+        "small: pictures of the finest level; large: fewer splats, and frame time goes with them",
+        "large: blur, and silhouettes wider by as much",
+        "render",
+        low=0.0,
+        usual=1.0,
+    ),
+    Knob(
+        "most_splats",
+        int,
+        "of a file with levels: a budget of splats in view; where more would be drawn, detail is made larger until they are not",
+        "frame time bounded at any distance",
+        "blur where the budget is short",
+        "render",
+        low=1,
+        optional=True,
     ),
 )

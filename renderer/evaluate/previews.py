@@ -20,7 +20,7 @@ from renderer.pictures import on_background, resized, save_picture
 from renderer.splats.baseline import PhotoSplats
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
-from renderer.splats.views import orbit_views, view_of
+from renderer.splats.views import framed_views, view_of
 from storage.packed.packed import PackedScene
 from storage.packed.schema import Camera
 
@@ -73,7 +73,7 @@ def make_previews(
     chosen = even_choice(len(cameras), options.n_cameras)
     views = [limited_view(cameras[i], options.max_side_px) for i in chosen]
     if not cameras:
-        views, read_photo = orbit_views(scene, options.n_orbits, options.orbit_size_px), None
+        views, read_photo = framed_views(scene, options.n_orbits, options.orbit_size_px), None
     names = safe_names([view.name for view in views])
     renderer = renderer or Renderer()
     device = renderer.context.info["GL_RENDERER"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -17,6 +18,7 @@ Direction = tuple[float, float, float]  # in the scan's own axes, of any length
 ORBIT_FIELD_DEGREES = 45.0  # of the shorter side of the picture
 ORBIT_HEIGHT_DEGREES = 20.0
 MARGIN = 1.08  # about what fills the picture
+SPARED = 1.2  # times the ball of the bulk: corners of a flat scan that it cuts off are no strays
 FRAMED_FROM = 8  # directions of an orbit from each of which all of the bulk is to be in the picture
 MOST_OUTLINED_BY_CHUNKS = 64  # groups; those of more stand in a file's table, which a viewer has before anything else
 STRAY_SHARE = 0.02  # of chunks that a picture of the whole may leave out: stray and background points must not push the camera away
@@ -42,7 +44,7 @@ def orbit_views(scene: PackedScene, n: int, size: tuple[int, int], up: Direction
     middle = centre + scene.header.origin
     upright = up_direction(scene.header) if up is None else np.asarray(up, np.float64) / np.linalg.norm(up)
     start = _start_direction(scene.header, middle, upright)
-    corners = np.concatenate([np.where(pick, high, low) for pick in product((False, True), repeat=3)]) - centre
+    corners = _corners(low, high) - centre
     field = np.radians(ORBIT_FIELD_DEGREES)
     tangents = np.tan(field / 2) / MARGIN * np.asarray(size) / min(size)
     outwards = _outwards(start, upright, FRAMED_FROM)
@@ -67,11 +69,47 @@ def _framing_distance(corners: np.ndarray, out: np.ndarray, upright: np.ndarray,
     return float((seen.max(axis=1) + corners @ out).max())
 
 
-def bulk_of(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
+def framed_views(scene: PackedScene, n: int, size: tuple[int, int], up: Direction | None = None) -> list[Camera]:
+    """`orbit_views`, each turned to nothing else but moved to where the bulk of the scene, and what lies about it, just fills that picture: a flat
+    or a long scan is larger in most. For single pictures; of a turntable the distance would pump.
+
+    Guarantees: every corner of every box of the bulk lies inside every picture.
+    """
+    views = orbit_views(scene, n, size, up)
+    corners = _corners(*bulk_of(scene, SPARED)) + scene.header.origin
+    result = []
+    for view in views:
+        rotation, tangents = np.array(view.rotation), np.array(size) / [view.fx_px, view.fy_px] / 2 / MARGIN
+        at = (corners - view.centre) @ rotation.T
+        right, left = ((sign * at[:, :2] / tangents - at[:, 2:]).max(axis=0) for sign in (1, -1))
+        # An eye `back` from there and `aside` sees all where back >= right - aside / tangents and back >= left + aside / tangents.
+        back = max((right + left).max() / 2, scene.header.radius - at[:, 2].min())
+        aside = _centred(at, back, tangents * (right - back), tangents * (back - left))
+        centre = np.array(view.centre) + np.array([*aside, -back]) @ rotation
+        result.append(replace(view, centre=tuple(centre.tolist())))
+    return result
+
+
+def _centred(at: np.ndarray, back: float, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """How far aside (2,), between `low` and `high`, an eye so far back has as much room on both sides of `at` (n, 3), in camera axes."""
+    for _ in range(40):
+        aside = (low + high) / 2
+        off = (at[:, :2] - aside) / (at[:, 2:] + back)
+        to_right = off.max(axis=0) + off.min(axis=0) > 0
+        low, high = np.where(to_right, aside, low), np.where(to_right, high, aside)
+    return (low + high) / 2
+
+
+def _corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Of boxes (m, 3) each, (8 m, 3)."""
+    return np.concatenate([np.where(pick, high, low) for pick in product((False, True), repeat=3)])
+
+
+def bulk_of(scene: PackedScene, spared: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest corners (m, 3) against the origin of the chunks, of a large scene of the groups, that a picture of the whole
     shows: those within a ball about the middle of the ranges that TRIMMED_SHARE of their centres lie below and above of, as far as all
-    but STRAY_SHARE reach from there, and no further than LONGEST_TAIL times what all but TRIMMED_SHARE do. The surfaces of a volume have
-    no strays: all of them."""
+    but STRAY_SHARE reach from there, and no further than LONGEST_TAIL times what all but TRIMMED_SHARE do; `spared` times that. The
+    surfaces of a volume have no strays: all of them."""
     low, high = scene_bounds(scene)
     if scene.header.n_groups > MOST_OUTLINED_BY_CHUNKS:
         groups = np.arange(0, len(low), CHUNKS_PER_GROUP)
@@ -82,7 +120,7 @@ def bulk_of(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
     middle = np.quantile(centre, [TRIMMED_SHARE, 1 - TRIMMED_SHARE], axis=0).mean(axis=0)
     reach = np.linalg.norm(centre - middle, axis=1) + np.linalg.norm(high - low, axis=1) / 2
     most, usual = np.quantile(reach, [1 - STRAY_SHARE, 1 - TRIMMED_SHARE])
-    within = reach <= max(min(most, LONGEST_TAIL * usual), reach.min())
+    within = reach <= max(spared * min(most, LONGEST_TAIL * usual), reach.min())
     return low[within], high[within]
 
 

@@ -43,15 +43,22 @@ def add_view_knobs(command: argparse.ArgumentParser) -> None:
     """One argument a knob of a picture, of its kind; by default the first choice, or the most there is."""
     for knob in VIEW_KNOBS:
         command.add_argument(
-            f"--{knob.name}",
+            f"--{knob.name.replace('_', '-')}",
             type=_parser_of(knob),
             metavar=_metavar(knob),
-            default=knob.choices[0] if knob.choices else knob.high,
+            default=_usual(knob),
             help=f"{knob.help} ({knob.allowed})",
         )
     command.add_argument(
         "--max-atoms", dest="atoms", type=_parser_of(VIEW_KNOBS[0]), default=argparse.SUPPRESS, help=argparse.SUPPRESS
     )
+
+
+def _usual(knob: Knob) -> object:
+    """What a picture has of it where nobody asks."""
+    if knob.usual is not None or knob.optional:
+        return knob.usual
+    return knob.choices[0] if knob.choices else knob.high
 
 
 def _parser_of(knob: Knob) -> Callable[[str], object]:

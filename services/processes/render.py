@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
+
+import numpy as np
 
 from renderer.effects.relighting import Light
 from renderer.evaluate.coverage import surface_coverage
 from renderer.evaluate.holes import outline_holes
 from renderer.evaluate.previews import safe_names
 from renderer.pictures import on_background, save_animation, save_picture
+from renderer.splats.detail import Detail
 from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
 from renderer.splats.targets import NARROW, WIDE
-from renderer.splats.views import orbit_views, view_of
+from renderer.splats.views import framed_views, orbit_views, view_of
 from storage.errors import InvalidScan
-from storage.packed.packed import PackedFile
+from storage.packed.packed import PackedFile, PackedScene
 from storage.packed.schema import MAX_ATOMS, Camera, Header
 
 DEFAULT_SIZE = (1280, 720)
@@ -35,18 +38,19 @@ def render_views(
     background: tuple[int, int, int] | None = None,
     animated: bool = False,
     up: tuple[float, float, float] | None = None,
+    detail: Detail = Detail(),
 ) -> list[Path]:
     """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`, with their coverage as alpha or on a
     `background`, and where `animated` into turntable.webp beside them; returns their paths. `precision`
     is that of pipeline.planning.knobs.VIEW_KNOBS. With a `light`
     it is lit, whether or not the file asks for it; with smoothed normals, unless it was planned without. `up` is
-    what is up around the scan, where the file does not know."""
+    what is up around the scan, where the file does not know; `detail` which of its levels are drawn."""
     with PackedFile(packed) as opened:
         scene = opened.load()
     if camera is not None:
         views = [view_of(_camera_named(scene.header, camera, packed), size)]
     else:
-        views = orbit_views(scene, n_orbit, size or DEFAULT_SIZE, up)
+        views = (orbit_views if animated else framed_views)(scene, n_orbit, size or DEFAULT_SIZE, up)
     renderer = Renderer()
     gpu_scene = GpuScene(scene, renderer.context)
     if precision != "auto":
@@ -57,7 +61,7 @@ def render_views(
     for view, name in zip(views, safe_names([v.name for v in views])):
         paths.append(out / f"{name}.png")
         paths[-1].parent.mkdir(parents=True, exist_ok=True)
-        picture = renderer.render(gpu_scene, view, max_atoms, light)
+        picture = renderer.render(gpu_scene, view, max_atoms, light, detail)
         frames.append(on_background(picture.rgb, picture.coverage, background))
         save_picture(paths[-1], frames[-1])
         frames = frames if animated else []
@@ -77,14 +81,30 @@ def _camera_named(header: Header, name: str, packed: Path) -> Camera:
 
 def coverage_of(packed: Path, up: tuple[float, float, float] | None = None) -> dict:
     """`surface`: rows of three orbit views, as `renderer.evaluate.coverage` measures discs; `outline`: of four orbit views as they are drawn,
-    `camera`, `coverage` and `holes`, the share of pixels without a splat inside the outline closed by 9x9 px."""
+    `camera`, `coverage` and `holes`, the share of pixels without a splat inside the outline closed by 9x9 px, and what part of it the scan has no
+    points for: `unscanned`, which discs twice as large leave open too."""
     with PackedFile(packed) as opened:
         scene = opened.load()
     renderer = Renderer()
-    gpu_scene = GpuScene(scene, renderer.context)
-    outline = []
-    for view in orbit_views(scene, OUTLINE_VIEWS, SIZE_PX, up):
-        covered = renderer.render(gpu_scene, view).coverage
-        outline.append({"camera": view.name, "coverage": float(covered.mean()), "holes": outline_holes(covered)})
-    gpu_scene.release()
+    views = framed_views(scene, OUTLINE_VIEWS, SIZE_PX, up)
+    covered, twice = (
+        _covered(renderer, replace(scene, header=replace(scene.header, radius=times * scene.header.radius)), views)
+        for times in (1, 2)
+    )
+    outline = [
+        {
+            "camera": view.name,
+            "coverage": float(drawn.mean()),
+            "holes": outline_holes(drawn),
+            "unscanned": outline_holes(drawn, drawn | larger),
+        }
+        for view, drawn, larger in zip(views, covered, twice)
+    ]
     return {"surface": [asdict(row) for row in surface_coverage(scene, up=up)], "outline": outline}
+
+
+def _covered(renderer: Renderer, scene: PackedScene, views: list[Camera]) -> list[np.ndarray]:
+    gpu_scene = GpuScene(scene, renderer.context)
+    covered = [renderer.render(gpu_scene, view).coverage for view in views]
+    gpu_scene.release()
+    return covered

@@ -50,6 +50,7 @@ def _add_up(command: argparse.ArgumentParser) -> None:
 
 def _render(options: argparse.Namespace) -> int:
     from renderer.effects.relighting import lamp
+    from renderer.splats.detail import Detail
     from services.processes.render import render_views
 
     paths = render_views(
@@ -64,6 +65,7 @@ def _render(options: argparse.Namespace) -> int:
         precision=options.precision,
         light=lamp(*options.light) if options.light else None,
         up=options.up,
+        detail=Detail(options.detail, options.most_splats),
     )
     for path in paths:
         print(path)
@@ -92,7 +94,12 @@ def _coverage(options: argparse.Namespace) -> int:
     for row in found["surface"]:
         shares = "".join(f"{100 * row[k]:8.2f}%" for k in ("holes", "see_through", "before"))
         print(f"{row['camera']:<12}{shares}{row['overdraw']:10.2f}")
-    print(f"{'view':<12}{'covered':>9}{'holes':>9}   of the picture; inside the outline, closed by 9x9 px")
+    print(
+        f"{'view':<12}{'covered':>9}{'holes':>9}{'unscanned':>11}   of the picture; inside the outline, closed by 9x9 px; "
+        "of these, open with discs twice as large"
+    )
     for row in found["outline"]:
-        print(f"{row['camera']:<12}{100 * row['coverage']:8.2f}%{100 * row['holes']:8.2f}%")
+        print(
+            f"{row['camera']:<12}{100 * row['coverage']:8.2f}%{100 * row['holes']:8.2f}%{100 * row['unscanned']:10.2f}%"
+        )
     return OK

@@ -7,7 +7,7 @@ import pytest
 
 from renderer.splats.context import gl_context
 from renderer.splats.projection import checked_view, split_floats, view_to_photo
-from renderer.splats.views import bulk_of, orbit_views, up_direction, view_of
+from renderer.splats.views import bulk_of, framed_views, orbit_views, up_direction, view_of
 from storage.errors import InvalidScan, ResourceExhausted
 from tests.scenes import Settings, Splats, build_scene, camera_looking, sheet
 
@@ -74,6 +74,16 @@ def test_orbit_views__stand_around_the_scene_and_look_down_at_it():
         assert np.linalg.det(view.rotation) == pytest.approx(1)
         corners = [project(view, (10 + x, 20, 30 + z)) for x in (-0.9, 0.9) for z in (-0.9, 0.9)]
         assert (np.array(corners) > 0).all() and (np.array(corners) < [120, 80]).all()
+
+
+@pytest.mark.parametrize("size", [(120, 80), (60, 200)])
+def test_framed_views__hold_the_bulk_and_leave_no_more_room_than_they_must(size):
+    scene = scene_with_strays()  # a chunk may hold both of the sheet and strays: its corner is spared
+    for view, orbit in zip(framed_views(scene, 4, size), orbit_views(scene, 4, size)):
+        px = np.array([project(view, (10 + x, 20, 30 + z)) for x in (-0.9, 0.9) for z in (-0.9, 0.9)])
+        assert view.rotation == orbit.rotation and (px > 0).all() and (px < size).all()
+        assert ((px.max(axis=0) - px.min(axis=0)) / size).max() > 0.7
+        assert px.max(axis=0) + px.min(axis=0) == pytest.approx(np.array(size), rel=0.15)  # centred
 
 
 def test_orbit_views__begin_where_the_photographs_were_taken():

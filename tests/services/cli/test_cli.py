@@ -162,23 +162,24 @@ def test_cli__render_writes_the_pictures_it_names(compressed, tmp_path, capsys, 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "n_atoms", "accumulation", "watched"),
+    ("arguments", "n_atoms", "accumulation", "watched", "detail"),
     [
-        ([], MAX_ATOMS, "RGBA16F", True),
-        (["--atoms", "2", "--precision", "32"], 2, "RGBA32F", False),
-        (["--precision", "16"], MAX_ATOMS, "RGBA16F", False),
+        ([], MAX_ATOMS, "RGBA16F", True, (1.0, None)),
+        (["--atoms", "2", "--precision", "32", "--detail", "0"], 2, "RGBA32F", False, (0.0, None)),
+        (["--precision", "16", "--most-splats", "9000"], MAX_ATOMS, "RGBA16F", False, (1.0, 9000)),
     ],
 )
-def test_cli__render_draws_as_many_atoms_as_precisely_as_asked(
-    compressed, tmp_path, capsys, renderer, monkeypatch, arguments, n_atoms, accumulation, watched
+def test_cli__render_draws_as_many_atoms_and_splats_as_precisely_as_asked(
+    compressed, tmp_path, capsys, renderer, monkeypatch, arguments, n_atoms, accumulation, watched, detail
 ):
+    from renderer.splats.detail import Detail
     from renderer.splats.renderer import Renderer
 
     drawn, render = [], Renderer.render
 
-    def noted(self, gpu_scene, view, most, light):
-        picture = render(self, gpu_scene, view, most, light)
-        drawn.append((most, picture.accumulation, gpu_scene.watched))
+    def noted(self, gpu_scene, view, most, light, asked):
+        picture = render(self, gpu_scene, view, most, light, asked)
+        drawn.append((most, picture.accumulation, gpu_scene.watched, asked))
         return picture
 
     monkeypatch.setattr(Renderer, "render", noted)
@@ -194,7 +195,7 @@ def test_cli__render_draws_as_many_atoms_as_precisely_as_asked(
         "--out",
         tmp_path / "p",
     )
-    assert code == 0 and drawn == [(n_atoms, accumulation, watched)]
+    assert code == 0 and drawn == [(n_atoms, accumulation, watched, Detail(*detail))]
 
 
 def test_cli__points_alone_go_through_with_previews(tmp_path, capsys, renderer):
