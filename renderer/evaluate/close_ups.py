@@ -75,7 +75,7 @@ def draw_close_ups(
     renderer = Renderer()
     first: list[Picture] = []
     for number, variant in enumerate(variants):
-        with _drawn(renderer, variant) as draw:
+        with drawn(renderer, variant) as draw:
             for i, view in enumerate(views):
                 picture = draw(view)
                 if number == 0:
@@ -105,7 +105,7 @@ def time_passes(variants: Sequence[Variant]) -> list[dict]:
     view = limited_view(cameras[len(cameras) // 2], TIMED_SIDE_PX)
     seconds: dict[str, list[dict[str, float]]] = {variant.name: [] for variant in variants}
     with ExitStack() as opened:
-        draws = {variant.name: opened.enter_context(_drawn(renderer, variant)) for variant in variants}
+        draws = {variant.name: opened.enter_context(drawn(renderer, variant)) for variant in variants}
         for draw in draws.values():
             draw(view_of(view, WARM_UP_PX))  # uploads photographs, and compiles the shaders
         for _ in range(ROUNDS):
@@ -167,7 +167,7 @@ def window_view(camera: Camera, left: int, top: int, side: int, zoom: int = ZOOM
 
 
 @contextmanager
-def _drawn(renderer: Renderer, variant: Variant) -> Iterator:
+def drawn(renderer: Renderer, variant: Variant) -> Iterator:
     """A function from view to picture."""
     with PackedFile(variant.packed, verify=False) as packed:
         gpu_scene = GpuScene(packed.load(), renderer.context)

@@ -19,45 +19,58 @@ from renderer.report.report_plots import AMBER, BLUE, MUTED, plain_figure, sourc
 
 TRADEOFF_NAME, TRADEOFF_PAGE = "tradeoff.json", "tradeoff.html"
 COSTS = (  # key, axis, what it is in a sentence, the scale of the axis
-    ("bytes_per_splat", "bytes a splat on the GPU", "bytes", 1.0),
+    ("file_bytes", "megabytes of the file", "bytes", 1e-6),
     ("seconds", "seconds of compressing", "seconds", 1.0),
     ("frame_seconds", "milliseconds of a frame", "frame time", 1e3),
 )
+TEXTURE, PICTURE = "texture_psnr_db", "picture_psnr_db"
+QUALITIES = {TEXTURE: "texture PSNR, dB", PICTURE: "PSNR of pictures to photographs, dB"}
 WANTED_DB = (30.0, 32.0, 34.0, 36.0, 38.0, 40.0, 42.0, 44.0, 46.0)
 LEAD_DB = 40.0
 NOISE_DB, NOISE_SHARE = 0.05, 0.05  # a preset that another beats by less than both is as good
 
 
 def summarised(document: dict) -> dict:
-    """The document with its Pareto fronts, what to take for which quality, and which presets another one beats."""
+    """The document with its Pareto fronts, what to take for which quality, and which presets another one beats.
+
+    Fronts are of picture PSNR, which points of any number of splats share. Texture PSNR is of a point's own splats: where pictures were not
+    measured fronts are of it, and advice always is, among the points of as many splats as the first."""
     points = [{k: v for k, v in p.items() if not k.startswith("_")} for p in document["points"]]
-    fronts = {cost: pareto(points, cost) for cost, *_ in COSTS if all(p[cost] is not None for p in points)}
-    presets = [p for p in points if p["preset"]]
+    alike = [p for p in points if p["splats"] == points[0]["splats"]]
+    quality = quality_of(points)
+    compared = points if quality == PICTURE else alike
+    fronts = {cost: pareto(compared, cost, quality) for cost, *_ in COSTS if all(p[cost] is not None for p in points)}
+    presets = [p for p in alike if p["preset"]]
     beaten = [
         {"preset": a["preset"], "by": b["preset"]} for a in presets for b in presets if a is not b and _beats(b, a)
     ]
-    advice = [row for wanted in WANTED_DB if (row := advised(points, wanted))]
+    advice = [row for wanted in WANTED_DB if (row := advised(alike, wanted))]
     return document | {"points": points, "fronts": fronts, "beaten_presets": beaten, "advice": advice}
 
 
-def pareto(points: list[dict], cost: str) -> list[str]:
-    """Keys of the points that no other beats in both cost and texture PSNR, the cheapest first.
+def quality_of(points: list[dict]) -> str:
+    """By what points are compared: their picture PSNR, where it was measured of all."""
+    return PICTURE if all(p[PICTURE] is not None for p in points) else TEXTURE
+
+
+def pareto(points: list[dict], cost: str, quality: str = "texture_psnr_db") -> list[str]:
+    """Keys of the points that no other beats in both cost and quality, the cheapest first.
 
     >>> pareto([{"key": k, "c": c, "texture_psnr_db": q} for k, c, q in (("a", 1, 30), ("b", 2, 29), ("c", 3, 31))],
     "c") ['a', 'c']
     """
     front, best = [], float("-inf")
-    for point in sorted(points, key=lambda p: (p[cost], -p["texture_psnr_db"])):
-        if point["texture_psnr_db"] > best:
+    for point in sorted(points, key=lambda p: (p[cost], -p[quality])):
+        if point[quality] > best:
             front.append(point["key"])
-            best = point["texture_psnr_db"]
+            best = point[quality]
     return front
 
 
 def advised(points: list[dict], wanted_db: float) -> dict | None:
     """For a texture PSNR, the preset of fewest bytes that reaches it and the point of fewest bytes of all, by key."""
     reach = sorted(
-        (p for p in points if p["texture_psnr_db"] >= wanted_db), key=lambda p: (p["gpu_bytes"], p["seconds"])
+        (p for p in points if p["texture_psnr_db"] >= wanted_db), key=lambda p: (p["file_bytes"], p["seconds"])
     )
     if not reach or min(p["texture_psnr_db"] for p in points) >= wanted_db + 2:
         return None
@@ -75,12 +88,12 @@ def _beats(b: dict, a: dict) -> bool:
     """Whether b is better than a in bytes, seconds and PSNR by more than noise in one of them, and worse in none."""
     worse = (
         b["texture_psnr_db"] < a["texture_psnr_db"] - NOISE_DB
-        or b["gpu_bytes"] > a["gpu_bytes"] * (1 + NOISE_SHARE)
+        or b["file_bytes"] > a["file_bytes"] * (1 + NOISE_SHARE)
         or b["seconds"] > a["seconds"] * (1 + NOISE_SHARE)
     )
     better = (
         b["texture_psnr_db"] > a["texture_psnr_db"] + NOISE_DB
-        or b["gpu_bytes"] < a["gpu_bytes"] * (1 - NOISE_SHARE)
+        or b["file_bytes"] < a["file_bytes"] * (1 - NOISE_SHARE)
         or b["seconds"] < a["seconds"] * (1 - NOISE_SHARE)
     )
     return better and not worse
@@ -95,8 +108,9 @@ def write_tradeoff(folder: Path, document: dict) -> None:
 def page_of(document: dict, folder: Path) -> str:
     """The text of the page; see `write_tradeoff`."""
     points = {p["key"]: p | {"number": i, "label": _label(p)} for i, p in enumerate(document["points"], 1)}
+    quality = quality_of(document["points"])
     plots = {
-        cost: _plot(list(points.values()), document["fronts"][cost], cost, axis, scale)
+        cost: _plot(list(points.values()), document["fronts"][cost], cost, axis, scale, quality)
         for cost, axis, _, scale in COSTS
         if cost in document["fronts"]
     }
@@ -108,6 +122,7 @@ def page_of(document: dict, folder: Path) -> str:
         t=document,
         points=list(points.values()),
         chosen=document["points"][0],
+        quality=quality,
         advice=advice,
         lead=leading(advice),
         knobs=_knob_rows(document["points"]),
@@ -155,6 +170,7 @@ def _knob_rows(points: list[dict]) -> list[dict]:
                     | {
                         "is_chosen": p["key"] == chosen["key"],
                         "more_db": p["texture_psnr_db"] - chosen["texture_psnr_db"],
+                        "is_alike": p["splats"] == chosen["splats"],
                         "more": {cost: p[cost] / chosen[cost] - 1 for cost, *_ in COSTS if p[cost] and chosen[cost]},
                     }
                     for p in values
@@ -174,13 +190,13 @@ def _pictures_by_point(document: dict, folder: Path) -> dict[str, list[dict]]:
     return found
 
 
-def _plot(points: list[dict], front: list[str], cost: str, axis: str, scale: float) -> figure:
+def _plot(points: list[dict], front: list[str], cost: str, axis: str, scale: float, quality: str) -> figure:
     """PSNR over a cost, the front as a line, presets named; a click on a point shows its pictures."""
-    plot = plain_figure(340, x_axis_label=axis, y_axis_label="texture PSNR, dB")
+    plot = plain_figure(340, x_axis_label=axis, y_axis_label=QUALITIES[quality])
     on = sorted((p for p in points if p["key"] in front), key=lambda p: p[cost])
     plot.x_range.range_padding = 0.15  # room for the names
-    plot.line([p[cost] * scale for p in on], [p["texture_psnr_db"] for p in on], color=AMBER, width=2)
-    _dots(plot, points, [p[cost] * scale for p in points], [p["texture_psnr_db"] for p in points], axis)
+    plot.line([p[cost] * scale for p in on], [p[quality] for p in on], color=AMBER, width=2)
+    _dots(plot, points, [p[cost] * scale for p in points], [p[quality] for p in points], axis)
     return plot
 
 

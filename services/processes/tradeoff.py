@@ -16,6 +16,7 @@ from pipeline.planning.knobs import BY_NAME, KNOBS
 from pipeline.planning.settings import PRESETS, Settings
 from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluate.compare import not_measured
+from renderer.evaluate.picture_psnr import picture_psnrs
 from renderer.report.report import sizes_of
 from services.flow.code import code_prepared, resample
 from services.flow.outputs import placed_whole
@@ -212,6 +213,7 @@ def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
         "splats": prepared.splats.summary.n_splats,
         "texture_psnr_db": _shown(quality.texture_psnr_db),
         "visible_psnr_db": _shown(quality.visible_psnr_db),
+        "picture_psnr_db": None,
         "mean_atoms": quality.mean_atoms,
         "gpu_bytes": sizes["gpu_bytes"],
         "file_bytes": sizes["file_bytes"],
@@ -237,17 +239,21 @@ def _shown(psnr_db: float | None) -> float:
 
 
 def _pictures(run: Run, points: list[dict], photographs: Path, out: Path) -> list[dict]:
-    """Close-ups of every point, and the time that a frame of it takes, into the points."""
+    """Close-ups of every point, and the time that a frame of it takes and its picture PSNR, into the points."""
     begun = time.perf_counter()
-    run.progress.begin(PICTURES, 2)
+    run.progress.begin(PICTURES, 3)
     variants = [Variant(point["key"], point["_packed"]) for point in points]
     photos = Variant("photographs", points[0]["_packed"], photographs)
     close_ups = run.paint(draw_close_ups, [photos, *variants], points[0]["_packed"], photographs, out, SPOTS)
     run.progress.advance(PICTURES, 1, 0)
+    fullest = max(range(len(points)), key=lambda i: points[i]["splats"])
+    for point, psnr in zip(points, run.paint(picture_psnrs, variants, photographs, fullest), strict=True):
+        point["picture_psnr_db"] = psnr
+    run.progress.advance(PICTURES, 1, 0)
     for point, timed in zip(points, run.paint(time_passes, variants), strict=True):
         point["frame_seconds"] = sum(timed["seconds"].values())
         point["device"], point["frame_px"] = timed["device"], [timed["width_px"], timed["height_px"]]
-    run.progress.end(StageRecord(PICTURES, out, None, time.perf_counter() - begun, 0, 2, 0, False))
+    run.progress.end(StageRecord(PICTURES, out, None, time.perf_counter() - begun, 0, 3, 0, False))
     return close_ups
 
 

@@ -124,11 +124,15 @@ def _tradeoff(options: argparse.Namespace) -> int:
         print(json.dumps({**made, "out": str(out)}))
     else:
         print(
-            "\n".join(
-                f"{p['key']:<28}{p['texture_psnr_db']:8.2f} dB{p['bytes_per_splat']:9.2f} B a splat{p['seconds']:9.1f} s"
-                for p in made["points"]
-            )
+            f"{'':<28}{'pictures':>11}{'textures':>11}{'splats':>13}{'file':>15}{'seconds':>9}  on the front of bytes"
         )
+        front = set(made["fronts"]["file_bytes"])
+        for p in made["points"]:
+            pictures = f"{'-':>11}" if p["picture_psnr_db"] is None else f"{p['picture_psnr_db']:8.2f} dB"
+            print(
+                f"{p['key']:<28}{pictures}{p['texture_psnr_db']:8.2f} dB{p['splats']:13,}{p['file_bytes']:13,} B"
+                f"{p['seconds']:9.1f}  {'yes' if p['key'] in front else ''}".rstrip()
+            )
         print(f"page  {out / 'tradeoff.html'}")
     return OK
 

@@ -108,14 +108,15 @@ def test_knobs__are_parsed_and_refused_by_the_table():
 # --- fronts and advice
 
 
-def point(key, n_bytes, psnr, seconds=1.0, preset=None):
+def point(key, n_bytes, psnr, seconds=1.0, preset=None, splats=100, picture=None):
     return {
         "key": key,
         "preset": preset,
-        "gpu_bytes": n_bytes,
-        "bytes_per_splat": n_bytes,
+        "splats": splats,
+        "file_bytes": n_bytes,
         "seconds": seconds,
         "texture_psnr_db": psnr,
+        "picture_psnr_db": picture,
         "frame_seconds": None,
         "device": None,
         "frame_px": None,
@@ -131,8 +132,8 @@ POINTS = [
 
 
 def test_pareto__holds_what_nothing_beats_and_only_that():
-    assert pareto(POINTS, "bytes_per_splat") == ["a", "c", "b"] == pareto(POINTS, "seconds")
-    assert pareto([point("x", 1, 30), point("y", 1, 31)], "bytes_per_splat") == ["y"]
+    assert pareto(POINTS, "file_bytes") == ["a", "c", "b"] == pareto(POINTS, "seconds")
+    assert pareto([point("x", 1, 30), point("y", 1, 31)], "file_bytes") == ["y"]
 
 
 def test_advised__names_the_preset_and_the_point_of_fewest_bytes():
@@ -156,6 +157,21 @@ def test_leading__is_one_per_cent_of_error_and_the_step_after_it_or_the_best_tha
 
 def test_summarised__tells_which_presets_another_beats():
     assert summarised({"points": POINTS})["beaten_presets"] == [{"preset": "high", "by": "balanced"}]
+
+
+def test_summarised__fewer_splats_are_compared_by_pictures_alone():
+    points = [
+        point("chosen", 10, 40.0, picture=27.0),
+        point(
+            "density=0.1", 3, 44.0, splats=10, picture=21.0
+        ),  # more bytes a splat, and sharper textures of larger splats
+        point("density=0.5", 11, 42.0, splats=50, picture=24.0),  # more bytes for less
+    ]
+    found = summarised({"points": points})
+    assert found["fronts"]["file_bytes"] == ["density=0.1", "chosen"]
+    assert {row["cheapest"] for row in found["advice"]} == {"chosen"}
+    unseen = summarised({"points": [p | {"picture_psnr_db": None} for p in points]})
+    assert unseen["fronts"]["file_bytes"] == ["chosen"]
 
 
 # --- a whole one
@@ -186,6 +202,7 @@ def test_tradeoff__leaves_the_document_the_page_and_its_pictures(made):
     out, document, points = made
     assert json.loads((out / "tradeoff.json").read_text()) == json.loads(json.dumps(document))
     assert sorted(p.name for p in out.iterdir()) == ["close-ups", "tradeoff.html", "tradeoff.json"]
+    assert all(10 < p["picture_psnr_db"] < 60 for p in points.values()) and document["fronts"]["file_bytes"]
     assert all(p["frame_seconds"] > 0 for p in points.values()) and len(document["close_ups"]) == 3
     assert all(set(row["pictures"]) == {"photographs", *points} for row in document["close_ups"])
 

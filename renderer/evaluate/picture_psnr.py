@@ -1,0 +1,49 @@
+"""How near pictures of packed files come to the photographs, where the files differ in how many splats they have.
+
+Texture PSNR is of each file's own splats: of a tenth of them, ten times as large, it is another quantity. Here all files are drawn from the
+same cameras, and compared with the photographs over the same pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.summaries import Photographs
+from renderer.evaluate.close_ups import Variant, drawn
+from renderer.evaluate.compare import psnr_of_error
+from renderer.evaluate.previews import even_choice, limited_view
+from renderer.pictures import resized
+from renderer.splats.renderer import Renderer
+from storage.work import arrays, work
+
+N_VIEWS = 4
+MAX_SIDE_PX = 1024
+
+
+def picture_psnrs(variants: Sequence[Variant], photos: Path, fullest: int = 0) -> list[float | None]:
+    """PSNR in dB of each variant against the photographs of a folder, the squared error averaged over the pixels of N_VIEWS of their
+    cameras that the variant number `fullest`, the one of most splats, covers. A pixel that a variant leaves bare counts as black: its
+    holes are errors. None where nothing is covered."""
+    cameras = work.summary(photos, Photographs).cameras
+    chosen = even_choice(len(cameras), N_VIEWS)
+    views = [limited_view(cameras[i], MAX_SIDE_PX) for i in chosen]
+    wanted = [resized(arrays.read(photos, f"photo_{i}"), v.width_px, v.height_px) for i, v in zip(chosen, views)]
+    renderer = Renderer()
+    with drawn(renderer, variants[fullest]) as draw:
+        masks = [draw(view).coverage for view in views]
+    n_values = 3 * sum(int(mask.sum()) for mask in masks)
+    if not n_values:
+        return [None] * len(variants)
+    found: list[float | None] = []
+    for variant in variants:
+        error = 0
+        with drawn(renderer, variant) as draw:
+            for view, photo, mask in zip(views, wanted, masks):
+                picture = draw(view)
+                shown = np.where(picture.coverage[..., None], picture.rgb, np.uint8(0))
+                error += int(((shown[mask].astype(np.int64) - photo[mask]) ** 2).sum())
+        found.append(psnr_of_error(error / n_values))
+    return found
