@@ -61,7 +61,7 @@ def points_around(
 ) -> np.ndarray:
     """The positions (m, 3) float64 of other blocks that lie within `reach` of the block's box, in order of blocks."""
     near = np.flatnonzero(_box_distance(low[block], high[block], low, high) <= reach)
-    there = [load(other) for other in near if other != block]
+    there = [load(int(other)) for other in near if other != block]
     return np.concatenate(
         [np.empty((0, 3)), *(p[_box_distance(p, p, low[block], high[block]) <= reach] for p in there)]
     )
