@@ -12,7 +12,7 @@ from pipeline.splats.decoded import scene_bounds
 from renderer.effects.relighting import has_own_lamp
 from storage.packed.batches import CHUNKS_PER_GROUP
 from storage.packed.packed import PackedScene
-from storage.packed.schema import Camera, Header
+from storage.packed.schema import CHUNK, Camera, Header
 
 Direction = tuple[float, float, float]  # in the scan's own axes, of any length
 ORBIT_FIELD_DEGREES = 45.0  # of the shorter side of the picture
@@ -106,12 +106,15 @@ def _corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def bulk_of(scene: PackedScene, spared: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corners (m, 3) against the origin of the chunks, of a large scene of the groups, that a picture of the whole
+    """Lowest and highest corners (m, 3) against the origin of the chunks, of levels those of the coarsest, of a large
+    scene of the groups, that a picture of the whole
     shows: those within a ball about the middle of the ranges that TRIMMED_SHARE of their centres lie below and above of, as far as all
     but STRAY_SHARE reach from there, and no further than LONGEST_TAIL times what all but TRIMMED_SHARE do; `spared` times that. The
     surfaces of a volume have no strays: all of them."""
     low, high = scene_bounds(scene)
-    if scene.header.n_groups > MOST_OUTLINED_BY_CHUNKS:
+    if scene.header.levels:
+        low, high = (side[: scene.header.levels[0] // CHUNK] for side in (low, high))
+    elif scene.header.n_groups > MOST_OUTLINED_BY_CHUNKS:
         groups = np.arange(0, len(low), CHUNKS_PER_GROUP)
         low, high = np.minimum.reduceat(low, groups), np.maximum.reduceat(high, groups)
     if has_own_lamp(scene.header):

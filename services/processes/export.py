@@ -15,7 +15,7 @@ from pipeline.exports.cloud import GRID, Cloud, cloud_of, samples_of
 from pipeline.exports.formats import FORMATS, GAUSSIANS, PAGE, POINTS
 from pipeline.exports.gaussians import Gaussians, gaussians_of, to_y_up, turned
 from renderer.splats.views import up_direction
-from services.web.viewer_page import one_page, refuse_undrawn
+from services.web.viewer_page import one_page
 from storage.errors import UnsupportedScan
 from storage.packed.packed import PackedFile, PackedScene
 from storage.packed.schema import Header
@@ -38,8 +38,7 @@ class Exported:
 def export(packed: Path, format: str, out: Path, textured: bool = False) -> Exported:
     """Write `packed` as one of FORMATS to the path `out`, which appears when it is whole. With `textured`, points are samples of textures.
 
-    Raises: UnsupportedScan for a format that is unknown, or that has no points where `textured` asks for more of them; or for a page of a
-    geometry that the viewer does not draw.
+    Raises: UnsupportedScan for a format that is unknown, or that has no points where `textured` asks for more of them.
     """
     if format not in FORMATS:
         raise UnsupportedScan("export", f"format {format!r}", ", ".join(FORMATS))
@@ -65,8 +64,7 @@ def export(packed: Path, format: str, out: Path, textured: bool = False) -> Expo
 
 
 def _page(packed: Path, header: Header, format: str, out: Path) -> Exported:
-    """All of the file, as it is: of a geometry that the viewer draws."""
-    refuse_undrawn(packed, header)
+    """All of the file, as it is."""
     name = header.scan.get("name")
     data = one_page(packed.read_bytes(), name if isinstance(name, str) else packed.stem)
     out.parent.mkdir(parents=True, exist_ok=True)

@@ -6,13 +6,12 @@ import gzip
 import html
 import json
 import re
-from base64 import b64encode
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 from renderer.splats.gles import shader_document
-from storage.errors import UnsupportedScan
-from storage.packed.schema import Header
 
 FOLDER = Path(__file__).parent / "viewer"
 PAGE, SHADERS = "index.html", "shaders.json"
@@ -24,43 +23,42 @@ POLICY = (
 # Of the one page: its script is text of its own, and becomes modules of its own; nothing is asked of anyone.
 _POLICY_OF_ONE_PAGE = "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'"
 _IMPORT = re.compile(r'^import \{ ([\w, ]+) \} from "\./([\w.]+)";\n', re.MULTILINE)
-_COMMENTS = re.compile(r"^ *(?://[^\n]*|/\*\*.*?\*/)\n", re.MULTILINE | re.DOTALL)  # on lines of their own
+# On lines of their own, or behind the end of a statement or an item.
+_COMMENTS = re.compile(r"^ *(?://[^\n]*|/\*\*(?:(?!\*/).)*\*/)\n|(?<=[;,{)}\]]) //[^\n]*$", re.MULTILINE | re.DOTALL)
 _EXPORT = re.compile(r"^export (?=(?:async )?(?:function|class|const) (\w+))", re.MULTILINE)
 
 
 @cache
 def viewer_file(name: str) -> tuple[bytes, str] | None:
-    """Contents and media type of a file of the viewer; None where there is none of that name."""
+    """Contents and media type of a file of the viewer, scripts without their comments; None where there is none of that name."""
     media_type = MEDIA_TYPES.get(Path(name).suffix)
     if name == SHADERS:
         return json.dumps(shader_document()).encode(), media_type
     path = FOLDER / name
     if media_type is None or Path(name).name != name or not path.is_file():
         return None
-    return path.read_bytes(), media_type
+    return (_bare(path.read_text()).encode() if path.suffix == ".js" else path.read_bytes()), media_type
 
 
-def refuse_undrawn(packed: Path, header: Header) -> None:
-    """Raises: UnsupportedScan for a file of a geometry that the viewer does not draw, as its page says too (packed.js)."""
-    if header.geometry != "boxes":
-        raise UnsupportedScan(
-            str(packed),
-            f"geometry {header.geometry}, which the viewer does not draw",
-            "files of --geometry boxes",
-            "splatpress render makes pictures of it, export points and Gaussians",
-        )
+def _bare(script: str) -> str:
+    """A script without comments, indentation and empty lines: it goes over the network, and into each page of its own."""
+    lines = (line.strip() for line in _COMMENTS.sub("", script).splitlines())
+    return "\n".join(line for line in lines if line) + "\n"
 
 
 def one_page(packed: bytes, title: str) -> bytes:
     """One page that holds the viewer and a packed file; it opens from a disk and asks nothing of anyone.
 
-    Guarantees: at most 4/3 of the file and 60 kB.
+    Guarantees: at most 16/13 of the file and 60 kB.
     """
     style, page = (viewer_file(name)[0].decode() for name in ("viewer.css", PAGE))
     body = page[page.index("<body>") :].removesuffix("</html>\n")
     program = f"{bundle('start.js')}\nexport const begin = modules['start.js'].begin;"
-    code = b64encode(gzip.compress(program.encode(), 9, mtime=0)).decode()
-    shaders = b64encode(gzip.compress(viewer_file(SHADERS)[0], 9, mtime=0)).decode()
+    parts = {
+        "code": gzip.compress(program.encode(), 9, mtime=0),
+        "shaders": gzip.compress(viewer_file(SHADERS)[0], 9, mtime=0),
+        "packed": packed,
+    }
     return "\n".join(
         [
             '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">',
@@ -70,16 +68,42 @@ def one_page(packed: bytes, title: str) -> bytes:
             f"<style>{style}</style>",
             body,
             *(
-                f'<script type="application/octet-stream" id="{name}">{data}</script>'
-                for name, data in (("code", code), ("shaders", shaders), ("packed", b64encode(packed).decode()))
+                f'<script type="application/octet-stream" id="{name}" data-bytes="{len(data)}">{as_text(data)}</script>'
+                for name, data in parts.items()
             ),
             f'<script type="module">{_LOADER}</script>\n</html>\n',
         ]
     ).encode()
 
 
+def as_text(data: bytes) -> str:
+    """Bytes as printable ASCII but `"`, `&` and `<`: 13 bits, the lowest first, as two of 91 characters, the first the higher one.
+
+    >>> as_text(b"a")
+    '#)'
+    """
+    digits = np.array([c for c in range(33, 127) if chr(c) not in '"&<'], np.uint8)
+    weight, text = 1 << np.arange(13), []
+    for start in range(0, len(data), _BLOCK):
+        block = np.frombuffer(data[start : start + _BLOCK], np.uint8)
+        bits = np.unpackbits(block, bitorder="little")
+        bits = np.pad(bits, (0, -len(bits) % 13)).reshape(-1, 13)
+        text.append(digits[np.stack(np.divmod(bits @ weight, 91), axis=1)].tobytes().decode())
+    return "".join(text)
+
+
+_BLOCK = 13 << 16  # whole pairs of characters
 _LOADER = """
-const bytesOf = (id) => Uint8Array.from(atob(document.getElementById(id).textContent), (c) => c.charCodeAt(0));
+const bytesOf = (id) => {
+  const element = document.getElementById(id), text = element.textContent, bytes = new Uint8Array(Number(element.dataset.bytes));
+  const digit = (i, c = text.charCodeAt(i)) => c - 33 - (c > 34) - (c > 38) - (c > 60);
+  for (let i = 0, at = 0, bits = 0, n = 0; at < bytes.length; i += 2) {
+    bits |= (91 * digit(i) + digit(i + 1)) << n;
+    for (n += 13; n > 7; n -= 8, bits >>>= 8) bytes[at++] = bits;
+  }
+  element.remove();
+  return bytes;
+};
 const unpacked = (id) => new Response(new Blob([bytesOf(id)]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
 const { begin } = await import(URL.createObjectURL(new Blob([await unpacked("code")], { type: "text/javascript" })));
 begin(JSON.parse(await unpacked("shaders")), bytesOf("packed"));
@@ -108,7 +132,6 @@ def bundle(entry: str) -> str:
 def _as_function(name: str, text: str) -> tuple[str, set[str]]:
     """A module as a function that is called at once, and what it exports."""
     exported = set(_EXPORT.findall(text))
-    text = _COMMENTS.sub("", text)
     text = _IMPORT.sub(lambda match: f"const {{ {match[1]} }} = modules['{match[2]}'];\n", text)
     text = _EXPORT.sub("", text)
     if re.search(r"^(import|export)\b", text, re.MULTILINE):

@@ -1,5 +1,5 @@
-// Which groups of a file with levels are drawn in a view, and with what share; mirrors renderer/splats/detail.py. Where children have not arrived
-// their parent stays, so there is never a hole.
+// Which groups of a file with levels are drawn in a view, and with what share; mirrors renderer/splats/detail.py. Where children that are
+// in view have not arrived their parent stays, so there is never a hole.
 
 import { GROUP } from "./packed.js";
 
@@ -36,13 +36,13 @@ export function groupTree({ header, nGroups }, { group_low: groupLow, group_high
  */
 export function sharesOf(tree, view, { pixels = 1, mostSplats = Infinity, isSeen = () => true, isHere = null } = {}) {
   const look = pixelsOf(tree, view);
-  let wanted = pixels, shares = cut(tree, look, wanted, isHere);
+  let wanted = pixels, shares = cut(tree, look, wanted, isHere, isSeen);
   if (mostSplats === Infinity) return shares;
   wanted ||= look.subarray(tree.firstLeaf).reduce((least, x) => Math.min(least, x), Infinity);
   for (let step = 0; step < MOST_STEPS; ++step) {
     const n = shares.reduce((sum, share, group) => sum + (share > 0 && isSeen(group) ? tree.nSplats[group] : 0), 0);
     if (n <= mostSplats) break;
-    shares = cut(tree, look, (wanted *= COARSER), isHere);
+    shares = cut(tree, look, (wanted *= COARSER), isHere, isSeen);
   }
   return shares;
 }
@@ -54,12 +54,12 @@ function pixelsOf({ low, high, size }, { eye, fx, fy }) {
   });
 }
 
-function cut({ parent, children, firstLeaf }, look, wanted, isHere) {
+function cut({ parent, children, firstLeaf }, look, wanted, isHere, isSeen) {
   const refined = new Float32Array(look.length), shares = new Float32Array(look.length);
   for (let group = 0; group < look.length; ++group) { // parents come first
     const above = parent[group] < 0 ? 1 : refined[parent[group]];
     const share = wanted > 0 ? Math.min(1, Math.max(0, (look[group] / wanted - 1) / (FADE - 1))) : 1;
-    const may = group < firstLeaf && above > 0 && children[group].length > 0 && (!isHere || children[group].every(isHere));
+    const may = group < firstLeaf && above > 0 && children[group].length > 0 && (!isHere || children[group].every((child) => isHere(child) || !isSeen(child)));
     refined[group] = may ? share : 0;
     shares[group] = above * (1 - refined[group]);
   }

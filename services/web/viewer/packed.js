@@ -32,7 +32,7 @@ export class Packed {
   constructor(source, members, header) {
     if (header.format !== "splatpress" || !VERSIONS.includes(header.version))
       throw new Error(`a file of version ${header.version}; this viewer draws version ${VERSIONS.join(", ")}`);
-    if ((header.geometry ?? "boxes") !== "boxes") throw new Error(`a file whose geometry is ${header.geometry}; this viewer draws boxes`);
+    if (!["boxes", "runs"].includes(header.geometry ?? "boxes")) throw new Error(`a file whose geometry is ${header.geometry}; this viewer draws boxes and runs`);
     Object.assign(this, { source, members, header });
     header.effects ??= {};
     this.nChunks = Math.ceil(header.n_splats / CHUNK);

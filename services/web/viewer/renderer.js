@@ -30,7 +30,7 @@ export class Renderer {
 
   /** Draw `scene` from `view` ({ rotation rows, eye against the origin, fx, fy, cx, cy, width, height }) into the renderer's targets. */
   render(scene, view, { maxAtoms = 16, light = null, mostSplats = Infinity } = {}) {
-    const { gl } = this, { header } = scene;
+    const { gl } = this;
     const drawn = light ? new Set([...scene.drawn, "relighting", "normal_smoothing"]) : scene.drawn;
     const groups = scene.choose(view, visibleGroups(scene, view), mostSplats);
     this.use(scene, view, drawn);
@@ -38,7 +38,7 @@ export class Renderer {
     this.drawDepth(scene, groups, drawn);
     this.drawColors(scene, groups, drawn, maxAtoms, light || AS_PHOTOGRAPHED);
     this.resolve(drawn, light || AS_PHOTOGRAPHED);
-    this.shown = { scene, view, splats: groups.reduce((n, g) => n + Math.min(GROUP, header.n_splats - g * GROUP), 0) };
+    this.shown = { scene, view, splats: groups.reduce((n, group) => n + scene.splatsOf(group), 0) };
     return this.shown.splats;
   }
 
@@ -106,8 +106,8 @@ export class Renderer {
   drawGroups(scene, program, groups, batch, numbers, light = {}) {
     const { gl, multi } = this, firsts = [], counts = [];
     for (const group of groups) {
-      const n = batch === null ? Math.min(GROUP, scene.header.n_splats - group * GROUP) : scene.counts[group][batch];
-      if (n) firsts.push(3 * GROUP * group), counts.push(3 * n);
+      const n = batch === null ? scene.splatsOf(group) : scene.counts[group][batch];
+      if (n) firsts.push(3 * GROUP * scene.pool.slotOf[group]), counts.push(3 * n);
     }
     if (!firsts.length) return;
     this.start(program, numbers, light);
@@ -182,7 +182,7 @@ export class Renderer {
       const z = (pushed - (header.margin_radii * radius) / Math.hypot(...ray)) / (1 + 1e-5); // what the depth pass has added
       return view.eye.map((e, i) => e + z * (view.rotation[0][i] * ray[0] + view.rotation[1][i] * ray[1] + view.rotation[2][i]));
     };
-    return pointOf(radiusAt(scene.packed, scene.arrays, pointOf(header.radius)));
+    return pointOf(radiusAt(scene, scene.kept, pointOf(header.radius)));
   }
 
   // --- programs and targets

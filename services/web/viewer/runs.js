@@ -1,34 +1,23 @@
-// Runs of cells of a hexagonal close packed grid into positions and normals, bit by bit as pipeline/geometry/runs/codes.py decodes them.
+// Runs of cells of a hexagonal close packed grid into positions and normals, a group at a time, bit by bit as pipeline/geometry/runs/codes.py decodes them.
 
 import { CHUNK } from "./packed.js";
 
 const RISE = [0, 1, 1, 0, -1, -1]; // rows, by direction
 const { fround } = Math;
 
-/** The arrays of all runs, one group behind the other; `first` says which rows of each are whose. */
-export async function readRuns(packed, first, signal) {
-  const width = { run_base: 3, run_normal: 2 }, found = await packed.readWhole(["run_codebook", "run_batch"].filter((name) => packed.has(name)), signal);
-  for (const name of ["run_base", "run_first", "run_start", "run_normal", "run_step"]) {
-    const w = width[name] ?? 1, rows = first[name];
-    await packed.read(packed.chunksOf(name), (_, group, values) => {
-      found[name] ??= new values.constructor(rows[packed.nGroups] * w);
-      const own = values.subarray(0, (rows[group + 1] - rows[group]) * w);
-      if (name === "run_first") for (let i = 0; i < own.length; ++i) own[i] += first.run_start[group]; // counted from the group's first
-      found[name].set(own, rows[group] * w);
-    }, signal);
-  }
-  return found;
-}
-
-/** Of all splats four words: x, y, z as floats, a word of normal; and boxes of the chunks, as a file of boxes has them. */
-export function decodeRuns({ header, nChunks }, arrays) {
-  const n = header.n_splats, splats = new Uint32Array(4 * n), place = new Float32Array(splats.buffer), splatOf = placesOf(arrays.run_batch, n);
-  const { cell: size, turn, n_runs: nRuns } = header.runs, rows = turn.map(fround), { run_first: first, run_base: base, run_step: steps } = arrays;
-  const pitch = [fround(size / 2), fround((size * (Math.sqrt(3) / 2)) / 3), fround(size * Math.sqrt(2 / 3))], at = [0, 0, 0];
+/**
+ * A group of `n` splats by its arrays, of which `rows` count: four words a splat, x, y, z as floats, a word of normal; and boxes of its chunks, as a
+ * file of boxes has them.
+ */
+export function decodeRuns({ runs: grid }, codebook, arrays, rows, n) {
+  const splats = new Uint32Array(4 * n), place = new Float32Array(splats.buffer), splatOf = placesOf(arrays.run_batch, n);
+  const turn = grid.turn.map(fround), { run_first: first, run_base: base, run_step: steps } = arrays;
+  const pitch = [fround(grid.cell / 2), fround((grid.cell * (Math.sqrt(3) / 2)) / 3), fround(grid.cell * Math.sqrt(2 / 3))], at = [0, 0, 0];
   let cell = 0, step = 0, section = 0;
-  for (let run = 0; run < nRuns; ++run) {
-    while (section + 1 < header.runs.n_sections && first[section + 1] <= run) ++section;
+  for (let run = 0; run < rows.run_start; ++run) {
+    while (section + 1 < rows.run_first && first[section + 1] <= run) ++section;
     const word = arrays.run_start[run], length = (word >>> 27) + 1;
+    if (cell + length > n) throw new Error(`a group whose runs have more cells than its ${n} splats`);
     let column = base[3 * section] + (word & 2047), row = base[3 * section + 1] + ((word >>> 11) & 2047), a = arrays.run_normal[2 * run];
     const slice = base[3 * section + 2] + ((word >>> 22) & 31);
     let b = arrays.run_normal[2 * run + 1], direction = 0;
@@ -38,7 +27,7 @@ export function decodeRuns({ header, nChunks }, arrays) {
         direction = (direction + (code & 7)) % 6;
         column += direction === 0 ? 1 : direction === 3 ? -1 : direction === 1 || direction === 5 ? odd : odd - 1;
         row += RISE[direction];
-        a += arrays.run_codebook[entry], b += arrays.run_codebook[entry + 1];
+        a += codebook[entry], b += codebook[entry + 1];
         if (Math.abs(a) > 127) a = (a > 0 ? 254 : -254) - a, b = -b;
         if (Math.abs(b) > 127) b = (b > 0 ? 254 : -254) - b, a = -a;
       }
@@ -46,12 +35,13 @@ export function decodeRuns({ header, nChunks }, arrays) {
       const to = 4 * splatOf(cell);
       for (let axis = 0; axis < 3; ++axis) {
         const k = 3 * axis;
-        place[to + axis] = fround(fround(fround(rows[k] * at[0]) + fround(rows[k + 1] * at[1])) + fround(rows[k + 2] * at[2]));
+        place[to + axis] = fround(fround(fround(turn[k] * at[0]) + fround(turn[k + 1] * at[1])) + fround(turn[k + 2] * at[2]));
       }
       splats[to + 3] = (a & 255) | ((b & 255) << 8);
     }
   }
-  return { splats, ...boxesOf(place, n, nChunks) };
+  if (cell !== n) throw new Error(`a group whose runs have ${cell} cells for its ${n} splats`);
+  return { splats, ...boxesOf(place, n) };
 }
 
 // The splat that a cell is: those of a chunk stand by batch, as they stood within it.
@@ -65,7 +55,8 @@ function placesOf(batch, n) {
   return (cell) => places[cell];
 }
 
-function boxesOf(place, n, nChunks) {
+function boxesOf(place, n) {
+  const nChunks = Math.ceil(n / CHUNK);
   const low = new Float32Array(3 * nChunks).fill(Infinity), high = new Float32Array(3 * nChunks).fill(-Infinity), size = new Float32Array(3 * nChunks);
   for (let splat = 0; splat < n; ++splat)
     for (let axis = 0, to = 3 * Math.floor(splat / CHUNK); axis < 3; ++axis, ++to) {

@@ -1,18 +1,8 @@
 // What is derived of groups as they arrive: running counts of batches, where streams begin, boxes. Mirrors renderer/splats/upload/tables.py.
 
-import { CHUNK, MIP_SIZES } from "./packed.js";
+import { CHUNK } from "./packed.js";
 
 const LONGEST_ELLIPSOID = 4; // half axis in radii that a byte can say
-
-/** Where each group's words begin in a stream that stands one group after the other, and where the last ones end: by stream (nGroups + 1). */
-export function firstWords({ ragged, nGroups }, words) {
-  const found = {};
-  ragged.forEach((name, i) => {
-    const first = (found[name] = new Float64Array(nGroups + 1)); // whole numbers beyond 32 bits
-    for (let group = 0; group < nGroups; ++group) first[group + 1] = first[group] + words[group * ragged.length + i];
-  });
-  return found;
-}
 
 /** Words that the tables take a chunk and a group. */
 export const widthsOf = ({ size_bits, color_step, batches }) =>
@@ -127,26 +117,4 @@ export function splatWords(n, { position, normal, color }) {
     if (color) for (let j = 0; j < 3; ++j) bytes[at + 5 + j] = color[3 * i + j];
   }
   return new Uint32Array(bytes.buffer);
-}
-
-/** Where an atom's texels lie: bands of the levels one below the other; mirrors renderer/splats/atlas.py. */
-export function atlasLayout({ n_dictionary, atom_size, coarsest_size }) {
-  const width = atom_size * Math.ceil(Math.sqrt(Math.max(1, n_dictionary))), bands = [];
-  let height = 0;
-  for (const size of MIP_SIZES) {
-    bands.push(height);
-    if (size <= atom_size && size >= coarsest_size) height += Math.ceil(Math.max(1, n_dictionary) / ((width / size) | 0)) * size;
-  }
-  return { width, height, bands };
-}
-
-/** Atoms (k, s, s, 3) of one level as rows of the atlas: (rows, width, 3) bytes. */
-export function atlasBand(atoms, size, n, { width }) {
-  const columns = (width / size) | 0, rows = Math.ceil(n / columns), band = new Int8Array(rows * size * width * 3);
-  for (let atom = 0; atom < n; ++atom)
-    for (let y = 0; y < size; ++y) {
-      const from = (atom * size + y) * size * 3, to = (((((atom / columns) | 0) * size + y) * width) + (atom % columns) * size) * 3;
-      band.set(atoms.subarray(from, from + size * 3), to);
-    }
-  return { rows: rows * size, band };
 }

@@ -29,7 +29,7 @@ export class Viewer {
     this.source = source;
     this.started = performance.now();
     const packed = await Packed.open(source);
-    this.scene = new Scene(this.renderer.gl, packed);
+    this.scene = new Scene(this.renderer.gl, packed, this.budget);
     await this.scene.load(() => this.wanted(), (stage) => this.heard(stage));
   }
 
@@ -148,6 +148,7 @@ export class Viewer {
     this.draw();
     clearTimeout(this.settling);
     this.settling = setTimeout(() => { this.draw(); this.toAddress(); this.scene.wake?.(); }, STILL_MS);
+    if (this.lastMove - (this.lastLook ?? 0) > STILL_MS) this.lastLook = this.lastMove, this.scene.wake?.(); // while one flies, too
   }
 
   draw() {
@@ -211,7 +212,7 @@ export class Viewer {
     const shares = sharesOf(tree, view, { mostSplats: this.budget, isSeen: (group) => seen.has(group) });
     for (let group = packed.nGroups - 1; group >= 0; --group) {
       if ((shares[group] > 0 && seen.has(group)) || tree.level[group] === 0) wanted.add(group);
-      if (wanted.has(group) && tree.parent[group] >= 0) wanted.add(tree.parent[group]), tree.children[tree.parent[group]].forEach((c) => wanted.add(c));
+      if (wanted.has(group) && tree.parent[group] >= 0) wanted.add(tree.parent[group]), tree.children[tree.parent[group]].forEach((c) => seen.has(c) && wanted.add(c));
     }
     return [...wanted].sort((a, b) => tree.level[a] - tree.level[b] || far[a] - far[b]);
   }

@@ -27,13 +27,13 @@ SNAPPED_PX = 1 / 32  # how far SwiftShader, which draws here, moves a corner at 
 LAMP = lamp(*USUAL_LAMP)
 
 
-def scene_of(name: str):
+def scene_of(name: str, smallest: float = 0.02):
     rng = np.random.default_rng(3)
     dictionary = random_dictionary(rng)
     if name == "atoms":
         return build_scene(sheet(rng, 400, **coded(rng, 400)), Settings(radius=0.1), dictionary)
     if name.startswith("runs"):
-        return on_runs(scene_of({"runs": "groups", "runs-in-boxes": "everything"}[name]))
+        return on_runs(scene_of({"runs": "groups", "runs-in-boxes": "everything"}[name], smallest=0.13))  # cells of 0.06, no pinholes
     if name == "groups":
         n = GROUP + 300
         line = np.tile([0.8, 0.6, 0.1], (n, 1))
@@ -41,7 +41,7 @@ def scene_of(name: str):
         splats = sheet(rng, n, clipline=line, **coded(rng, n, max_atoms=3))
         splats = replace(splats, position=splats.position + UTM)
         cameras = tuple(replace(camera_looking(np.add(UTM, (x, -2, 0.3)), UTM), name=f"{x}.jpg") for x in (-0.4, 0.1))
-        splats = replace(splats, size=0.02 * 2.5 ** rng.random(n))
+        splats = replace(splats, size=smallest * 2.5 ** rng.random(n))
         return build_scene(splats, Settings(radius=0.03, origin=UTM, cameras=cameras), dictionary)
     if name == "maps":
         axes = np.tile(np.diag([0.12, 0.06, 0.03])[[0, 2, 1]], (400, 1, 1))
@@ -81,7 +81,7 @@ def _without_complaints_of_others(page):
 def served(tmp_path_factory):
     """Addresses and scenes by name."""
     folder, running, found = tmp_path_factory.mktemp("files"), [], {}
-    for name in ("atoms", "everything", "groups", "maps"):
+    for name in ("atoms", "everything", "groups", "maps", "runs", "runs-in-boxes"):
         scene = scene_of(name)
         running.append(serving(write_arrays(scene.header, scene.arrays, folder / f"{name}.splatpress")))
         found[name] = running[-1].__enter__(), scene
@@ -121,7 +121,7 @@ VIEWS = {  # eye, size, focal length
 }
 
 
-@pytest.mark.parametrize("name", ["atoms", "everything", "groups", "maps"])
+@pytest.mark.parametrize("name", ["atoms", "everything", "groups", "maps", "runs", "runs-in-boxes"])
 def test_viewer__draws_what_render_does(page, served, renderer, name):
     url, scene = served[name]
     open_viewer(page, url)

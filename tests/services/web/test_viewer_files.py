@@ -175,7 +175,7 @@ def test_viewer__asks_no_other_host_for_its_content(page, url):
 @needs_chromium
 def test_one_page__opens_from_a_disk_and_asks_for_nothing(packed, tmp_path):
     made = export(packed, "html", tmp_path / "a.html")
-    assert made.n_bytes <= 1.37 * packed.stat().st_size + 60_000
+    assert made.n_bytes <= 1.24 * packed.stat().st_size + 60_000
     opened = Page(tmp_path / "profile")
     small(opened)
     try:
@@ -187,7 +187,7 @@ def test_one_page__opens_from_a_disk_and_asks_for_nothing(packed, tmp_path):
 
 
 def test_viewer__is_small():
-    code = sum(len(gzip.compress(path.read_bytes(), 9)) for path in FOLDER.glob("*.js"))
+    code = sum(len(gzip.compress(viewer_file(path.name)[0], 9)) for path in FOLDER.glob("*.js"))
     assert code <= 40_000
     assert len(gzip.compress(bundle("start.js").encode(), 9)) <= 40_000
 
