@@ -16,6 +16,7 @@ const TYPES = {
 }; // all others are bytes
 const SIGNED = new Set(["normal", "run_normal", "run_codebook"]);
 const RUN_STREAMS = ["run_base", "run_first", "run_start", "run_normal", "run_step"];
+const FIRST_CHUNK = /\/c\/0(\/0)*$/, NOT_OF_GROUPS = /^(group|atoms?|map|weight)_|^run_codebook/;
 const STREAMS = ["colors", "codes", "cliplines", "ellipsoids"]; // in the order of group_rows, behind those of runs
 
 /** An opened packed file: its header, and arrays when they are asked for. */
@@ -38,6 +39,9 @@ export class Packed {
     this.nChunks = Math.ceil(header.n_splats / CHUNK);
     this.nGroups = Math.ceil(header.n_splats / GROUP);
     this.counts = new Map();
+    // Arrays whose chunks are of a group each, in the order in which they stand in the file.
+    this.ofGroups = [...members.values()].filter(({ name }) => FIRST_CHUNK.test(name) && !NOT_OF_GROUPS.test(name)).sort((a, b) => a.start - b.start)
+      .map(({ name }) => name.slice(0, name.indexOf("/")));
     for (const name of members.keys()) {
       const array = name.slice(0, name.indexOf("/"));
       if (name.includes("/c/")) this.counts.set(array, (this.counts.get(array) || 0) + 1);
@@ -72,12 +76,12 @@ export class Packed {
     throw new Error(`the file lacks chunk ${index} of ${name}`);
   }
 
-  /** Ask for chunks of `chunksOf`; `onChunk(array, index, values)` hears each. */
+  /** Ask for chunks of `chunksOf`; `onChunk(array, index, values, bytes)` hears each, with its bytes as they stand in the file. */
   async read(chunks, onChunk, signal, largestGap) {
     const byMember = new Map(chunks.map((chunk) => [chunk.name, chunk]));
     await readMembers(this.source, chunks, (name, bytes) => {
       const { array, index } = byMember.get(name);
-      onChunk(array, index, valuesOf(array, bytes));
+      onChunk(array, index, valuesOf(array, bytes), bytes);
     }, signal, largestGap);
   }
 

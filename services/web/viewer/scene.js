@@ -1,5 +1,5 @@
-// A packed scene in GPU memory while it arrives: the table of groups first, then geometry and colours of groups, then atoms and codes. Groups are
-// drawn from when their geometry is there, with their colours alone until their codes are. Mirrors renderer/splats/scene.py; but that a group lies
+// A packed scene in GPU memory while it arrives: the table of groups first, then a first picture's groups, the dictionary, and what else is wanted.
+// Groups are drawn from when their geometry is there, with their colours alone until codes and atoms are. Mirrors renderer/splats/scene.py; but that a group lies
 // in a slot (pool.js), which takes its number's place in all that shaders read.
 
 import { atlasLayout, loadAtoms } from "./atoms.js";
@@ -8,6 +8,7 @@ import { mapFrames, mapTextures } from "./maps.js";
 import { CHUNK, CHUNKS_PER_GROUP, GROUP, MIP_SIZES } from "./packed.js";
 import { Pool } from "./pool.js";
 import { decodeRuns } from "./runs.js";
+import { Seals } from "./seals.js";
 import { groupBoxes, splatWords, tablesOf, widthsOf } from "./tables.js";
 import { Words } from "./words.js";
 
@@ -73,8 +74,7 @@ export class Scene {
   }
 
   /**
-   * Load what `wanted()` names, groups in the order in which they are wanted, and go on as it names more: geometry and colours, then atoms and
-   * codes. `onChange(stage)` is called when there is more to draw. Ends with `signal` alone.
+   * Load what `wanted()` names, groups in the order in which they are wanted, and go on as it names more. `onChange(stage)` is called when there is more to draw. Ends with `signal` alone.
    */
   async load(wanted, onChange, signal) {
     await this.loadTables(signal);
@@ -85,11 +85,13 @@ export class Scene {
         const { weights, atlas } = await loadAtoms(this.gl, this.packed, this.layout, signal);
         this.textures.weights = weights;
         this.atlas = atlas;
+        for (const group of this.pool.groupOf) if (group >= 0) this.advance(group);
+        onChange(stage);
       } else if (stage === "maps") {
         await this.loadMaps(signal);
         onChange(stage);
       } else if (stage) {
-        await this.packed.read(chunks, (array, index, values) => { if (this.take(array, index, values)) onChange(stage); }, signal);
+        await this.read(chunks, onChange, signal);
       } else {
         onChange("all");
         await new Promise((wake) => { this.wake = wake; });
@@ -97,15 +99,13 @@ export class Scene {
     }
   }
 
-  // What is to be asked for next, a batch of chunks; none where all has arrived.
+  // What is to be asked for next, a batch of groups; none where all has arrived. The dictionary is when there is a picture.
   missing(groups) {
-    const geometry = this.batch(groups, [...this.geometryArrays, ...this.shapeArrays]);
-    if (geometry.length) return { stage: "geometry", chunks: geometry };
+    const chunks = this.batch(groups, this.packed.ofGroups), isAny = this.state.some((state) => state !== ABSENT);
+    if (chunks.length && !isAny) return { stage: "groups", chunks };
     if (this.header.maps && !this.maps) return { stage: "maps" };
-    if (!this.header.n_dictionary) return {};
-    if (!this.atlas) return { stage: "atoms" };
-    const codes = this.batch(groups, ["codes"]);
-    return codes.length ? { stage: "codes", chunks: codes } : {};
+    if (this.header.n_dictionary && !this.atlas) return { stage: "atoms" };
+    return chunks.length ? { stage: "groups", chunks } : {};
   }
 
   batch(groups, arrays) {
@@ -123,27 +123,38 @@ export class Scene {
     return chunks;
   }
 
+  async read(chunks, onChange, signal, largestGap) {
+    const checks = [];
+    await this.packed.read(chunks, (array, group, values, bytes) => {
+      if (this.take(array, group, values)) onChange("groups");
+      checks.push(this.seals.hear(array, group, bytes));
+    }, signal, largestGap);
+    await Promise.all(checks);
+  }
+
   forget(group, slot) {
     this.state[group] = ABSENT;
     this.waiting.delete(group);
+    this.seals.forget(group);
     for (const arrived of Object.values(this.arrived)) arrived[group] = 0;
     this.kept.box_low.fill(Infinity, slot * CHUNKS_PER_GROUP * 3, (slot + 1) * CHUNKS_PER_GROUP * 3);
   }
 
   async loadTables(signal) {
     const { packed, header } = this, { nGroups } = packed;
-    const tables = await packed.readWhole(["group_low", "group_high", "group_radius", "group_rows", "run_codebook"].filter((name) => packed.has(name)), signal);
+    const tables = await packed.readWhole(["group_low", "group_high", "group_radius", "group_rows", "group_seal", "run_codebook"].filter((name) => packed.has(name)), signal);
     this.kept = Object.fromEntries(Object.entries(KEPT).filter(([name]) => packed.has(name) || name !== "size_scale")
       .map(([name, [Type, width]]) => [name, new Type(this.nChunks * width)]));
     this.kept.box_low.fill(Infinity); // of what is not there yet
     this.codebook = tables.run_codebook;
     this.rows = tables.group_rows;
+    this.seals = new Seals(tables.group_seal, packed.ofGroups);
     this.groupBoxes = groupBoxes(packed, tables);
     this.counts = [];
     if (header.levels) this.tree = groupTree(packed, tables);
     this.findStreams();
     this.makeTextures();
-    this.arrived = Object.fromEntries([...this.geometryArrays, ...packed.streams].map((name) => [name, new Uint8Array(nGroups)]));
+    this.arrived = Object.fromEntries(packed.ofGroups.map((name) => [name, new Uint8Array(nGroups)]));
     this.outline = { low: tables.group_low, high: tables.group_high, n: nGroups };
     if (header.levels) await this.outlineByCoarsest(signal);
     else if (nGroups <= MOST_OUTLINED_BY_CHUNKS) await this.outlineByChunks(signal);
@@ -182,8 +193,7 @@ export class Scene {
   // Boxes of chunks that hold the scene, before a camera is placed: those of the coarsest level, which is the first picture too.
   async outlineByCoarsest(signal) {
     const groups = Array.from({ length: Math.ceil(this.header.levels[0] / GROUP) }, (_, group) => group);
-    for (let chunks; (chunks = this.batch(this.pool.want(groups), [...this.geometryArrays, ...this.shapeArrays])).length;)
-      await this.packed.read(chunks, (array, group, values) => this.take(array, group, values), signal);
+    for (let chunks; (chunks = this.batch(this.pool.want(groups), this.packed.ofGroups)).length;) await this.read(chunks, () => {}, signal);
     const n = groups.length * CHUNKS_PER_GROUP, { box_low: low, box_size: size } = this.kept;
     this.outline = { low: low.slice(0, 3 * n), high: low.slice(0, 3 * n).map((x, i) => x + size[i]), n };
   }
@@ -194,7 +204,7 @@ export class Scene {
     if (header.runs) {
       const groups = Array.from({ length: packed.nGroups }, (_, group) => group);
       for (let chunks; (chunks = this.batch(this.pool.want(groups), this.runArrays)).length;)
-        await packed.read(chunks, (array, group, values) => this.take(array, group, values), signal, SMALL_GAP);
+        await this.read(chunks, () => {}, signal, SMALL_GAP);
     } else ({ box_low: low, box_size: size } = await packed.readWhole(["box_low", "box_size"], signal, SMALL_GAP));
     this.outline = { low: low.slice(0, 3 * n), high: low.slice(0, 3 * n).map((x, i) => x + size[i]), n };
   }
@@ -204,7 +214,7 @@ export class Scene {
     const stream = this.streams[array];
     if (stream) {
       this.textures[array].put(stream.begin(this.pool.slotOf[group]), values.subarray(0, this.rowsOf(array, group)));
-    } else {
+    } else if (this.geometryArrays.includes(array)) {
       const parts = { ...this.waiting.get(group), [array]: values };
       if (this.runArrays.includes(array) && this.runArrays.every((name) => parts[name])) this.decodeRuns(group, parts);
       this.waiting.set(group, parts);
@@ -249,7 +259,7 @@ export class Scene {
   advance(group) {
     const here = (name) => this.arrived[name][group], was = this.state[group];
     if (![...this.geometryArrays, ...this.shapeArrays].every(here)) return false;
-    this.state[group] = this.atlas && here("codes") ? CODED : FLAT;
+    this.state[group] = this.atlas && here("codes") ? CODED : FLAT; // of a file without a dictionary all are flat
     return this.state[group] !== was;
   }
 

@@ -11,6 +11,7 @@ export class HttpSource {
     this.etag = null;
     this.size = 0;
     this.requests = this.received = 0;
+    this.end = new Uint8Array(); // the last bytes, which are not asked for twice
   }
 
   /** The last `n` bytes, or all where there are fewer; from here on `size` is known. */
@@ -23,13 +24,15 @@ export class HttpSource {
       this.received += bytes.length;
       this.etag = answer.headers.get("ETag");
       this.size = range ? Number(range[3]) : bytes.length;
-      return bytes.subarray(Math.max(0, bytes.length - n));
+      return (this.end = bytes.subarray(Math.max(0, bytes.length - n)));
     });
   }
 
   /** The bytes start..stop; `onBytes(offset, bytes)` hears them as they arrive, `offset` counted from the file's beginning. */
   async stream(start, stop, onBytes, signal) {
     let at = start;
+    const known = Math.max(start, this.size - this.end.length), last = stop;
+    stop = Math.min(stop, known);
     const goOn = async (arrived) => {
       const answer = await this.ask(`bytes=${at}-${stop - 1}`, signal);
       if (answer.status !== 206) throw new Error("the server answers no ranges");
@@ -44,6 +47,7 @@ export class HttpSource {
       if (at < stop) throw new TypeError("cut off");
     };
     if (at < stop) await this.patiently(goOn);
+    if (known < last) onBytes(known, this.end.slice(known - this.size + this.end.length, last - this.size + this.end.length));
   }
 
   // Again where the connection is lost, TRIES times since something last arrived.

@@ -13,6 +13,7 @@ const TARGET_MS = 50; // of a frame while one moves
 const COARSEST = 0.25; // of the resolution, while one moves
 const STILL_MS = 250; // after the last move, before a frame of full resolution
 const BUDGET = 3e6, BUDGET_OF_TOUCH = 1e6; // splats at once, where a file has levels
+const REST = 2; // times what a frame takes, between frames of a file that arrives
 const MOST_ATOMS = 16; // of a splat, by the format
 const $ = (id) => document.getElementById(id);
 
@@ -37,7 +38,7 @@ export class Viewer {
     if (stage === "tables") this.begin();
     this.times[stage] ??= performance.now() - this.started;
     this.complete = stage === "all";
-    this.draw();
+    if (this.complete || !(performance.now() - this.drawnAt < REST * this.frameMs)) this.draw(); // else it would draw more than load
   }
 
   begin() {
@@ -185,9 +186,10 @@ export class Viewer {
     this.splats = this.renderer.render(this.scene, view, { light: this.lamp, maxAtoms: this.maxAtoms, mostSplats: this.budget * scale * scale });
     this.renderer.present();
     this.renderer.wait();
-    this.frameMs = performance.now() - started;
+    this.drawnAt = performance.now();
+    this.frameMs = this.drawnAt - started;
     this.measure.draw(view, this.canvas.clientWidth, this.canvas.clientHeight);
-    if (this.splats) this.times.picture ??= performance.now() - this.started, document.body.classList.add("begun");
+    if (this.splats) this.times.picture ??= performance.now() - this.started, document.body.classList.add("begun"), this.first ??= { bytes: this.source.received, requests: this.source.requests };
     this.say();
   }
 
@@ -221,7 +223,7 @@ export class Viewer {
 
   statistics() {
     const { source, scene, renderer } = this, view = this.shownView();
-    return { splats: this.splats, allSplats: scene.header.n_splats, received: source.received, size: source.size, requests: source.requests,
+    return { splats: this.splats, allSplats: scene.header.n_splats, received: source.received, size: source.size, requests: source.requests, first: this.first, checked: scene.seals.checked,
       frameMs: this.frameMs, gpuBytes: scene.bytes, pixels: view.width * view.height, complete: !!this.complete, times: this.times,
       programs: [...renderer.programs.keys()], clipControl: !!renderer.clip };
   }

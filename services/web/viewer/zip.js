@@ -1,6 +1,6 @@
 // The members of a packed file: a zip in which all are stored as they are, without extra fields (docs/FORMAT.md, "The zip").
 
-const TAIL_BYTES = 1 << 16;
+const TAIL_BYTES = 1 << 15;
 const SEAL = "splatpress sha256 ";
 const SEAL_BYTES = 82, END_BYTES = 22, LOCATOR_BYTES = 20, END64_BYTES = 56;
 const LARGEST_GAP = 1 << 16; // rather than another request

@@ -33,7 +33,9 @@ def scene_of(name: str, smallest: float = 0.02):
     if name == "atoms":
         return build_scene(sheet(rng, 400, **coded(rng, 400)), Settings(radius=0.1), dictionary)
     if name.startswith("runs"):
-        return on_runs(scene_of({"runs": "groups", "runs-in-boxes": "everything"}[name], smallest=0.13))  # cells of 0.06, no pinholes
+        return on_runs(
+            scene_of({"runs": "groups", "runs-in-boxes": "everything"}[name], smallest=0.13)
+        )  # cells of 0.06, no pinholes
     if name == "groups":
         n = GROUP + 300
         line = np.tile([0.8, 0.6, 0.1], (n, 1))
