@@ -156,8 +156,7 @@ export class Scene {
     this.makeTextures();
     this.arrived = Object.fromEntries(packed.ofGroups.map((name) => [name, new Uint8Array(nGroups)]));
     this.outline = { low: tables.group_low, high: tables.group_high, n: nGroups };
-    if (header.levels) await this.outlineByCoarsest(signal);
-    else if (nGroups <= MOST_OUTLINED_BY_CHUNKS) await this.outlineByChunks(signal);
+    if (header.levels || nGroups <= MOST_OUTLINED_BY_CHUNKS) await this.outlineByChunks(signal);
   }
 
   // Where each stream of a group begins, and how many words all of them take: one behind the other, or with as much room for each as the largest takes.
@@ -190,23 +189,14 @@ export class Scene {
     for (const name of packed.streams) textures[name] = words(this.streams[name].total + 1);
   }
 
-  // Boxes of chunks that hold the scene, before a camera is placed: those of the coarsest level, which is the first picture too.
-  async outlineByCoarsest(signal) {
-    const groups = Array.from({ length: Math.ceil(this.header.levels[0] / GROUP) }, (_, group) => group);
-    for (let chunks; (chunks = this.batch(this.pool.want(groups), this.packed.ofGroups)).length;) await this.read(chunks, () => {}, signal);
-    const n = groups.length * CHUNKS_PER_GROUP, { box_low: low, box_size: size } = this.kept;
-    this.outline = { low: low.slice(0, 3 * n), high: low.slice(0, 3 * n).map((x, i) => x + size[i]), n };
-  }
-
+  // Boxes of chunks that hold the scene, before a camera is placed: those of the coarsest level, which is the first picture too, else of all groups.
   async outlineByChunks(signal) {
-    const { packed, header, kept } = this, n = packed.nChunks;
-    let { box_low: low, box_size: size } = kept;
-    if (header.runs) {
-      const groups = Array.from({ length: packed.nGroups }, (_, group) => group);
-      for (let chunks; (chunks = this.batch(this.pool.want(groups), this.runArrays)).length;)
-        await this.read(chunks, () => {}, signal, SMALL_GAP);
-    } else ({ box_low: low, box_size: size } = await packed.readWhole(["box_low", "box_size"], signal, SMALL_GAP));
-    this.outline = { low: low.slice(0, 3 * n), high: low.slice(0, 3 * n).map((x, i) => x + size[i]), n };
+    const { packed, header, kept } = this, { levels } = header;
+    const groups = Array.from({ length: levels ? Math.ceil(levels[0] / GROUP) : packed.nGroups }, (_, group) => group);
+    const isSmall = levels || packed.source.size < BATCH_BYTES, arrays = isSmall ? packed.ofGroups : header.runs ? this.runArrays : ["box_low", "box_size"];
+    for (let chunks; (chunks = this.batch(this.pool.want(groups), arrays)).length;) await this.read(chunks, () => {}, signal, isSmall ? undefined : SMALL_GAP);
+    const n = Math.min(groups.length * CHUNKS_PER_GROUP, packed.nChunks), low = kept.box_low.slice(0, 3 * n);
+    this.outline = { low, high: low.map((x, i) => x + kept.box_size[i]), n };
   }
 
   // Bring a group's rows of an array to the GPU; whether there is more to draw now.
@@ -218,6 +208,7 @@ export class Scene {
       const parts = { ...this.waiting.get(group), [array]: values };
       if (this.runArrays.includes(array) && this.runArrays.every((name) => parts[name])) this.decodeRuns(group, parts);
       this.waiting.set(group, parts);
+      this.keep(group, { [array]: values });
       if (this.geometryArrays.every((name) => parts[name])) {
         this.putGroup(group, parts);
         this.waiting.delete(group);
@@ -253,7 +244,6 @@ export class Scene {
     textures.boxes.put(chunk * widths.boxes, boxes);
     textures.running_counts.put((chunk * widths.running) / 2, running);
     textures.groups.put(slot * widths.groups, groups);
-    this.keep(group, parts);
   }
 
   advance(group) {
