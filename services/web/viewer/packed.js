@@ -11,13 +11,12 @@ export const MIP_SIZES = [32, 16, 8, 4, 2, 1];
 const MOST_CHUNK_BYTES = 1 << 24;
 const TYPES = {
   box_low: Float32Array, box_size: Float32Array, color_low: Int16Array, colors: Uint32Array, codes: Uint32Array, weight_levels: Float32Array,
-  run_base: Int32Array, run_first: Uint32Array, run_start: Uint32Array, atom_scale: Float32Array, cliplines: Uint32Array, sizes: Uint32Array, ellipsoids: Uint32Array, camera: Uint16Array, group_low: Float32Array,
+  atom_scale: Float32Array, cliplines: Uint32Array, sizes: Uint32Array, ellipsoids: Uint32Array, camera: Uint16Array, group_low: Float32Array,
   group_high: Float32Array, group_radius: Float32Array, group_rows: Uint32Array, group_start: BigUint64Array, group_bytes: BigUint64Array,
 }; // all others are bytes
-const SIGNED = new Set(["normal", "run_normal", "run_codebook"]);
-const RUN_STREAMS = ["run_base", "run_first", "run_start", "run_normal", "run_step"];
+const SIGNED = new Set(["normal", "run_codebook"]);
 const FIRST_CHUNK = /\/c\/0(\/0)*$/, NOT_OF_GROUPS = /^(group|atoms?|map|weight)_|^run_codebook/;
-const STREAMS = ["colors", "codes", "cliplines", "ellipsoids"]; // in the order of group_rows, behind those of runs
+const STREAMS = ["colors", "codes", "cliplines", "ellipsoids"]; // in the order of group_rows, behind run_codes
 
 /** An opened packed file: its header, and arrays when they are asked for. */
 export class Packed {
@@ -55,7 +54,7 @@ export class Packed {
 
   /** Arrays of which groups have any number of rows, in the order of group_rows. */
   get ragged() {
-    return [...RUN_STREAMS, ...STREAMS].filter((name) => this.has(name));
+    return ["run_codes", ...STREAMS].filter((name) => this.has(name));
   }
 
   has(name) {

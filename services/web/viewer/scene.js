@@ -14,7 +14,7 @@ import { Words } from "./words.js";
 
 const BATCH_BYTES = 1 << 21; // of chunks that are asked for together
 const OF_CHUNKS = ["batch_count", "box_low", "box_size", "box_bits", "size_scale", "sizes", "color_low", "color_size"];
-const OF_RUNS = ["run_base", "run_first", "run_start", "run_normal", "run_step", "run_batch"];
+const OF_RUNS = ["run_codes", "run_batch"];
 const KEPT = { box_low: [Float32Array, 3], box_size: [Float32Array, 3], size_scale: [Uint8Array, 2] }; // on this side too, by slot
 const MOST_OUTLINED_BY_CHUNKS = 64, SMALL_GAP = 4096; // groups, as renderer/splats/views.py; bytes between what is one request
 const POOL = 2; // groups in memory for each that the budget draws: those above them, and what one has just seen
@@ -219,8 +219,8 @@ export class Scene {
   }
 
   decodeRuns(group, parts) {
-    const n = this.splatsOf(group), rows = { run_start: this.rowsOf("run_start", group), run_first: this.rowsOf("run_first", group) };
-    const { splats, ...boxes } = decodeRuns(this.header, this.codebook, parts, rows, n);
+    const n = this.splatsOf(group), bytes = parts.run_codes.subarray(0, this.rowsOf("run_codes", group));
+    const { splats, ...boxes } = decodeRuns(this.header, this.codebook, bytes, parts.run_batch, n);
     this.textures.splats.put(this.pool.slotOf[group] * GROUP * 4, splats);
     Object.assign(parts, boxes);
     this.keep(group, boxes);
