@@ -87,8 +87,8 @@ def as_text(data: bytes) -> str:
     for start in range(0, len(data), _BLOCK):
         block = np.frombuffer(data[start : start + _BLOCK], np.uint8)
         bits = np.unpackbits(block, bitorder="little")
-        bits = np.pad(bits, (0, -len(bits) % 13)).reshape(-1, 13)
-        text.append(digits[np.stack(np.divmod(bits @ weight, 91), axis=1)].tobytes().decode())
+        numbers = np.pad(bits, (0, -len(bits) % 13)).reshape(-1, 13) @ weight
+        text.append(digits[np.stack(np.divmod(numbers, 91), axis=1)].tobytes().decode())
     return "".join(text)
 
 
