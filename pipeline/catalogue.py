@@ -75,6 +75,10 @@ CATALOGUE = (
         "the points of iso-surfaces, in place of the ingest's", ("voxels",), share=4, when="a volume",
     ),
     StageEntry(
+        "thin", "stages/points/thin.py", Phase.POINTS, Task.PART,
+        "which points are kept, as evenly spread as they stand", ("ingest",), when="`--density` below 1",
+    ),
+    StageEntry(
         "grid-counts", "stages/points/grid_counts.py", Phase.POINTS, Task.PART,
         "points counted per cell of a grid; cells merged to leaves of about a million points", ("ingest",),
         when="more than 1,048,576 points",

@@ -21,8 +21,8 @@ from pipeline.execution.executors import MOST_A_CALL, calls_of
 from pipeline.execution.task import CALL_S
 from pipeline.stages.packed.pack import TASK_SPLATS as PACK_BLOCK
 from pipeline.stages.points.grid_counts import IN_MEMORY as MOST_HELD  # units that any stage has in memory at once
-from pipeline.stages.points.grid_counts import MOST_PARTS, PART
 from pipeline.stages.points.ingest import MOST_SLICES, SLICE
+from pipeline.stages.points.kept import MOST_PARTS, PART
 from pipeline.texture.resample import PATCH_DIM
 from storage.packed.levels import FEWER
 from storage.packed.schema import ATOM_SIZES, GROUP
@@ -44,6 +44,8 @@ def _modelled() -> dict[str, Task]:
     """What a task is, by stage, in the order of the catalogue."""
     tasks: dict[str, Task] = {}
     for entry in CATALOGUE:
+        if entry.name == "thin":  # goes with the points of the file; a plan counts those that are kept
+            continue
         if entry.phase != Phase.EVALUATION and entry.task not in (Task.VOLUME, Task.SLICES):  # those go with voxels
             tasks[entry.name] = entry.task
         if entry.name == "ingest":

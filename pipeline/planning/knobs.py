@@ -269,11 +269,11 @@ KNOBS = (
     Knob(
         "density",
         float,
-        "the share of the points that become splats, chosen by hash of their place in the scan's files",
+        "the share of the points that become splats, spread as evenly as the points themselves",
         "bytes, frame time and time of all stages, in proportion",
         "detail: splats are larger, their radius follows from the wider "
         "spacing, and each shows more photo pixels in as many texels and atoms",
-        "partition",
+        "thin",
         low=0.0,
         high=1.0,
         above_low=True,

@@ -9,13 +9,11 @@ import numpy as np
 
 from pipeline.geometry.cells import CellCounts, Grid, bits_for, count_cells, grid_of, merge_counts
 from pipeline.geometry.leaves import Leaves, grow_leaves
-from pipeline.stages.points.kept import check_kept, kept_pieces, n_rows, origin_of
+from pipeline.stages.points.kept import finite_pieces, n_kept, n_parts, origin_of, part_range
 from pipeline.summaries import LeavesGrown, ScanRead
 from storage.work import arrays, work
 
 IN_MEMORY = 1 << 20  # points: 60 MB of records, and as much again twice while they are put in order
-PART = 1 << 20  # points a task
-MOST_PARTS = 1 << 12  # of a larger scan parts are larger: each leaf reads from all of them
 MERGED = 64  # parts whose counts are held at once
 
 
@@ -23,24 +21,21 @@ MERGED = 64  # parts whose counts are held at once
 class GridCounts:
     """A task a part of the points. Arrays: edges (3, n) float64 of the grid, against the origin; cell (m,) int32, begin and leaf
     (m,) and start (n_leaves + 1,) int64 as in `Leaves`; n_before (n_parts, k) int64, of divided cells, the points before
-    each part.
-
-    Raises: InvalidScan where no point is kept.
-    """
+    each part."""
 
     ingest: Path
-    density: float = 1.0
+    thinned: Path | None = None  # which points are kept, where not all are
     name = "grid-counts"
 
     def init(self, folder: Path) -> int:
         sample = arrays.read(self.ingest, "sample")
         sample = sample[np.isfinite(sample).all(axis=1)] - origin_of(work.summary(self.ingest, ScanRead))
-        arrays.store(folder, "edges", grid_of(sample, bits_for(self.density * n_rows(self.ingest) / IN_MEMORY)).edges)
+        arrays.store(folder, "edges", grid_of(sample, bits_for(n_kept(self.ingest, self.thinned) / IN_MEMORY)).edges)
         return n_parts(self.ingest)
 
     def run(self, folder: Path, index: int) -> dict:
         grid, rows = Grid(arrays.read(folder, "edges")), part_range(self.ingest, index)
-        pieces = kept_pieces(self.ingest, self.density, *rows, ("position",))
+        pieces = finite_pieces(self.ingest, *rows, ("position",), self.thinned)
         cell = np.concatenate([grid.cells_of(piece["position"]) for piece in pieces])
         counts = count_cells(cell)
         work.write_parts(_counts_of(folder, index), cell=counts.cell, count=counts.count)
@@ -48,7 +43,6 @@ class GridCounts:
 
     def finalise(self, folder: Path, results: list[dict]) -> LeavesGrown:
         n = sum(r["n_splats"] for r in results)
-        check_kept(self.ingest, self.density, n)
         points, grid = work.summary(self.ingest, ScanRead), Grid(arrays.read(folder, "edges"))
         parts = [_counts_of(folder, i) for i in range(len(results))]
         low, high = np.array(points.low) - origin_of(points), np.array(points.high) - origin_of(points)
@@ -61,21 +55,6 @@ class GridCounts:
                 before[i + 1] = before[i] + _counts_in(counts, leaves.divided)
             arrays.store(folder, "n_before", before, (1, before.shape[1]))
         return LeavesGrown(n, leaves.n_leaves)
-
-
-def part_rows(ingest: Path) -> int:
-    """Points of the file a part: the same however many workers there are."""
-    return max(PART, -(-n_rows(ingest) // MOST_PARTS))
-
-
-def n_parts(ingest: Path) -> int:
-    """How many tasks the points of an ingest are parted into."""
-    return arrays.n_blocks(n_rows(ingest), part_rows(ingest))
-
-
-def part_range(ingest: Path, index: int) -> tuple[int, int]:
-    """First row and end of a part."""
-    return arrays.block_range(index, n_rows(ingest), part_rows(ingest))
 
 
 def leaves_of(counts: Path) -> Leaves:

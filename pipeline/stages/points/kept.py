@@ -1,4 +1,4 @@
-"""The points of an ingest that a scan is made of: those with a finite position, or a share of them, by hash."""
+"""The points of an ingest that a scan is made of: those with a finite position, or the share of them that was thinned out."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.numerics.hashing import uniform_hash
-from pipeline.summaries import ScanRead, Vector
-from storage.errors import InvalidScan
+from pipeline.summaries import Counted, ScanRead, Vector
 from storage.work import arrays, work
 
 PIECE = 1 << 16  # points held at a time
-DENSITY_SEED = 1 << 63  # beyond every job's seed: which points are kept tells nothing of which are learned from
+PART = 1 << 20  # points a task, where tasks go by parts of the file
+MOST_PARTS = 1 << 12  # of a larger scan parts are larger: each leaf reads from all of them
+KEPT = "kept"  # array of what was thinned
 COLUMNS = ("position", "normal", "color", "intensity", "station", "candidate", "point")
 
 
@@ -46,33 +46,37 @@ def n_rows(ingest: Path) -> int:
     return work.summary(ingest, ScanRead).n_read
 
 
-def kept_pieces(
-    ingest: Path, density: float, start: int, stop: int, names: tuple[str, ...] = COLUMNS
+def part_rows(ingest: Path) -> int:
+    """Points of the file a part: the same however many workers there are."""
+    return max(PART, -(-n_rows(ingest) // MOST_PARTS))
+
+
+def n_parts(ingest: Path) -> int:
+    """How many tasks the points of an ingest are parted into."""
+    return arrays.n_blocks(n_rows(ingest), part_rows(ingest))
+
+
+def part_range(ingest: Path, index: int) -> tuple[int, int]:
+    """First row and end of a part."""
+    return arrays.block_range(index, n_rows(ingest), part_rows(ingest))
+
+
+def finite_pieces(
+    ingest: Path, start: int, stop: int, names: tuple[str, ...] = COLUMNS, thinned: Path | None = None
 ) -> Iterator[dict[str, np.ndarray]]:
-    """The kept ones of rows start..stop by column, PIECE rows at a time: those of `names` that the ingest has, positions
-    against the origin, and `point`, the place in the ingest."""
+    """The points of rows start..stop with a finite position, or those that are kept of them, by column, PIECE rows at a time: those of
+    `names` that the ingest has, positions against the origin, and `point`, the place in the ingest."""
     names = tuple(name for name in columns_of(ingest) if name in names)
     origin = np.array(origin_of(work.summary(ingest, ScanRead)))
     for at in range(start, stop, PIECE):
         end = min(at + PIECE, stop)
         place, rows = np.arange(at, end), {name: arrays.read(ingest, name, at, end) for name in names}
-        keep = np.isfinite(rows["position"]).all(axis=1)
-        if density < 1:
-            keep &= uniform_hash(place, DENSITY_SEED) < density
+        keep = np.isfinite(rows["position"]).all(axis=1) if thinned is None else arrays.read(thinned, KEPT, at, end)
         if not keep.all():
             place, rows = place[keep], {name: column[keep] for name, column in rows.items()}
         yield rows | {"point": place, "position": rows["position"] - origin}
 
 
-def n_kept(ingest: Path, density: float) -> int:
+def n_kept(ingest: Path, thinned: Path | None) -> int:
     """How many points are kept."""
-    if density >= 1:
-        return work.summary(ingest, ScanRead).n_points
-    return sum(len(piece["point"]) for piece in kept_pieces(ingest, density, 0, n_rows(ingest), ("position",)))
-
-
-def check_kept(ingest: Path, density: float, n: int) -> None:
-    """Raises InvalidScan where no point is kept."""
-    if not n:
-        n_points = work.summary(ingest, ScanRead).n_points
-        raise InvalidScan("density", f"{density:g} keeps none of {n_points:,} points", f"{1 / n_points:.2g} and more")
+    return work.summary(ingest, ScanRead).n_points if thinned is None else work.summary(thinned, Counted).n_splats

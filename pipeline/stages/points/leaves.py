@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.geometry.cells import Grid
-from pipeline.stages.points.grid_counts import leaves_of, n_before_part, n_parts, part_range
-from pipeline.stages.points.kept import kept_pieces, record_of
+from pipeline.stages.points.grid_counts import leaves_of, n_before_part
+from pipeline.stages.points.kept import finite_pieces, n_parts, part_range, record_of
 from pipeline.summaries import Counted, LeavesGrown
 from storage.work import arrays, work
 
@@ -27,7 +27,7 @@ class DealtLeaves:
 
     ingest: Path
     counts: Path
-    density: float = 1.0
+    thinned: Path | None = None  # which points are kept, where not all are
     name = "leaves"
 
     def init(self, folder: Path) -> int:
@@ -37,7 +37,7 @@ class DealtLeaves:
         start, stop = part_range(self.ingest, index)
         leaves, grid = leaves_of(self.counts), Grid(arrays.read(self.counts, "edges"))
         records, cell, n = np.empty(stop - start, record_of(self.ingest)), np.empty(stop - start, np.int32), 0
-        for piece in kept_pieces(self.ingest, self.density, start, stop):
+        for piece in finite_pieces(self.ingest, start, stop, thinned=self.thinned):
             rows = slice(n, n + len(piece["point"]))
             cell[rows] = grid.cells_of(piece["position"])
             for name, column in piece.items():

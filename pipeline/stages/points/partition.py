@@ -11,9 +11,8 @@ import numpy as np
 from pipeline.geometry.chunks import bounds, median_split
 from pipeline.stages.points.grid_counts import IN_MEMORY
 from pipeline.stages.points.kept import (
-    check_kept,
     columns_made_of,
-    kept_pieces,
+    finite_pieces,
     n_kept,
     n_rows,
     origin_of,
@@ -29,22 +28,16 @@ from storage.work import arrays, work
 @dataclass(frozen=True)
 class Partition:
     """A task a leaf; without leaves the whole scan is one. Arrays as the ingest's, in chunk order, position against `origin`;
-    and point (n,) int64, each one's place in the ingest, which unlike its place here does not turn with the scan.
-
-    A `density` below 1 keeps that share of the points, by hash of their place in the ingest; the leaves are of as many.
-
-    Raises: InvalidScan where none is left.
-    """
+    and point (n,) int64, each one's place in the ingest, which unlike its place here does not turn with the scan."""
 
     ingest: Path
-    density: float = 1.0
+    thinned: Path | None = None  # which points are kept, where not all are; the leaves are of as many
     counts: Path | None = None  # of the grid, which say where each leaf begins
     dealt: Path | None = None  # the records of each leaf
     name = "partition"
 
     def init(self, folder: Path) -> int:
         starts = self._starts()
-        check_kept(self.ingest, self.density, starts[-1])
         for name, dtype in columns_made_of(self.ingest).items():
             arrays.create(folder, name, (starts[-1], *dtype.shape), str(dtype.base))
         return len(starts) - 1
@@ -76,18 +69,16 @@ class Partition:
 
     def _starts(self) -> list[int]:
         """The first row of each leaf, and the end."""
-        return (
-            [0, n_kept(self.ingest, self.density)]
-            if self.counts is None
-            else arrays.read(self.counts, "start").tolist()
-        )
+        if self.counts is None:
+            return [0, n_kept(self.ingest, self.thinned)]
+        return arrays.read(self.counts, "start").tolist()
 
     def _records(self, index: int, record: np.dtype) -> Iterator[np.ndarray]:
         """The points of a leaf in file order."""
         if self.dealt is not None:
             yield from records_of_leaf(self.dealt, index, PIECE)
             return
-        for columns in kept_pieces(self.ingest, self.density, 0, n_rows(self.ingest)):
+        for columns in finite_pieces(self.ingest, 0, n_rows(self.ingest), thinned=self.thinned):
             rows = np.empty(len(columns["point"]), record)
             for name, column in columns.items():
                 rows[name] = column

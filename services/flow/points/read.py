@@ -8,8 +8,10 @@ from pipeline.execution.stage import StageRecord
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.stages.points.grid_counts import IN_MEMORY, GridCounts
 from pipeline.stages.points.ingest import Ingest
+from pipeline.stages.points.kept import n_kept
 from pipeline.stages.points.leaves import DealtLeaves
 from pipeline.stages.points.partition import Partition
+from pipeline.stages.points.thin import Thin
 from pipeline.summaries import Points, ScanRead
 from pipeline.volumes.open import is_volume
 from pipeline.volumes.request import SurfaceRequest
@@ -53,10 +55,11 @@ def points_of(
 
 def in_chunk_order(run: Run, ingest: StageRecord[ScanRead], density: float) -> StageRecord[Points]:
     """That share of the points of a scan, in chunk order."""
-    if density * ingest.summary.n_points <= IN_MEMORY:
-        return run.do(Partition(ingest.folder, density))
-    counts = run.do(GridCounts(ingest.folder, density))
+    thinned = run.do(Thin(ingest.folder, density)).folder if density < 1 else None
+    if n_kept(ingest.folder, thinned) <= IN_MEMORY:
+        return run.do(Partition(ingest.folder, thinned))
+    counts = run.do(GridCounts(ingest.folder, thinned))
     if counts.summary.n_leaves == 1:
-        return run.do(Partition(ingest.folder, density))
-    dealt = run.do(DealtLeaves(ingest.folder, counts.folder, density))
-    return run.do(Partition(ingest.folder, density, counts.folder, dealt.folder))
+        return run.do(Partition(ingest.folder, thinned))
+    dealt = run.do(DealtLeaves(ingest.folder, counts.folder, thinned))
+    return run.do(Partition(ingest.folder, thinned, counts.folder, dealt.folder))

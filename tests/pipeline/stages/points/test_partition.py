@@ -7,14 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from pipeline.geometry.chunks import median_split
+from pipeline.geometry.thinning import thinned
 from pipeline.numerics.hashing import uniform_hash
-from pipeline.stages.points import grid_counts, partition, split_on_disk
+from pipeline.stages.points import grid_counts, kept, partition, split_on_disk
 from pipeline.stages.points.grid_counts import GridCounts
 from pipeline.stages.points.kept import n_kept
 from pipeline.stages.points.leaves import DealtLeaves
 from pipeline.stages.points.partition import Partition
+from pipeline.stages.points.thin import Thin
 from pipeline.summaries import Points, ScanRead
 from storage.errors import InvalidScan
 from storage.packed.schema import GROUP
@@ -77,9 +80,10 @@ def done(stage, folder: Path, order=lambda n: range(n)) -> Path:
 
 
 def through_leaves(ingest: Path, folder: Path, density: float = 1.0, order=lambda n: range(n)) -> Path:
-    counts = done(GridCounts(ingest, density), folder / "counts", order)
-    dealt = done(DealtLeaves(ingest, counts, density), folder / "dealt", order)
-    return done(Partition(ingest, density, counts, dealt), folder / "partition", order)
+    thinned = done(Thin(ingest, density), folder / "thin", order) if density < 1 else None
+    counts = done(GridCounts(ingest, thinned), folder / "counts", order)
+    dealt = done(DealtLeaves(ingest, counts, thinned), folder / "dealt", order)
+    return done(Partition(ingest, thinned, counts, dealt), folder / "partition", order)
 
 
 def place_of(folder: Path) -> np.ndarray:
@@ -91,7 +95,7 @@ def place_of(folder: Path) -> np.ndarray:
 def small(monkeypatch):
     monkeypatch.setattr(partition, "IN_MEMORY", 4 * GROUP)
     monkeypatch.setattr(grid_counts, "IN_MEMORY", 4 * GROUP)
-    monkeypatch.setattr(grid_counts, "PART", 30_000)
+    monkeypatch.setattr(kept, "PART", 30_000)
     monkeypatch.setattr(split_on_disk, "PIECE", 3000)
     monkeypatch.setattr(split_on_disk, "BINS", 16)
 
@@ -171,7 +175,8 @@ def test_partition__a_stage_cut_off_between_tasks_goes_on(tmp_path, small):
 
 def kept_by(density: float, position: np.ndarray, folder: Path) -> tuple[np.ndarray, Points]:
     """Places in the file of the points that are kept, in chunk order, and the summary."""
-    made = done(Partition(ingested(folder / "ingest", position), density), folder / "partition")
+    ingest = ingested(folder / "ingest", position)
+    made = done(Partition(ingest, done(Thin(ingest, density), folder / "thin")), folder / "partition")
     return arrays.read(made, "point"), work.summary(made, Points)
 
 
@@ -179,7 +184,7 @@ def kept_by(density: float, position: np.ndarray, folder: Path) -> tuple[np.ndar
 def test_partition__density_keeps_that_share_from_everywhere(density, tmp_path):
     position = clouds()["cloud"]
     point, summary = kept_by(density, position, tmp_path)
-    assert len(point) == summary.n_splats == pytest.approx(density * len(position), rel=0.05)
+    assert len(point) == summary.n_splats == pytest.approx(density * len(position), abs=5)
     assert len(np.unique(point)) == len(point)
     assert np.histogram(point, 8, (0, len(position)))[0] == pytest.approx(density * len(position) / 8, rel=0.15)
     np.testing.assert_allclose(arrays.read(tmp_path / "partition", "position"), position[point] - summary.origin)
@@ -188,11 +193,27 @@ def test_partition__density_keeps_that_share_from_everywhere(density, tmp_path):
 
 def test_partition__the_same_points_are_kept_with_leaves_and_without(tmp_path, small):
     ingest = ingested(tmp_path / "ingest", clouds()["some not finite"])
-    alone = done(Partition(ingest, 0.7), tmp_path / "alone")
     dealt = through_leaves(ingest, tmp_path, 0.7)
+    alone = done(Partition(ingest, tmp_path / "thin"), tmp_path / "alone")
     points = [np.sort(arrays.read(folder, "point")) for folder in (alone, dealt)]
     assert points[0].tolist() == points[1].tolist()
-    assert len(points[0]) == n_kept(ingest, 0.7)
+    n = work.summary(ingest, ScanRead).n_points
+    assert len(points[0]) == n_kept(ingest, tmp_path / "thin") == pytest.approx(0.7 * n, abs=40)  # of 6 parts
+
+
+@pytest.mark.parametrize("share", [0.1, 0.25, 0.6])
+def test_thinned__leaves_smaller_gaps_than_chance(share):
+    rng = np.random.default_rng(0)
+    sheet = np.column_stack([rng.random((20_000, 2)), np.zeros(20_000)])
+    gap, chance = (KDTree(sheet[keep]).query(sheet)[0] for keep in (thinned(sheet, share), rng.random(20_000) < share))
+    assert np.quantile(gap, 0.99) < 0.88 * np.quantile(chance, 0.99)
+
+
+def test_thinned__of_a_scan_whose_spacing_varies_a_thousandfold_the_density_stays(tmp_path):
+    rng = np.random.default_rng(0)
+    position = np.concatenate([rng.random((8000, 3)), 1e-3 * rng.random((8000, 3)) + 5])
+    keep = thinned(position, 0.1)
+    assert np.count_nonzero(keep[:8000]) == pytest.approx(800, abs=3) == np.count_nonzero(keep[8000:])
 
 
 def test_partition__a_thinner_scan_is_part_of_a_denser_one(tmp_path):
@@ -206,8 +227,6 @@ def test_partition__what_is_kept_tells_nothing_of_what_is_learned_from(tmp_path)
 
 
 def test_partition__a_density_that_keeps_nothing_is_refused(tmp_path):
-    for make in (lambda ingest: Partition(ingest, 1e-12), lambda ingest: GridCounts(ingest, 1e-12)):
-        shutil.rmtree(tmp_path / "ingest", ignore_errors=True)
-        stage = make(ingested(tmp_path / "ingest", clouds()["all equal"]))
-        with pytest.raises(InvalidScan, match="keeps none of 163,917 points; allowed: 6.1e-06 and more"):
-            done(stage, tmp_path / stage.name)
+    stage = Thin(ingested(tmp_path / "ingest", clouds()["all equal"]), 1e-12)
+    with pytest.raises(InvalidScan, match="keeps none of 163,917 points; allowed: 6.1e-06 and more"):
+        done(stage, tmp_path / stage.name)
