@@ -32,9 +32,9 @@ def _measure_block(block: Block) -> dict:
         )
         near = gather(point, around, REACH_RADII * radius)
         histogram += histogram_of(thirds_of(near) / radius)
-        found.append((point, around, radius, near))
+        found.append((point, around, radius))
     noise = noise_radii(histogram)
-    n_thin = sum(int(thin_splats(point, around, r, noise * r, near).sum()) for point, around, r, near in found)
+    n_thin = sum(int(thin_splats(point, around, r, noise * r).sum()) for point, around, r in found)
     return {"n_thin": n_thin, "n": -(-len(block.position) // EVERY), "thirds": histogram.tolist()}
 
 

@@ -27,14 +27,17 @@ from pipeline.effects.ellipsoids.arcs import reach_arc
 from pipeline.effects.ellipsoids.corners import are_corners
 from pipeline.effects.ellipsoids.fit import moments, principal_axes
 from pipeline.effects.ellipsoids.neighbourhoods import (
+    LEAST,
     LEAST_AFTER_OUTLIERS,
+    MOST,
     OUTLIER_REACHES,
     Around,
     Neighbourhood,
     gather,
+    is_full,
 )
+from pipeline.effects.ellipsoids.spread import spread_of
 from pipeline.effects.ellipsoids.tubes import CROSSING_RADII, at_crossings
-from pipeline.effects.ellipsoids.wide import are_wide
 
 # Lengths in splat radii, angles in radians. Tuned on the room of tests/thin_scene.py, seeds 0 to 2, with noise of
 # 0.05 to 0.23 radii; the test measures other seeds.
@@ -59,59 +62,76 @@ SMALL_RADII = 1.0  # first deviation, of all small balls
 CROSSING_WIDE_RADII = 1.1  # second deviation: two ropes at right angles have 1.04 in REACH_RADII, a plane 1.25
 
 
-def are_ellipsoids(around: Neighbourhood, deviation: np.ndarray, radius: float, noise: float) -> np.ndarray:
-    """Which splats no plane explains that is cut by a line at most, (n,) bool.
+def thin_splats(point: np.ndarray, around: Around, radius: float, noise: float) -> np.ndarray:
+    """Which of `point` (n, 3) no plane explains that is cut by a line at most, and so call for an ellipsoid, (n,) bool.
 
-    `around` with a reach of REACH_RADII; its `deviation` (n, 3), longest first; `noise` of the scan (a length).
-
-    Guarantees: a point without a neighbourhood is a disc; equal neighbourhoods are decided equally, in any unit.
+    `around` are the scan's points, thinned by CELL_RADII, to WIDEST_RADII about them, in cells of CELLS_RADII; `noise` of the
+    scan (a length). Guarantees: a point without a neighbourhood is a disc; equal neighbourhoods are decided equally.
     """
-    sigma = deviation / radius
+    count, is_wide, deviation = _spread(point, around, radius)
     tolerance = _tolerance(radius, noise)
-    enough = around.count >= LEAST_AFTER_OUTLIERS
-    line = sigma[:, 1] <= LINE_RADII
-    flat = (sigma[:, 2] <= 0.5 * tolerance) & (sigma[:, 1] >= WIDE_RADII)
-    slender = (sigma[:, 1] <= SLENDER_RADII) | (sigma[:, 0] <= SMALL_RADII)
-    found = enough & ~flat & slender
-    open_ = np.flatnonzero(found & ~line)  # most splats are neither: planes are tried for few
-    found[open_] = ~reach_arc(around.offset[open_] / radius, around.count[open_], tolerance, LEAST_ARC)
-    return found
-
-
-def thin_splats(
-    point: np.ndarray, around: Around, radius: float, noise: float, near: Neighbourhood | None = None
-) -> np.ndarray:
-    """Which of `point` (n, 3) call for an ellipsoid, (n,) bool. `around` are the scan's points, thinned by
-    CELL_RADII, to WIDEST_RADII about them, in cells of CELLS_RADII; `near` their neighbourhoods of REACH_RADII, if they are known."""
-    if near is not None:
-        return _thin_of_open(point, around, radius, noise, near)
-    thin = ~are_wide(point, around, REACH_RADII * radius, CROSSING_WIDE_RADII * radius)
-    open_ = np.flatnonzero(thin)
-    if len(open_):
-        for start in range(0, len(open_), AT_ONCE):
-            rows = open_[start : start + AT_ONCE]
-            near = gather(point[rows], around, REACH_RADII * radius)
-            thin[rows] = _thin_of_open(point[rows], around, radius, noise, near)
+    known = (count >= LEAST_AFTER_OUTLIERS) & ~is_wide  # the others are discs
+    first, second, third = deviation.T / radius
+    flat = (third <= 0.5 * tolerance) & (second >= WIDE_RADII)
+    slender = (second <= SLENDER_RADII) | (first <= SMALL_RADII)
+    thin = known & ~flat & slender
+    rows = np.flatnonzero(thin & (second > LINE_RADII))
+    thin[rows] = ~_explained(point[rows], around, radius, tolerance)
+    rows = np.flatnonzero(known & ~thin)
+    rows = rows[
+        ~is_full(point[rows], around, CROSSING_RADII * radius)
+    ]  # two tubes have fewer: rooms 36, crossed wires 56
+    thin[rows] = _cross(point[rows], around, radius)
+    rows = np.flatnonzero(thin)
+    for start in range(0, len(rows), AT_ONCE):
+        part = rows[start : start + AT_ONCE]
+        thin[part] = _stay_thin(point[part], around, deviation[part], radius, noise)
     return thin
 
 
-def _thin_of_open(
-    point: np.ndarray, around: Around, radius: float, noise: float, near: Neighbourhood
+def _spread(point: np.ndarray, around: Around, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each neighbourhood of REACH_RADII its members, whether it is too wide to be thin, and its deviations."""
+    reach = REACH_RADII * radius
+    found = spread_of(point, around, reach, CROSSING_WIDE_RADII * radius)
+    count, is_wide, deviation = found.count, found.is_wide, found.deviation
+    rows = np.flatnonzero((count < LEAST) | (count > MOST))
+    near = gather(point[rows], around, reach)
+    count[rows], deviation[rows] = near.count, principal_axes(moments(near.offset, near.count)[1])[0]
+    is_wide[rows] = deviation[rows, 1] > CROSSING_WIDE_RADII * radius
+    return count, is_wide, deviation
+
+
+def _explained(point: np.ndarray, around: Around, radius: float, tolerance: float) -> np.ndarray:  # (n,) bool
+    """Where a plane, cut by a line at most, explains the neighbourhood."""
+    found = np.zeros(len(point), bool)
+    for start in range(0, len(point), AT_ONCE):
+        near = gather(point[start : start + AT_ONCE], around, REACH_RADII * radius)
+        found[start : start + AT_ONCE] = reach_arc(near.offset / radius, near.count, tolerance, LEAST_ARC)
+    return found
+
+
+def _cross(point: np.ndarray, around: Around, radius: float) -> np.ndarray:  # (n,) bool
+    """Where two ropes cross."""
+    found = np.zeros(len(point), bool)
+    for start in range(0, len(point), AT_ONCE):
+        near = gather(point[start : start + AT_ONCE], around, CROSSING_RADII * radius)
+        found[start : start + AT_ONCE] = at_crossings(near.offset / radius)
+    return found
+
+
+def _stay_thin(
+    point: np.ndarray, around: Around, deviation: np.ndarray, radius: float, noise: float
 ) -> np.ndarray:  # (n,) bool
-    deviation, _ = principal_axes(moments(near.offset, near.count)[1])
-    thin = are_ellipsoids(near, deviation, radius, noise)
-    rows = np.flatnonzero(
-        ~thin & (near.count >= LEAST_AFTER_OUTLIERS) & (deviation[:, 1] <= CROSSING_WIDE_RADII * radius)
-    )
-    thin[rows] = at_crossings(gather(point[rows], around, CROSSING_RADII * radius).offset / radius)
-    for scale in WIDER:
-        rows = np.flatnonzero(thin)
-        further = gather(point[rows], around, scale * REACH_RADII * radius)
-        thin[rows] = ~flat_further_out(further, scale * radius, noise)
-        if scale == WIDER[0]:
-            flatness = 0.5 * _tolerance(radius, noise) * radius
-            least, inner = LINE_RADII * radius, REACH_RADII * radius
-            thin[rows] &= ~are_corners(further, deviation[rows], least, inner, flatness)
+    """Of what seems thin, all but scan lines and corners of flat things. A neighbourhood that is full is the same in any wider reach."""
+    thin = np.ones(len(point), bool)
+    further = gather(point, around, WIDER[0] * REACH_RADII * radius)
+    thin &= ~flat_further_out(further, WIDER[0] * radius, noise)
+    flatness = 0.5 * _tolerance(radius, noise) * radius
+    thin &= ~are_corners(further, deviation, LINE_RADII * radius, REACH_RADII * radius, flatness)
+    wider = WIDER[1] * radius
+    full, open_ = np.flatnonzero(thin & (further.count == MOST)), np.flatnonzero(thin & (further.count < MOST))
+    thin[full] = ~flat_further_out(Neighbourhood(further.offset[full], further.count[full]), wider, noise)
+    thin[open_] = ~flat_further_out(gather(point[open_], around, REACH_RADII * wider), wider, noise)
     return thin
 
 

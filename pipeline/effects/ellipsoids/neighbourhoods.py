@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from pipeline.execution.compiled import kernel
+from pipeline.geometry.chunks import bounds
 
 LEAST = 6  # the paper's N_min: fewer than these within the reach, and the nearest so many are taken
 LEAST_AFTER_OUTLIERS = 3  # the paper's N_outlier
@@ -50,15 +49,24 @@ def thinned_of_distinct(ordered: np.ndarray, cell: float) -> np.ndarray:
     """`thinned` of what `distinct` gives, or of a part of it in its order."""
     if not len(ordered):
         return ordered
-    cells = np.floor(ordered / cell).astype(np.int64)
-    cells -= cells.min(axis=0)
-    size = cells.max(axis=0) + 1
-    if float(size[0]) * float(size[1]) * float(size[2]) < 2.0**62:
-        key = (cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2]
-        _, first = np.unique(key, return_index=True)
-    else:
-        _, first = np.unique(cells, axis=0, return_index=True)
-    return ordered[np.sort(first)]
+    key = _keys(ordered, cell)
+    if key is None:
+        _, first = np.unique(np.floor(ordered / cell), axis=0, return_index=True)
+        return ordered[np.sort(first)]
+    order = np.argsort(key, kind="stable")
+    is_first = np.ones(len(order), bool)
+    is_first[1:] = key[order[1:]] != key[order[:-1]]
+    return ordered[np.sort(order[is_first])]
+
+
+def _keys(position: np.ndarray, cell: float) -> np.ndarray | None:
+    """A number (n,) int64 of the cell of each position (n, 3); None where 63 bits do not number all cells."""
+    low, high = (np.floor(corner / cell) for corner in bounds(position))
+    size = high - low + 1
+    if float(np.prod(size)) >= 2.0**62:
+        return None
+    cells = [(np.floor(position[:, axis] / cell) - low[axis]).astype(np.int64) for axis in range(3)]
+    return (cells[0] * int(size[1]) + cells[1]) * int(size[2]) + cells[2]
 
 
 class Around:
@@ -69,8 +77,9 @@ class Around:
 
     def __init__(self, position: np.ndarray, edge: float) -> None:
         self.given, self.edge = position, edge
-        self.low = position.min(axis=0) - (MOST_STEPS + 1) * edge if len(position) else np.zeros(3)
-        extent = position.max(axis=0) - self.low if len(position) else np.zeros(3)
+        low, high = bounds(position) if len(position) else np.zeros((2, 3))
+        self.low = low - (MOST_STEPS + 1) * edge
+        extent = high - self.low
         self.size = (extent / edge).astype(np.int64) + MOST_STEPS + 2  # the outer MOST_STEPS cells are empty
         # Where 63 bits do not number all cells, nothing is near anything.
         self.is_grid = len(position) > 0 and float(self.size[0]) * float(self.size[1]) * float(self.size[2]) < 2.0**62
@@ -80,13 +89,19 @@ class Around:
 
     def cells(self, position: np.ndarray) -> np.ndarray:
         """The cells (n,) int64 of positions (n, 3); of those outside, the nearest."""
-        cell = np.floor((position - self.low) / self.edge).astype(np.int64)
-        cell = np.clip(cell, MOST_STEPS, self.size - MOST_STEPS - 1)
-        return (cell[:, 0] * self.size[1] + cell[:, 1]) * self.size[2] + cell[:, 2]
+        return _cells_of(position, self.low, self.edge, self.size)
 
-    @cached_property
-    def tree(self) -> cKDTree:
-        return cKDTree(self.given)
+
+@kernel()
+def _cells_of(position, low, edge, size):
+    cells = np.empty(len(position), np.int64)
+    for i in range(len(position)):
+        cell = 0
+        for axis in range(3):
+            slab = np.int64(math.floor((position[i, axis] - low[axis]) / edge))
+            cell = cell * size[axis] + min(max(slab, MOST_STEPS), size[axis] - MOST_STEPS - 1)
+        cells[i] = cell
+    return cells
 
 
 def gather(point: np.ndarray, around: Around, reach: float) -> Neighbourhood:
@@ -94,57 +109,64 @@ def gather(point: np.ndarray, around: Around, reach: float) -> Neighbourhood:
     MOST_STEPS of its cells.
 
     Members are those within `reach`, the nearest MOST of them; where they are fewer than LEAST, the nearest LEAST that are no
-    outliers; where those are fewer than LEAST_AFTER_OUTLIERS, none. A point that thinning took out of `around` is put back.
+    outliers, nor more than MOST_STEPS cells away; where those are fewer than LEAST_AFTER_OUTLIERS, none. A point that thinning took out of `around` is put back.
     """
+    offset, count = _nearest(point, around, reach, MOST)
+    few = np.flatnonzero(count < LEAST)
+    if len(few):
+        found = _nearest(point[few], around, min(OUTLIER_REACHES * reach, MOST_STEPS * around.edge), LEAST)
+        offset[few], count[few] = found[0], np.where(found[1] >= LEAST_AFTER_OUTLIERS, found[1], 0)
+    return Neighbourhood(offset, count)
+
+
+def _nearest(point: np.ndarray, around: Around, reach: float, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets (n, MOST, 3) and count (n,) of the nearest within `reach`, the point itself and at most `most` with it."""
     offset, count = np.zeros((len(point), MOST, 3)), np.zeros(len(point), np.int64)
-    if not len(around.given) or not len(point):
-        return Neighbourhood(offset, count)
-    if around.is_grid:
+    if around.is_grid and len(point):
         cell = around.cells(point)
         order = np.argsort(cell, kind="stable")
         steps = math.ceil(reach / around.edge * (1 - 1e-9))
         known = (around.position, around.cell, around.rank, around.size)
-        _nearest_within(point, cell, order, *known, reach, around.edge, steps, offset, count)
-    few = np.flatnonzero(count < LEAST)
-    if len(few):
-        offset[few], count[few] = _nearest_few(point[few], around, OUTLIER_REACHES * reach)
-    return Neighbourhood(offset, count)
-
-
-def _nearest_few(point: np.ndarray, around: Around, outlier: float) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets (n, MOST, 3) and count (n,) of the nearest LEAST that are nearer than `outlier`."""
-    k = min(LEAST, len(around.given))
-    distance, index = around.tree.query(point, k=k, distance_upper_bound=outlier)
-    distance, index = distance.reshape(len(point), k), index.reshape(len(point), k)
-    offset, known = np.zeros((len(point), MOST, 3)), np.isfinite(distance)
-    nearest = around.given[np.minimum(index, len(around.given) - 1)]
-    offset[:, :k] = np.where(known[..., None], nearest - point[:, None], 0)
-    absent = ~(distance[:, 0] == 0)
-    offset[absent, 1:], offset[absent, 0] = offset[absent, :-1], 0
-    count = np.minimum(known.sum(axis=1) + absent, LEAST)
-    offset[np.arange(MOST) >= count[:, None]] = 0
-    return offset, np.where(count >= LEAST_AFTER_OUTLIERS, count, 0)
+        _nearest_within(point, cell, order, *known, reach, around.edge, steps, most, offset, count)
+    return offset, count
 
 
 @kernel()
 def rows_of_cells(cell, of_around, size, steps, first, last):
-    """Where in `around` the cells within `steps` of `cell` begin and end: a run of 2 steps + 1 cells each."""
+    """Where in `around` the cells within `steps` of `cell` begin and end: a run of 2 steps + 1 cells each.
+
+    `first` and `last` hold the answers for a cell before it, or zeros: from there they lie a few steps on.
+    """
     row = 0
     for a in range(-steps, steps + 1):
         for b in range(-steps, steps + 1):
             middle = cell + (a * size[1] + b) * size[2]
-            first[row] = np.searchsorted(of_around, middle - steps)
-            last[row] = np.searchsorted(of_around, middle + steps, "right")
+            first[row] = _from(of_around, middle - steps, first[row])
+            last[row] = _from(of_around, middle + steps + 1, max(first[row], last[row]))
             row += 1
 
 
 @kernel()
-def _nearest_within(point, of_point, order, around, of_around, rank, size, reach, edge, steps, offset, count):
+def _from(ascending, value, at):
+    """The first place from `at` on whose value is `value` or more; all before `at` are less."""
+    step, end = 1, len(ascending)
+    while at + step <= end and ascending[at + step - 1] < value:
+        at += step
+        step *= 2
+    while step > 1:
+        step //= 2
+        if at + step <= end and ascending[at + step - 1] < value:
+            at += step
+    return at
+
+
+@kernel()
+def _nearest_within(point, of_point, order, around, of_around, rank, size, reach, edge, steps, most, offset, count):
     """Points by `order`, so that those of a cell come together; `around` in the order of its cells. Of members equally far away
     that of the lower `rank` comes first, so that no neighbourhood depends on where cells begin."""
     n_rows = (2 * steps + 1) ** 2
-    first, last = np.empty(n_rows, np.int64), np.empty(n_rows, np.int64)
-    away, member = np.empty(MOST), np.empty(MOST, np.int64)
+    first, last = np.zeros(n_rows, np.int64), np.zeros(n_rows, np.int64)
+    away, member = np.empty(most), np.empty(most, np.int64)
     nearest_first, least = _from_the_middle(steps, edge)
     known = np.int64(-1)
     for i in order:
@@ -160,22 +182,53 @@ def _nearest_within(point, of_point, order, around, of_around, rank, size, reach
                 d = dx * dx + dy * dy + dz * dz
                 if d > furthest or math.sqrt(d) > reach:
                     continue
-                if n == MOST and d == furthest and rank[j] > rank[member[MOST - 1]]:
+                if n == most and d == furthest and rank[j] > rank[member[most - 1]]:
                     continue
-                k = n if n < MOST else MOST - 1
+                k = n if n < most else most - 1
                 while k > 0 and (away[k - 1] > d or (away[k - 1] == d and rank[member[k - 1]] > rank[j])):
                     away[k], member[k] = away[k - 1], member[k - 1]
                     k -= 1
                 away[k], member[k] = d, j
-                n = min(n + 1, MOST)
-                if n == MOST:
-                    furthest = away[MOST - 1]
+                n = min(n + 1, most)
+                if n == most:
+                    furthest = away[most - 1]
         itself = 1 if n == 0 or away[0] > 0 else 0  # thinned out: put back
-        n = min(n, MOST - itself)
+        n = min(n, most - itself)
         for k in range(n):
             for axis in range(3):
                 offset[i, k + itself, axis] = around[member[k], axis] - point[i, axis]
         count[i] = n + itself
+
+
+def is_full(point: np.ndarray, around: Around, reach: float) -> np.ndarray:
+    """Where MOST of `around` or more lie within `reach` of `point` (n, 3), (n,) bool; a reach is at most MOST_STEPS cells."""
+    full = np.zeros(len(point), bool)
+    if around.is_grid and len(point):
+        cell = around.cells(point)
+        order = np.argsort(cell, kind="stable")
+        steps = math.ceil(reach / around.edge * (1 - 1e-9))
+        _fill(point, cell, order, around.position, around.cell, around.size, reach, around.edge, steps, full)
+    return full
+
+
+@kernel()
+def _fill(point, of_point, order, around, of_around, size, reach, edge, steps, full):
+    n_rows = (2 * steps + 1) ** 2
+    first, last = np.zeros(n_rows, np.int64), np.zeros(n_rows, np.int64)
+    nearest_first = _from_the_middle(steps, edge)[0]
+    known = np.int64(-1)
+    for i in order:
+        if of_point[i] != known:
+            known = of_point[i]
+            rows_of_cells(known, of_around, size, steps, first, last)
+        n = 0
+        for r in nearest_first:
+            for j in range(first[r], last[r]):
+                dx, dy, dz = around[j, 0] - point[i, 0], around[j, 1] - point[i, 1], around[j, 2] - point[i, 2]
+                n += dx * dx + dy * dy + dz * dz <= reach * reach
+            if n >= MOST:
+                full[i] = True
+                break
 
 
 @kernel()

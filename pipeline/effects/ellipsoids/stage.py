@@ -11,6 +11,8 @@ from pipeline.effects.ellipsoids.classes import radius_classes
 from pipeline.effects.ellipsoids.decision import CELLS_RADII, WIDEST_RADII, thin_splats
 from pipeline.effects.ellipsoids.fit import fit
 from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, Around, distinct, thinned_of_distinct
+from pipeline.execution.compiled import kernel
+from pipeline.geometry.chunks import bounds
 from pipeline.splats.coarser import first_finest
 from pipeline.splats.decoded import splat_radii
 from pipeline.summaries import Points
@@ -83,7 +85,8 @@ class Ellipsoids:
         """All points of the scan that can be neighbours of `some` (m, 3): those in their box, grown by `reach`."""
         summary = work.summary(self.partition, Points)
         low, high = np.array(summary.block_low), np.array(summary.block_high)
-        from_, to = some.min(axis=0) - reach, some.max(axis=0) + reach
+        from_, to = bounds(some)
+        from_, to = from_ - reach, to + reach
         found = []
         first = self._first_finest()
         for block in np.flatnonzero(((low <= to) & (high >= from_)).all(axis=1)):
@@ -96,5 +99,14 @@ class Ellipsoids:
 
 def _about(points: np.ndarray, some: np.ndarray, reach: float) -> np.ndarray:
     """Of `points` (n, 3) those in the box of `some` (m, 3), grown by `reach`, in their order."""
-    from_, to = some.min(axis=0) - reach, some.max(axis=0) + reach
-    return points[((points >= from_) & (points <= to)).all(axis=1)]
+    low, high = bounds(some)
+    return points[_inside(points, low - reach, high + reach)]
+
+
+@kernel()
+def _inside(points, low, high):  # (n,) bool
+    inside = np.ones(len(points), np.bool_)
+    for i in range(len(points)):
+        for axis in range(3):
+            inside[i] &= low[axis] <= points[i, axis] <= high[axis]
+    return inside

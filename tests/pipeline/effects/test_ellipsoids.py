@@ -5,11 +5,12 @@ import pytest
 from scipy.spatial import cKDTree
 
 from pipeline.effects.ellipsoids.arcs import RING_RADII, _longest_run, reach_arc
-from pipeline.effects.ellipsoids.decision import CELLS_RADII, REACH_RADII, are_ellipsoids, thin_splats
+from pipeline.effects.ellipsoids.decision import CELLS_RADII, REACH_RADII, thin_splats
 from pipeline.effects.ellipsoids.fit import LEAST_RADII, fit, moments, principal_axes
 from pipeline.effects.ellipsoids.hypotheses import HYPOTHESES, three_members
-from pipeline.effects.ellipsoids.neighbourhoods import LEAST, MOST, Around, gather, thinned
+from pipeline.effects.ellipsoids.neighbourhoods import LEAST, MOST, Around, gather, is_full, thinned
 from pipeline.effects.ellipsoids.noise import histogram_of, noise_radii, thirds_of
+from pipeline.effects.ellipsoids.spread import spread_of
 from tests.thin_scene import BALL, FLAT, ROPE, THICK, THIN, joined, room, scan
 
 SCANNERS = ((2.6, -1.6, 1.6), (-2.4, -2.0, 1.2))
@@ -120,10 +121,9 @@ def test_decide__turning_scaling_and_moving_a_scan_changes_next_to_nothing():
 def test_decide__points_without_neighbours_and_equal_points_are_discs():
     apart = np.arange(12.0)[:, None] * [1000.0, 0, 0]
     assert not verdicts(apart, radius=1.0)[0].any()
-    around = gather(np.zeros((5, 3)), Around(np.zeros((1, 3)), 0.5), 1.0)
-    assert not are_ellipsoids(around, principal_axes(moments(around.offset, around.count)[1])[0], 1.0, 0.0).any()
-    nothing = gather(np.zeros((0, 3)), Around(np.zeros((0, 3)), 0.5), 1.0)
-    assert are_ellipsoids(nothing, np.zeros((0, 3)), 1.0, 0.0).shape == (0,)
+    assert not thin_splats(np.zeros((5, 3)), Around(np.zeros((1, 3)), 0.5), 1.0, 0.0).any()
+    assert not thin_splats(np.zeros((5, 3)), Around(np.zeros((0, 3)), 0.5), 1.0, 0.0).any()
+    assert thin_splats(np.zeros((0, 3)), Around(np.zeros((0, 3)), 0.5), 1.0, 0.0).shape == (0,)
 
 
 # --- neighbourhoods, section 3.1 ------------------------------------------------------------------------------------
@@ -134,7 +134,7 @@ def test_gather__takes_all_within_reach_or_the_nearest_without_outliers_or_none(
     assert gather(np.zeros((1, 3)), Around(many, 0.5), 1.0).count.tolist() == [9]
     few = np.array([[0, 0, 0], [0.5, 0, 0], [2.0, 0, 0], [2.5, 0, 0], [2.9, 0, 0], [3.5, 0, 0], [9, 0, 0]])
     assert gather(np.zeros((1, 3)), Around(few, 0.5), 1.0).count.tolist() == [5]
-    assert gather(np.zeros((1, 3)), Around(few, 0.5), 1.2).count.tolist() == [LEAST]
+    assert gather(np.zeros((1, 3)), Around(few, 0.6), 1.2).count.tolist() == [LEAST]
     assert gather(np.zeros((1, 3)), Around(few[[0, 1, 5, 6]], 0.5), 1.0).count.tolist() == [0]
 
 
@@ -207,6 +207,33 @@ def test_thinned__leaves_one_point_a_cell_whatever_the_order():
     cells = np.floor(kept / 0.7).astype(int)
     assert len(np.unique(cells, axis=0)) == len(kept) == len(np.unique(np.floor(points / 0.7).astype(int), axis=0))
     assert (thinned(points[rng.permutation(2000)], 0.7) == kept).all()
+
+
+@pytest.mark.parametrize("away", [0.0, 1e6])
+def test_spread__is_that_of_all_members_whatever_their_company(away):
+    rng = np.random.default_rng(12)
+    points = rng.normal(size=(900, 3)) * [1, 1, 0.2] + away
+    around = Around(points[::2], 0.25)
+    found = spread_of(points, around, 0.5, 0.2)
+    for i, point in enumerate(points):
+        distance = np.linalg.norm(points[::2] - point, axis=1)
+        near = points[::2][distance <= 0.5]
+        near = near if i % 2 == 0 else np.concatenate([near, point[None]])
+        if len(near) > 1 and np.abs(distance - 0.5).min() > 2 / 640:  # none on the rim
+            assert found.count[i] == len(near)
+            deviation = principal_axes(np.cov(near.T)[None])[0][0]
+            assert found.is_wide[i] == (deviation[1] > 0.2) or deviation[1] == pytest.approx(0.2, abs=2e-3)
+            np.testing.assert_allclose(found.deviation[i], deviation * ~found.is_wide[i], atol=2e-3)
+    some = rng.permutation(900)[:100]
+    again = spread_of(points[some], around, 0.5, 0.2)
+    assert (again.count == found.count[some]).all() and 0 < found.is_wide.sum() < 900
+
+
+def test_is_full__where_most_or_more_lie_within_the_reach():
+    points = np.random.default_rng(13).normal(size=(2000, 3))
+    full = is_full(points, Around(points, 0.25), 0.6)
+    within = (np.linalg.norm(points[:, None] - points, axis=2) <= 0.6).sum(axis=1)
+    assert (full == (within >= MOST)).all() and 0 < full.sum() < 2000
 
 
 # --- fit --------------------------------------------------------------------------------------------------------------
