@@ -528,4 +528,15 @@ VIEW_KNOBS = (
         low=1,
         optional=True,
     ),
+    Knob(
+        "pool_mib",
+        float,
+        "of a file with levels: MiB of splats that are in memory at a time; without it all of the file",
+        "files larger than memory; what the view does not ask for is not read",
+        "groups are read as views ask for them; coarser levels where the pool is too small for a view",
+        "render",
+        low=0.0,
+        optional=True,
+        above_low=True,
+    ),
 )

@@ -16,6 +16,7 @@ import numpy as np
 from pipeline.splats.decoded import scene_bounds, scene_radii
 from renderer.splats.projection import eye_against_origin
 from storage.packed.batches import CHUNKS_PER_GROUP
+from storage.packed.groups import GroupTable
 from storage.packed.levels import FEWER
 from storage.packed.packed import PackedScene
 from storage.packed.schema import GROUP, Camera, Header
@@ -67,6 +68,13 @@ def parents_of(levels: tuple[int, ...]) -> np.ndarray:
     return np.concatenate(parents)
 
 
+def tree_of_table(header: Header, table: GroupTable) -> GroupTree:
+    """The tree of a file with levels, by the table of groups that it begins with."""
+    n_splats = np.minimum(GROUP, header.n_splats - np.arange(0, header.n_splats, GROUP))
+    low, high, size = (a.astype(np.float64) for a in (table.low, table.high, table.radius[:, 0]))
+    return _with_children(low, high, size, n_splats, header)
+
+
 def group_tree(scene: PackedScene) -> GroupTree:
     """The tree of a scene with levels."""
     header, (chunk_low, chunk_high) = scene.header, scene_bounds(scene)
@@ -77,6 +85,13 @@ def group_tree(scene: PackedScene) -> GroupTree:
     high = np.maximum.reduceat(chunk_high, chunks, axis=0)
     n_splats = np.minimum(GROUP, header.n_splats - splats)
     size = np.add.reduceat(scene_radii(scene), splats) / n_splats
+    return _with_children(low, high, size, n_splats, header)
+
+
+def _with_children(
+    low: np.ndarray, high: np.ndarray, size: np.ndarray, n_splats: np.ndarray, header: Header
+) -> GroupTree:
+    """Boxes and sizes of groups, in which those of parents come to hold those of their children."""
     parent = parents_of(header.levels)
     for group in range(len(parent) - 1, -1, -1):  # the finest come first
         if (above := parent[group]) >= 0:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +14,9 @@ from renderer.evaluate.coverage import surface_coverage
 from renderer.evaluate.holes import outline_holes
 from renderer.evaluate.previews import safe_names
 from renderer.pictures import on_background, save_animation, save_picture
+from renderer.residency.pooled import PooledFile
 from renderer.splats.detail import Detail
-from renderer.splats.renderer import Renderer
+from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
 from renderer.splats.targets import NARROW, WIDE
 from renderer.splats.views import framed_views, orbit_views, view_of
@@ -39,36 +42,54 @@ def render_views(
     animated: bool = False,
     up: tuple[float, float, float] | None = None,
     detail: Detail = Detail(),
+    pool_mib: float | None = None,
 ) -> list[Path]:
     """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`, with their coverage as alpha or on a
     `background`, and where `animated` into turntable.webp beside them; returns their paths. `precision`
     is that of pipeline.planning.knobs.VIEW_KNOBS. With a `light`
     it is lit, whether or not the file asks for it; with smoothed normals, unless it was planned without. `up` is
-    what is up around the scan, where the file does not know; `detail` which of its levels are drawn."""
-    with PackedFile(packed) as opened:
-        scene = opened.load()
-    if camera is not None:
-        views = [view_of(_camera_named(scene.header, camera, packed), size)]
-    else:
-        views = (orbit_views if animated else framed_views)(scene, n_orbit, size or DEFAULT_SIZE, up)
+    what is up around the scan, where the file does not know; `detail` which of its levels are drawn, with `pool_mib` from
+    no more than so many MiB of its splats in memory."""
     renderer = Renderer()
-    gpu_scene = GpuScene(scene, renderer.context)
-    if precision != "auto":
-        gpu_scene.accumulation, gpu_scene.watched = {"16": NARROW, "32": WIDE}[precision], False
-    if light is not None and "relighting" not in gpu_scene.drawn:
-        gpu_scene.drawn |= {"relighting", "normal_smoothing"}
+
+    def prepare(gpu_scene: GpuScene) -> None:
+        if precision != "auto":
+            gpu_scene.accumulation, gpu_scene.watched = {"16": NARROW, "32": WIDE}[precision], False
+        if light is not None and "relighting" not in gpu_scene.drawn:
+            gpu_scene.drawn |= {"relighting", "normal_smoothing"}
+
     paths, frames = [], []
-    for view, name in zip(views, safe_names([v.name for v in views])):
-        paths.append(out / f"{name}.png")
-        paths[-1].parent.mkdir(parents=True, exist_ok=True)
-        picture = renderer.render(gpu_scene, view, max_atoms, light, detail)
-        frames.append(on_background(picture.rgb, picture.coverage, background))
-        save_picture(paths[-1], frames[-1])
-        frames = frames if animated else []
+    with PackedFile(packed) as opened:
+        scene, draw = _drawn(opened, renderer, pool_mib, prepare)
+        if camera is not None:
+            views = [view_of(_camera_named(scene.header, camera, packed), size)]
+        else:
+            views = (orbit_views if animated else framed_views)(scene, n_orbit, size or DEFAULT_SIZE, up)
+        for view, name in zip(views, safe_names([v.name for v in views])):
+            paths.append(out / f"{name}.png")
+            paths[-1].parent.mkdir(parents=True, exist_ok=True)
+            picture = draw(view, max_atoms, light, detail)
+            frames.append(on_background(picture.rgb, picture.coverage, background))
+            save_picture(paths[-1], frames[-1])
+            frames = frames if animated else []
     if animated:
         paths.append(out / "turntable.webp")
         save_animation(paths[-1], frames)
     return paths
+
+
+def _drawn(
+    opened: PackedFile, renderer: Renderer, pool_mib: float | None, prepare: Callable[[GpuScene], None]
+) -> tuple[PackedScene, Callable[..., Picture]]:
+    """What views are made of, and a function that draws one; with a pool no more than the boxes of the file is read for that."""
+    if pool_mib is None:
+        scene = opened.load()
+        gpu_scene = GpuScene(scene, renderer.context)
+        prepare(gpu_scene)
+        return scene, partial(renderer.render, gpu_scene)
+    pooled = PooledFile(opened, renderer.context, int(pool_mib * (1 << 20)), prepare)
+    boxes = {name: opened.read(name) for name in ("box_low", "box_size")}
+    return PackedScene(opened.header, boxes), partial(pooled.render, renderer)
 
 
 def _camera_named(header: Header, name: str, packed: Path) -> Camera:

@@ -82,8 +82,22 @@ class PackedFile:
     def load(self) -> PackedScene:
         """The whole file in memory, with the tables checked against each other."""
         groups = range(self.header.n_groups)
-        dictionary = {a.name: self.read(a.name) for a in arrays_of(self.header) if not (a.in_groups or a.name in TABLE)}
-        return self._checked(self.header, [self._group_arrays(index) for index in groups], dictionary)
+        return self._checked(self.header, [self._group_arrays(index) for index in groups], self.of_all())
+
+    def of_all(self) -> dict[str, np.ndarray]:
+        """The arrays that all groups share: dictionary, maps."""
+        return {a.name: self.read(a.name) for a in arrays_of(self.header) if not (a.in_groups or a.name in TABLE)}
+
+    def rows_of_group(self, index: int) -> dict[str, np.ndarray]:
+        """The arrays of a group, once its seal and the table fit them: what `joined` makes a scene of."""
+        return self._group_arrays(index)
+
+    def joined(self, groups: dict[int, dict[str, np.ndarray]], of_all: dict[str, np.ndarray]) -> PackedScene:
+        """Some groups, by number, as a scene without levels, in increasing order; not of runs."""
+        assert not self.header.runs
+        chosen = sorted(groups)
+        n_splats = sum(self._header_of(index).n_splats for index in chosen)
+        return self._checked(replace(self.header, n_splats=n_splats, levels=()), [groups[i] for i in chosen], of_all)
 
     def group(self, index: int) -> PackedScene:
         """One group of GROUP splats as a scene of its own, without the dictionary, checked like `load` and against the table.

@@ -66,6 +66,7 @@ def _render(options: argparse.Namespace) -> int:
         light=lamp(*options.light) if options.light else None,
         up=options.up,
         detail=Detail(options.detail, options.most_splats),
+        pool_mib=options.pool_mib,
     )
     for path in paths:
         print(path)

@@ -75,6 +75,11 @@ def test_cli__json_is_the_last_line_of_stdout(scan, tmp_path, capsys):
         (["render", "{packed}", "--orbit", "1", "--size", "huge", "--out", "{tmp}/o"], 1, "'huge' is not WIDTHxHEIGHT"),
         (["render", "{packed}", "--orbit", "0", "--out", "{tmp}/o"], 1, "--orbit"),
         (
+            ["render", "{packed}", "--orbit", "1", "--pool-mib", "9", "--out", "{tmp}/o"],
+            3,
+            "one level, drawn through a pool",
+        ),
+        (
             ["render", "{packed}", "--orbit", "1", "--atoms", "99", "--out", "{tmp}/o"],
             1,
             "atoms is 99; allowed: whole numbers, 0 to ",

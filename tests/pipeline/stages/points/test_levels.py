@@ -10,7 +10,7 @@ import pytest
 from pipeline.geometry.chunks import median_split
 from pipeline.splats.coarser import level_sizes
 from pipeline.splats.decoded import splat_radii
-from pipeline.stages.points.levels import LEVEL_SHIFT, NEIGHBOURS, PARTS, POINTS, SIZES, CoarserLevel, Levels
+from pipeline.stages.points.levels import LEVEL_SHIFT, NEIGHBOURS, PARTS, POINTS, SIZES, SLIM, CoarserLevel, Levels
 from pipeline.stages.points.sizes import Sizes
 from pipeline.summaries import Points, Spacings
 from storage.packed.schema import GROUP
@@ -84,9 +84,9 @@ def test_levels__the_finest_is_as_it_was_and_coarser_ones_stand_before(scan, siz
     np.testing.assert_allclose(radii[-N:], expected)
     spacing = arrays.read(made[NEIGHBOURS], "spacing")
     for first, stop in ((0, counts[0]), (counts[0], counts[0] + counts[1])):
-        assert (radii[first:stop] >= spacing[first:stop] * (1 - 1e-6)).mean() > 0.99
+        assert (radii[first:stop] >= SLIM * spacing[first:stop] * (1 - 1e-6)).mean() > 0.99
     means = [np.mean(part) for part in np.split(radii, np.cumsum(counts)[:-1])]
-    assert means[0] / means[1] == pytest.approx(2, rel=0.1) and means[1] / means[2] == pytest.approx(2, rel=0.1)
+    assert means[0] / means[1] == pytest.approx(2, rel=0.1) and means[1] / means[2] == pytest.approx(2 * SLIM, rel=0.1)
 
 
 def test_levels__points_are_named_apart_and_have_what_the_finest_have(scan, tmp_path):
