@@ -39,13 +39,15 @@ def spread_of(point: np.ndarray, around: Around, reach: float, second: float) ->
         cell = around.cells(point)
         order = np.argsort(cell, kind="stable")
         steps = math.ceil(reach / around.edge * (1 - 1e-9))
-        known = (around.position, around.cell, around.size)
+        known = (around.position, around.cell, around.size, around.low, around.edge)
         _spread(point, cell, order, *known, steps, UNITS / reach, second, count, is_wide, deviation)
     return Spread(count, is_wide, deviation)
 
 
 @kernel()
-def _spread(point, of_point, order, around, of_around, size, steps, scale, second, count, is_wide, deviation):
+def _spread(
+    point, of_point, order, around, of_around, size, low, edge, steps, scale, second, count, is_wide, deviation
+):
     n_rows = (2 * steps + 1) ** 2
     first, last = np.zeros(n_rows, np.int64), np.zeros(n_rows, np.int64)
     members, sums = np.empty((3, AT_FIRST), np.float32), np.empty(10, np.float32)
@@ -60,7 +62,10 @@ def _spread(point, of_point, order, around, of_around, size, steps, scale, secon
                 n += last[r] - first[r]
             if n > members.shape[1]:
                 members = np.empty((3, 2 * n), np.float32)
-            middle[:] = point[i]
+            slab = known
+            for axis in (2, 1, 0):
+                middle[axis] = low[axis] + (slab % size[axis] + 0.5) * edge
+                slab //= size[axis]
             n = 0
             for r in range(n_rows):
                 for j in range(first[r], last[r]):
