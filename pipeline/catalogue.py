@@ -238,7 +238,11 @@ CATALOGUE = (
     ),
     StageEntry(
         "photo-pages", "stages/pages/photo_pages.py", Phase.FILE, Task.PHOTO,
-        "photographs as a page file: all mip levels, cut into pages", ("ingest",), when="`pages`",
+        "photographs as a page file: all mip levels, cut into pages", ("ingest",), when="`pages`, `--pages`, or the plan has them on",
+    ),
+    StageEntry(
+        "map-pages", "stages/pages/map_pages.py", Phase.FILE, Task.STATION,
+        "maps of stations as a page file", ("panoramas",), when="station maps and `--pages`",
     ),
     StageEntry(
         "pack", "stages/packed/pack.py", Phase.FILE, Task.GROUP, "the packed file", ("splats", "encode"),

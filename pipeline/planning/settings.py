@@ -50,6 +50,8 @@ class Settings:
     station: str = ""  # x,y,z of a scanner that saw all points; "" leaves stations to the scan
     sparse_model: str = ""  # the folder of a workspace's model; "" leaves the choice to the points
     height_scale: float = 1.0
+    page_codec: str = "jpeg"
+    page_quality: int = 90
     effects: str = ""  # what is asked of effects, as pipeline.effects.plan.request writes it; "" leaves all to the scan
 
     @property

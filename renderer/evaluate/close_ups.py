@@ -14,14 +14,16 @@ from pipeline.numerics import accuracy
 from pipeline.stages.packed.measure import SplatErrors, splat_errors
 from pipeline.summaries import Photographs
 from renderer.evaluate.compare import flip, psnr_db, ssim
+from renderer.evaluate.paged_photos import PagedPhotos
 from renderer.evaluate.previews import WARM_UP_PX, even_choice, limited_view
 from renderer.pictures import save_picture
-from renderer.splats.baseline import PhotoSplats
+from renderer.splats.baseline import PHOTO_BUDGET_BYTES, PhotoSplats
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
 from renderer.splats.views import view_of
 from storage.packed.packed import PackedFile
 from storage.packed.schema import NO_CAMERA, Camera
+from storage.pages.file import PageFile
 from storage.work import arrays, work
 
 FOLDER = "close-ups"
@@ -34,11 +36,14 @@ ROUNDS = 3
 
 @dataclass(frozen=True)
 class Variant:
-    """A packed file, or its splats textured from photographs: a folder with photo_<i> and cameras in its summary."""
+    """A packed file, or its splats textured from photographs: a folder with photo_<i> and cameras in its summary; by way of `pages`, a
+    page file of them, in a pool of so many bytes where they do not fit it."""
 
     name: str
     packed: Path
     photos: Path | None = None
+    pages: Path | None = None
+    pool_bytes: int = PHOTO_BUDGET_BYTES
 
 
 @dataclass(frozen=True)
@@ -171,15 +176,18 @@ def drawn(renderer: Renderer, variant: Variant) -> Iterator:
     """A function from view to picture."""
     with PackedFile(variant.packed, verify=False) as packed:
         gpu_scene = GpuScene(packed.load(), renderer.context)
-    photos = None
-    try:
+    with ExitStack() as opened:
+        opened.callback(gpu_scene.release)
         if variant.photos is None:
             yield lambda view: renderer.render(gpu_scene, view)
             return
         cameras = list(work.summary(variant.photos, Photographs).cameras)
-        photos = PhotoSplats(gpu_scene, lambda i: arrays.read(variant.photos, f"photo_{i}"), cameras=cameras)
-        yield lambda view: renderer.render_baseline(photos, view)
-    finally:
-        if photos is not None:
-            photos.release()
-        gpu_scene.release()
+        if variant.pages is not None:
+            file = opened.enter_context(PageFile(variant.pages))
+            paged = PagedPhotos(gpu_scene, file, variant.pool_bytes, cameras)
+            opened.callback(paged.release)
+            yield lambda view: paged.draw(renderer, view)
+            return
+        whole = PhotoSplats(gpu_scene, lambda i: arrays.read(variant.photos, f"photo_{i}"), variant.pool_bytes, cameras)
+        opened.callback(whole.release)
+        yield lambda view: renderer.render_baseline(whole, view)

@@ -13,6 +13,7 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from pipeline.effects.plan.plan import Row
+from pipeline.stages.pages.coded import PagesMade
 from pipeline.summaries import VolumeSurfaces
 
 SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -205,6 +206,7 @@ class RunRecord(Part, frozen=True):
     edges: tuple[EdgeShown, ...] = ()
     estimate: dict[str, EstimatedFigure] | None = None
     runs: RunsMade | None = None
+    pages: PagesMade | None = None
 
 
 class Report(Part, frozen=True):
@@ -224,6 +226,7 @@ class Report(Part, frozen=True):
     effects: tuple[Row, ...]
     edges: tuple[EdgeShown, ...]
     runs: RunsMade | None
+    pages: PagesMade | None
     programs: tuple[str, ...]
     warnings: tuple[str, ...]
 

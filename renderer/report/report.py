@@ -52,6 +52,7 @@ def build_report(
                 "effects": known["effects"],
                 "edges": known["edges"],
                 "runs": known["runs"],
+                "pages": known["pages"],
                 "programs": sorted({name for view in views for name in view.get("programs") or ()}),
                 "warnings": warnings,
             }

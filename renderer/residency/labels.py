@@ -3,7 +3,8 @@
 Packing chooses the sharpest photograph splat by splat, which makes salt and pepper where two are alike: neighbours then want
 pages of both. Here labels are smoothed by iterated conditional modes (Besag 1986) on the graph of nearest neighbours: the
 cost of a label is what it loses in resolution, plus what share of neighbours has another. A splat only takes labels that
-packing gave to neighbours that lie as it does, so a photograph that does not see a surface never spreads over it.
+packing gave to neighbours that lie as it does, and only of photographs that see it: a small depth picture of all splats says so.
+Without that test pages lose 0.2 to 0.7 dB to the splats' own photographs on fountain_p11, and up to 9 on monstree.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from pipeline.execution.compiled import kernel
 from pipeline.splats.cameras import sharpness
+from renderer.residency.places import draw_squares
 from storage.packed.schema import NO_CAMERA, Camera
 
 NEIGHBOURS = 24
@@ -20,6 +22,11 @@ SAME_SIDE = 0.5  # cosine between normals of neighbours that count
 DISAGREEMENT = 2.0  # octaves of resolution that full agreement is worth
 MOST_LOST = 0.5  # octaves at most that a splat loses
 SWEEPS = 8
+DEPTH_SIDE_PX = 512  # of the longer side of the depth picture of a photograph
+BEHIND_RADII = 1.5  # that a place of a splat may lie behind what the picture shows
+RIM = np.array(
+    [(0, 0), (0.7, 0), (-0.7, 0), (0, 0.7), (0, -0.7)]
+)  # places of a splat that are to be seen, in its plane, radii
 
 
 def smoothed_labels(
@@ -49,6 +56,11 @@ def smoothed_labels(
 
 def _lost(points, facing, radius, own, cameras) -> np.ndarray:
     """Octaves (n, n_cameras) float32 that each photograph loses to a splat's own; inf where it is not to be taken."""
+    across = np.cross(facing, np.eye(3)[np.argmin(np.abs(facing), axis=1)])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    places = points[:, None] + radius[:, None, None] * (
+        RIM[:, :1] * across[:, None] + RIM[:, 1:] * np.cross(facing, across)[:, None]
+    )
     octaves = np.full((len(points), len(cameras)), -np.inf, np.float32)
     for i, camera in enumerate(cameras):
         local = (points - np.array(camera.centre)) @ np.array(camera.rotation).T
@@ -59,12 +71,31 @@ def _lost(points, facing, radius, own, cameras) -> np.ndarray:
         sharp = np.abs(sharpness(camera, points, facing))
         with np.errstate(divide="ignore"):
             octaves[:, i] = np.where(inside & (local[:, 2] > 2 * radius), 0.5 * np.log2(sharp), -np.inf)
+        seen = (own == i) | _is_seen(points, radius, places, camera)
+        octaves[~seen, i] = -np.inf
     of_own = np.take_along_axis(octaves, own[:, None], axis=1)
     with np.errstate(invalid="ignore"):  # of photographs that show neither
         lost = np.where(np.isfinite(of_own) & np.isfinite(octaves), of_own - octaves, np.inf)
     lost = np.where(lost <= MOST_LOST, lost, np.inf)
     np.put_along_axis(lost, own[:, None], 0.0, axis=1)
     return lost.astype(np.float32)
+
+
+def _is_seen(points, radius, places, camera) -> np.ndarray:
+    """Whether all `places` (n, k, 3) of splats lie in front of, or little behind, what a photograph of all of them shows, (n,)."""
+    scale = min(1.0, DEPTH_SIDE_PX / max(camera.width_px, camera.height_px))
+    nearest = np.full((max(1, int(scale * camera.height_px)), max(1, int(scale * camera.width_px))), np.inf, np.float32)
+    focal, rotation = scale * (camera.fx_px * camera.fy_px) ** 0.5, np.array(camera.rotation)
+    middle = scale * camera.cx_px, scale * camera.cy_px
+    draw_squares(
+        points, radius, rotation, np.array(camera.centre), focal, *middle, nearest, np.full(nearest.shape, -1, np.int32)
+    )
+    local = (places - np.array(camera.centre)) @ rotation.T
+    depth = np.maximum(local[..., 2], 1e-9)
+    column, row = (
+        (focal * local[..., k] / depth + middle[k]).clip(0, nearest.shape[1 - k] - 1).astype(int) for k in (0, 1)
+    )
+    return (depth <= nearest[row, column] + BEHIND_RADII * radius[:, None]).all(axis=1)
 
 
 @kernel()

@@ -59,7 +59,7 @@ class Places:
         middle = width / 2 - shift[0] / halving, height / 2 - shift[1] / halving
         shown = np.full((height, width), -1, np.int32)
         nearest = np.full((height, width), np.inf, np.float32)
-        _draw(self.centre, self.radius, pose.rotation, pose.centre, scale, *middle, nearest, shown)
+        draw_squares(self.centre, self.radius, pose.rotation, pose.centre, scale, *middle, nearest, shown)
         return Seen(self, shown, pose, screen, halving)
 
 
@@ -140,7 +140,7 @@ def places_of(
 
 
 @kernel()
-def _draw(centre, radius, rotation, eye, scale, middle_x, middle_y, nearest, shown):
+def draw_squares(centre, radius, rotation, eye, scale, middle_x, middle_y, nearest, shown):
     """A square as wide as each splat, the nearest wins; equally near ones by number."""
     height, width = shown.shape
     for i in range(len(centre)):

@@ -26,6 +26,11 @@ PHOTO_BUDGET_BYTES = 1 << 29
 _NO_CLIPLINE = int(encode_cliplines(np.array([[0.0, 0.0, 1.0]]))[0])  # keeps the whole disc
 
 
+def texture_bytes(cameras: Sequence[Camera]) -> int:
+    """What photographs take as textures with mip levels."""
+    return sum(3 * c.width_px * c.height_px for c in cameras) * 4 // 3
+
+
 def splats_by_camera(scene: PackedScene) -> tuple[np.ndarray, dict[tuple[int, bool], tuple[int, int]]]:
     """The splats of the finest level sorted by their camera, of each first discs, then ellipsoids; and of each such run its
     (first, number)."""

@@ -7,6 +7,8 @@ sparse textures: this runs everywhere.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 
 import moderngl
@@ -21,6 +23,7 @@ SLOTS, GRIDS, FEEDBACK, PHOTOS, SPLAT_PHOTOS, LISTED = range(12, 18)  # bindings
 POOL_UNIT = 2
 MOST_LISTED = 1 << 15  # pages that a frame's list has room for
 LAYER_PX = 4096
+COUNTED = np.uint32(1 << 31)  # of a page's word in the table: it is drawn in this part (pages.frag.glsl)
 _INVOCATIONS = 64  # local size of flatten_feedback.comp.glsl
 
 
@@ -68,15 +71,18 @@ class GpuPages:
         pool_bytes: int,
     ) -> None:
         self._context, self.layout, self._cameras = context, layout, cameras
+        self._current: Callable[[], AbstractContextManager] = self._in_context
         side = layout.page_px + 2 * border_px
         limits = context.info["GL_MAX_TEXTURE_SIZE"], context.info["GL_MAX_ARRAY_TEXTURE_LAYERS"]
         least = int(layout.is_tail.sum()) + 16
         self.shape = pool_shape(pool_bytes, side, least, min(LAYER_PX, limits[0]), limits[1])
         self.slot_of = np.zeros(layout.n_pages, np.uint32)  # slot + 1
         self._free = list(range(self.shape.n_pages))[::-1]
-        self.uniforms = {"pool_shape": (layout.page_px, border_px, self.shape.columns, self.shape.rows)}
+        self.uniforms: dict[str, tuple[int, ...] | bool] = {
+            "pool_shape": (layout.page_px, border_px, self.shape.columns, self.shape.rows)
+        }
         self.show_all(1, 1)
-        with context:
+        with self._current():
             size = self.shape.columns * side, self.shape.rows * side, self.shape.layers
             self._pool = context.texture_array(size, 3)
             self._pool.filter = moderngl.LINEAR, moderngl.LINEAR
@@ -92,6 +98,23 @@ class GpuPages:
             self._lists = [context.buffer(bytes(16 * (MOST_LISTED + 1))) for _ in range(2)]
         self._frame = 0
 
+    @contextmanager
+    def drawn_by_parts(self) -> Iterator[None]:
+        """While pages are put and counted between the draws of one picture, for which the context is current already."""
+        self._current = nullcontext
+        try:
+            yield
+        finally:
+            self._current = self._in_context
+
+    def _in_context(self) -> AbstractContextManager:
+        return self._context
+
+    @property
+    def n_free(self) -> int:
+        """How many pages the pool has room for beside those that are there."""
+        return len(self._free)
+
     def show_all(self, width_px: int, height_px: int, margin_px: tuple[int, int, int, int] = (0, 0, 0, 0)) -> None:
         """What of a picture is shown: all within left, top, right and bottom margins; the rest asks for pages alone."""
         left, top, right, bottom = margin_px
@@ -104,7 +127,7 @@ class GpuPages:
             rows[i, :16] = view_to_photo(view, camera).T.astype(np.float32).ravel().view(np.uint32)
             first = self.layout.first_grid[i], self.layout.levels[i]
             rows[i, 16:] = [*first, camera.width_px, camera.height_px]
-        with self._context:
+        with self._current():
             self._buffers[PHOTOS].write(rows.tobytes())
 
     def bind(self) -> None:
@@ -117,7 +140,7 @@ class GpuPages:
         slot = self._free.pop()
         a_layer, side = self.shape.columns * self.shape.rows, self.shape.side_px
         row, column = divmod(slot % a_layer, self.shape.columns)
-        with self._context:
+        with self._current():
             place = (column * side, row * side, slot // a_layer, side, side, 1)
             self._pool.write(np.ascontiguousarray(texels).tobytes(), viewport=place)
         self._point(page, slot + 1)
@@ -128,17 +151,31 @@ class GpuPages:
 
     def _point(self, page: int, entry: int) -> None:
         self.slot_of[page] = entry
-        with self._context:
+        with self._current():
             self._buffers[SLOTS].write(np.uint32(entry).tobytes(), offset=4 * page)
+
+    def count(self, pages: np.ndarray) -> None:
+        """Let the next part of a picture be that of `pages` (k,), which must be there."""
+        words = self.slot_of.copy()
+        words[pages] |= COUNTED
+        with self._current():
+            self._buffers[SLOTS].write(words.tobytes())
+
+    def take_feedback(self) -> np.ndarray:
+        """As `feedback`, which is empty after it."""
+        found = self.feedback()
+        with self._current():
+            self._buffers[FEEDBACK].clear()
+        return found
 
     def feedback(self) -> np.ndarray:
         """(n_pages, 2) uint32 as the last frame left it: fragments in the view, in its margin; for tests."""
-        with self._context:
+        with self._current():
             return np.frombuffer(self._buffers[FEEDBACK].read(), np.uint32).reshape(-1, 2).copy()
 
     def flatten(self, program: moderngl.ComputeShader) -> None:
         """List what the last frame asked for, and empty the feedback buffer."""
-        with self._context:
+        with self._current():
             listed = self._lists[self._frame % 2]
             listed.write(bytes(16))
             listed.bind_to_storage_buffer(LISTED)
@@ -153,7 +190,7 @@ class GpuPages:
         before that (`ago` 2: what a GPU has long finished, so nothing waits); and how many found no room."""
         if self._frame < ago:
             return np.zeros((0, 3), np.uint32), 0
-        with self._context:
+        with self._current():
             buffer = self._lists[(self._frame - ago) % 2]
             (n,) = np.frombuffer(buffer.read(4), np.uint32)
             rows = np.frombuffer(buffer.read(16 * min(int(n), MOST_LISTED), offset=16), np.uint32)

@@ -104,6 +104,22 @@ class Renderer:
         photos.gpu_scene.show(checked_view(view), FINEST)
         return self._drawn(photos.gpu_scene, view, draw, AS_PHOTOGRAPHED)
 
+    def render_by_parts(self, gpu_scene: GpuScene, view: Camera, parts: Callable[[], Iterator[int]]) -> Picture:
+        """The splats of the finest level from `view`, textured from the pages of a scene with them, in as many parts as `parts()`
+        yields numbers, from 0 on: before each it has its pages put and counted (`GpuPages.count`)."""
+        assert gpu_scene.pages is not None
+        gpu_scene.show(checked_view(view), FINEST)
+        gpu_scene.pages.look(view)
+
+        def draw(frame: _Frame) -> None:
+            with gpu_scene.pages.drawn_by_parts():
+                for part in parts():
+                    gpu_scene.pages.uniforms["first_part"] = part == 0
+                    self._draw_attributes(frame, gpu_scene, 0, part)
+                    self.context.finish()  # llvmpipe draws later, from what the pool holds by then
+
+        return self._drawn(gpu_scene, view, draw, AS_PHOTOGRAPHED)
+
     def flatten_feedback(self, gpu_scene: GpuScene) -> None:
         """List the pages that the last frame of a scene with pages asked for; `gpu_scene.pages.listed` has them."""
         assert gpu_scene.pages is not None
@@ -171,8 +187,9 @@ class Renderer:
                 **gpu_scene.defines,
             )
 
-    def _draw_attributes(self, frame: _Frame, gpu_scene: GpuScene, max_atoms: int) -> None:
-        self._begin_attributes(frame)
+    def _draw_attributes(self, frame: _Frame, gpu_scene: GpuScene, max_atoms: int, part: int | None = None) -> None:
+        """All batches; the `part`-th time of several that add up to a picture, or once."""
+        self._begin_attributes(frame, clears=not part)
         for batch, kind in enumerate(gpu_scene.scene.header.batches):
             n_atoms = min(kind.n_atoms, max_atoms)
             turned = int(gpu_scene.scene.header.n_turns > 1 and n_atoms > 0)
@@ -186,12 +203,14 @@ class Renderer:
                 **defines_of("attribute", of_atoms, kind),
                 TURNED=turned,
                 PAGES=int(gpu_scene.pages is not None),
+                BY_PART=int(part is not None),
                 **gpu_scene.defines,
             )
 
-    def _begin_attributes(self, frame: _Frame) -> None:
+    def _begin_attributes(self, frame: _Frame, clears: bool = True) -> None:
         frame.targets.attribute.use()
-        frame.targets.attribute.clear()
+        if clears:
+            frame.targets.attribute.clear()
         self.context.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
         self.context.depth_func = ">="
         self.context.blend_func = moderngl.ONE, moderngl.ONE

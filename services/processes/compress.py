@@ -14,6 +14,7 @@ from pipeline.execution.stage import Executor, Progress
 from pipeline.planning.settings import Settings
 from pipeline.readers.files.spelling import shown
 from pipeline.stages.packed.pack import write_packed
+from pipeline.stages.pages.coded import PagesMade
 from renderer.files import strict
 from renderer.report.document import (
     EstimatedFigure,
@@ -30,13 +31,15 @@ from services.flow.code import Texture, texture
 from services.flow.estimate_cache import against, known_estimate
 from services.flow.outputs import placed_whole, write_outputs
 from services.flow.pack import pack, packed_gpu_bytes
+from services.flow.pages import make_pages_beside
 from services.flow.points.runs import geometry_request, runs_report
 from services.flow.points.volumes import surface_request
-from services.flow.prepare import Prepared, prepare
+from services.flow.prepare import Prepared, has_photographs, prepare
 from services.flow.run import Run
 from services.flow.textures import Coded
 from storage.packed.packed import SUFFIX, PackedFile
 from storage.packed.schema import BOXES
+from storage.pages.file import SUFFIX as PAGES_SUFFIX
 from storage.work import arrays
 
 
@@ -52,7 +55,8 @@ def compress(
     strict: bool = False,
     edited_maps: Path | None = None,
 ) -> dict:
-    """Compress a scan into `out`: NAME.splatpress, report.json, report.html and previews/. Returns the report.
+    """Compress a scan into `out`: NAME.splatpress, report.json, report.html and previews/, and NAME.pages where the plan has
+    pages on. Returns the report.
 
     `out` appears with all of it, or not at all; only where the packed file is whole and its pictures or its report
     fail, `out` appears with what there is, and the error says so in a note. With `work` the outputs of the stages stay
@@ -108,13 +112,21 @@ def make(
     if settings.budget_bytes is not None:
         check_budget(settings.budget_bytes, prepared.splats.summary.n_splats, packed_gpu_bytes(packed))
     write_packed(packed.folder, path)
-    return finish(run, path, prepared, textured, settings, out, render)
+    pages = make_pages_beside(run, prepared, settings, path.with_suffix(PAGES_SUFFIX))
+    return finish(run, path, prepared, textured, settings, out, render, pages.summary if pages else None)
 
 
 def finish(
-    run: Run, path: Path, prepared: Prepared, textured: Texture, settings: Settings, out: Path, render: bool
+    run: Run,
+    path: Path,
+    prepared: Prepared,
+    textured: Texture,
+    settings: Settings,
+    out: Path,
+    render: bool,
+    pages: PagesMade | None = None,
 ) -> dict:
-    """Previews and report of a packed file just made."""
+    """Previews and report of a packed file, and of its pages, just made."""
     coded = textured.coded
     record = RunRecord(
         scan=_scan_record(prepared, settings),
@@ -125,6 +137,7 @@ def finish(
         effects=tuple(_with_choice(row, textured) for row in prepared.effects.rows),
         estimate=msgspec.convert(_estimate(run, path, textured, settings), dict[str, EstimatedFigure] | None),
         runs=runs_report(prepared.runs, path) if prepared.runs is not None else None,
+        pages=pages,
     )
     return write_outputs(run, path, prepared.photos, record, out, render)
 
@@ -168,6 +181,10 @@ def _scan_record(prepared: Prepared, settings: Settings) -> ScanKnown:
     n_blind = prepared.splats.summary.n_without_camera
     if scan.cameras and n_blind:
         warnings.append(f"{n_blind:,} of {n_splats:,} splats are seen by no camera and have the scan's colour")
+    if "pages" in prepared.effects.enabled and not (has_photographs(prepared) or prepared.maps):
+        warnings.append(
+            "pages are asked for, and there are none: the scan has neither photographs nor maps of stations"
+        )
     if prepared.runs is not None and settings.levels:
         warnings.append(f"levels {settings.levels} is not used: runs have no coarser levels")
     if prepared.runs is None and scan.volume is None and settings.cell is not None and settings.geometry == BOXES:

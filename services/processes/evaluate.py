@@ -13,9 +13,13 @@ from pathlib import Path
 
 from pipeline.execution.stage import Executor, Progress, StageRecord
 from pipeline.planning.settings import Settings
+from pipeline.stages.pages.coded import FILE, PageForm
+from pipeline.stages.pages.photo_pages import PhotoPages
 from pipeline.stages.texture.patch_sample import PatchSample
+from pipeline.summaries import Photographs
 from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluate.held_out import HeldOut, compare_held_out
+from renderer.splats.baseline import PHOTO_BUDGET_BYTES, texture_bytes
 from services.flow.code import code, resample
 from services.flow.outputs import put_in_place
 from services.flow.pack import pack
@@ -41,9 +45,11 @@ from services.processes.evaluated_rows import (
 )
 from storage.errors import InvalidScan, SplatpressError
 from storage.packed.packed import SUFFIX
+from storage.work import work as work_folder
 
 FIGURE_9_TARGETS_DB = tuple(range(28, 49, 2))
 FIGURE_9_SPLATS = 16_384
+PAGED = PageForm("png")  # of photographs that exceed the pool: what is compared with has lost nothing
 
 
 def evaluate(
@@ -57,6 +63,7 @@ def evaluate(
     hold_out: int | None = None,
     render: bool = True,
     work: Path | None = None,
+    pool_bytes: int = PHOTO_BUDGET_BYTES,
 ) -> dict:
     """Measure the chosen rows of Table 1 and what the figures need; writes evaluate.json and evaluate.html into `out`.
 
@@ -66,6 +73,7 @@ def evaluate(
     `out` appears with the first row, and is written anew, each file whole, with every row and figure that follows: what
     has been measured stays, whatever happens after. A row or a figure that fails is named under `failed`, with its
     error, and takes no other with it; only without the average colour, whose geometry all rows share, are there none.
+    Photographs that take more than `pool_bytes` on the GPU are drawn by pages in a pool of that size, none of them missing.
 
     Raises: InvalidScan for a scan without photographs, and where `hold_out` leaves none.
     """
@@ -73,7 +81,15 @@ def evaluate(
     aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
     try:
         return _measure(
-            Run(work or aside / "work", executor, progress), scan, out, aside, settings, list(rows), hold_out, render
+            Run(work or aside / "work", executor, progress),
+            scan,
+            out,
+            aside,
+            settings,
+            list(rows),
+            hold_out,
+            render,
+            pool_bytes,
         )
     finally:
         shutil.rmtree(aside, ignore_errors=True)
@@ -88,6 +104,7 @@ def _measure(
     wanted: list[str],
     hold_out: int | None,
     render: bool,
+    pool_bytes: int,
 ) -> dict:
     prepared = prepare(
         run,
@@ -109,7 +126,7 @@ def _measure(
     held_out = _held_out_photos(scan, prepared, hold_out) if hold_out and render else ()
     packed = aside / "packed"
     packed.mkdir()
-    e = Evaluation(run, scan, packed, settings, prepared, resample(run, prepared))
+    e = Evaluation(run, scan, packed, settings, prepared, resample(run, prepared), pool_bytes=pool_bytes)
     average_row(e)
     _begin(aside / "out", out, document_of(e, wanted))
 
@@ -194,8 +211,15 @@ def _variants(e: Evaluation) -> list[Variant]:
     """What the close-ups show and the passes are timed with: photographs as textures, then ours."""
     shown = []
     for key, folder in e.photos.items():
-        shown.append(Variant(e.rows[key]["name"], e.packed["average"], folder))
+        shown.append(Variant(e.rows[key]["name"], e.packed["average"], folder, _pages_of(e, folder), e.pool_bytes))
     return shown + [Variant(f"{e.rows[key]['name']} {e.rows[key]['coder']}", path) for key, path in e.packed.items()]
+
+
+def _pages_of(e: Evaluation, folder: Path) -> Path | None:
+    """A page file of the photographs of a folder, without loss, where they exceed the pool; None where they fit."""
+    if texture_bytes(work_folder.summary(folder, Photographs).cameras) <= e.pool_bytes:
+        return None
+    return e.run.do(PhotoPages(folder, PAGED)).folder / FILE
 
 
 def _pictures(e: Evaluation, out: Path) -> None:

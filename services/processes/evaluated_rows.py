@@ -14,6 +14,7 @@ from pipeline.stages.texture.photo_variants import PhotoVariant, VariantErrors, 
 from pipeline.summaries import CodesMade
 from renderer.evaluate.compare import not_measured
 from renderer.report.report import sizes_of
+from renderer.splats.baseline import PHOTO_BUDGET_BYTES
 from services.flow.code import code_prepared
 from services.flow.pack import pack
 from services.flow.prepare import Prepared
@@ -53,6 +54,7 @@ class Evaluation:
     photos: dict[str, Path] = field(default_factory=dict)  # folders of PhotoVariant
     figures: dict = field(default_factory=lambda: {"atoms": None, "close_ups": [], "passes": [], "held_out": None})
     failed: list[dict] = field(default_factory=list)
+    pool_bytes: int = PHOTO_BUDGET_BYTES  # of photographs on the GPU: those that exceed it are drawn by pages
 
     @property
     def n_splats(self) -> int:

@@ -45,7 +45,7 @@ class PageHeader:
     layout: PageLayout
     border_px: int  # on each side of a page, of the texels of its neighbours
     codec: str
-    scan: str  # `scan_digest` of the scan's cameras
+    scan: str  # `scan_digest` of the scan's cameras, or `stations_digest`
     one_light: bool = False  # photographs as the effect `exposure` corrected them, else as they were taken
 
     @property
@@ -78,6 +78,11 @@ def scan_digest(cameras: Sequence[Camera]) -> str:
     digits."""
     text = json.dumps([asdict(camera) for camera in cameras], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def stations_digest(centres: Sequence[tuple[float, float, float]]) -> str:
+    """What a page file of station maps is told by: where the stations stood, as 16 hexadecimal digits."""
+    return hashlib.sha256(json.dumps([list(centre) for centre in centres]).encode()).hexdigest()[:16]
 
 
 def page_check(page: bytes) -> bytes:

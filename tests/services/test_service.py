@@ -23,7 +23,7 @@ from tests.services.chromium import Page, chromium_path
 from tests.services.scans import packed_by_compress, photo_scan
 from tests.services.service_process import service, until
 
-OPTIONS = {"target_psnr_db": 32.0, "training_splats": 2000, "iterations": 2}
+OPTIONS = {"target_psnr_db": 32.0, "training_splats": 2000, "iterations": 2, "effects": "pages=on"}
 LONG = {**OPTIONS, "iterations": 400}
 
 
@@ -33,8 +33,15 @@ def scan(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def expected(scan, tmp_path_factory) -> bytes:
-    return packed_by_compress(scan, tmp_path_factory.mktemp("expected") / "out", OPTIONS)
+def compressed(scan, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("expected") / "out"
+    packed_by_compress(scan, out, OPTIONS)
+    return out
+
+
+@pytest.fixture(scope="module")
+def expected(compressed) -> bytes:
+    return (compressed / "plane.splatpress").read_bytes()
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +61,7 @@ def packed(served, job: str, out: Path) -> bytes:
 
 
 def test_service__a_job_over_http_packs_the_bytes_of_compress_and_makes_every_artifact(
-    served, uploaded, expected, tmp_path
+    served, uploaded, compressed, expected, tmp_path
 ):
     events = []
     job = served.client.submit(uploaded, preset="draft", options=OPTIONS)
@@ -62,6 +69,8 @@ def test_service__a_job_over_http_packs_the_bytes_of_compress_and_makes_every_ar
     assert ended["status"] == "successful" and ended["progress"] == 100 and ended["expires_at"] > ended["finished"]
     assert "CRITICAL" not in served.log.read_text() and "Traceback" not in served.log.read_text()
     assert packed(served, job["jobID"], tmp_path) == expected
+    (pages,) = served.client.fetch(job["jobID"], tmp_path, ["plane.pages"])
+    assert pages.read_bytes() == (compressed / "plane.pages").read_bytes()
     names = {a["name"] for a in served.client.artifacts(job["jobID"])}
     assert {
         "plane.splatpress",

@@ -10,6 +10,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+from pipeline.planning.settings import Settings
 from services.cli.arguments import add_preset, add_settings, settings_of
 from services.cli.commands.looks import add_edited_maps, settings_with_maps
 from services.cli.commands.options import add_output, add_running, add_strict
@@ -36,6 +37,9 @@ def add_compress(commands) -> None:
     add_output(compress)
     add_settings(compress)
     add_edited_maps(compress)
+    compress.add_argument(
+        "--pages", action="store_true", help="photographs, or maps of stations, in pages beside it: --effect pages=on"
+    )
     add_strict(compress)
     add_running(compress)
     compress.set_defaults(command=_compress)
@@ -44,7 +48,7 @@ def add_compress(commands) -> None:
 def _compress(options: argparse.Namespace) -> int:
     from services.processes.compress import compress
 
-    settings = settings_with_maps(options)
+    settings = settings_with_pages(settings_with_maps(options), options.pages)
     scan, out = scan_path(options.scan), Path(options.out)
     refuse_to_overwrite(out, options.overwrite)
     look_first(scan, not options.no_render, settings)
@@ -61,6 +65,13 @@ def _compress(options: argparse.Namespace) -> int:
             edited_maps=Path(options.maps) if options.maps else None,
         )
     return _show_report(report, out, options)
+
+
+def settings_with_pages(settings: Settings, pages: bool) -> Settings:
+    """The settings, with the effect `pages` asked for where `--pages` is said."""
+    from pipeline.effects.plan.request import canonical_request
+
+    return replace(settings, effects=canonical_request([settings.effects, "pages=on"])) if pages else settings
 
 
 def add_report(commands) -> None:
@@ -174,6 +185,9 @@ def _summary(report: dict, out: Path) -> str:
             f"{sizes['compression_factor_texture']:.1f} times the textures"
         )
     lines += [f"warning          {w}" for w in report.get("warnings", [])]
+    if pages := report.get("pages"):
+        lossy = "" if pages["psnr_db"] is None else f", {pages['psnr_db']:.2f} dB"
+        lines.append(f"pages            {pages['n_pages']:,} in {pages['bytes']:,} bytes{lossy}")
     lines.append(f"report           {out / 'report.html'}")
     if quality["views"]:
         lines.append(f"previews         {out / 'previews'}")

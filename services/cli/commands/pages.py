@@ -51,7 +51,8 @@ def add_pages(commands) -> None:
 
 
 def _pages(options: argparse.Namespace) -> int:
-    from services.processes.pages.page_file import PageForm, make_pages
+    from pipeline.stages.pages.coded import PageForm
+    from services.processes.pages.page_file import make_pages
 
     if options.page_size % 4 or not PAGE_PX[0] <= options.page_size <= PAGE_PX[1]:
         raise WrongArgument(

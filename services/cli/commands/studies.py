@@ -25,6 +25,13 @@ def add_evaluate(commands) -> None:
     evaluate.add_argument(
         "--hold-out", type=count, metavar="N", help="keep every N-th photograph out of texturing and compare with it"
     )
+    evaluate.add_argument(
+        "--pool-mib",
+        type=count,
+        default=512,
+        metavar="N",
+        help="that photographs may take on the GPU: those that take more are drawn by pages; default: 512",
+    )
     add_measuring(evaluate)
     evaluate.set_defaults(command=_evaluate)
 
@@ -50,6 +57,7 @@ def _evaluate(options: argparse.Namespace) -> int:
             hold_out=options.hold_out,
             render=not options.no_render,
             work=Path(options.work) if options.work else None,
+            pool_bytes=options.pool_mib << 20,
         )
     if options.json:
         print(json.dumps({**made, "out": str(out)}))

@@ -27,6 +27,9 @@ def add_user(commands) -> None:
     submit.add_argument("scan")
     add_preset(submit)
     submit.add_argument("--option", action="append", default=[], metavar="NAME=VALUE")
+    submit.add_argument(
+        "--pages", action="store_true", help="photographs in pages beside it: --option effects=pages=on"
+    )
     submit.add_argument("--process", choices=PROCESSES, default=COMPRESS)
     submit.add_argument(
         "--knob",
@@ -150,7 +153,7 @@ def _submit(options: argparse.Namespace) -> int:
         scan = found["id"] if found else options.scan
         request = {
             "preset": options.preset,
-            "options": _pairs(options.option),
+            "options": _with_pages(_pairs(options.option), options.pages),
             "seed": options.seed,
             "name": options.name,
             **_process(options),
@@ -163,6 +166,10 @@ def _submit(options: argparse.Namespace) -> int:
         if not options.json:
             _say_next(f"watch {job['jobID']}", client)
     return _print(options, job, job["jobID"])
+
+
+def _with_pages(asked: dict, pages: bool) -> dict:
+    return asked | {"effects": f"{asked['effects']},pages=on" if "effects" in asked else "pages=on"} if pages else asked
 
 
 def _say_next(words: str, client) -> None:

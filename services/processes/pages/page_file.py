@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 from pipeline.execution.stage import Executor, Progress
 from pipeline.readers.attributes.options import ReadOptions
-from pipeline.stages.pages.photo_pages import FILE, PhotoPages
+from pipeline.stages.pages.coded import PageForm
+from pipeline.stages.pages.photo_pages import PhotoPages
 from pipeline.summaries import Photographs
+from services.flow.pages import place_pages
 from services.flow.points.read import ingest_of
 from services.flow.run import Run
-from storage import place
 from storage.errors import InvalidScan
-from storage.whole import whole
 from storage.work import work as work_folder
 
 INGEST, EXPOSURE = "ingest-", "exposure-"
 STAGE_FOLDER = re.compile(rf"({INGEST}|{EXPOSURE})[0-9a-f]{{16}}")
-
-
-@dataclass(frozen=True)
-class PageForm:
-    """How pages are cut and coded."""
-
-    codec: str
-    page_px: int
-    border_px: int
-    quality: int
 
 
 def make_pages(
@@ -55,24 +44,15 @@ def make_pages(
     try:
         of_work = _is_work_folder(source)
         run = Run(source if of_work else work or aside, executor, progress)
-        photos = _photos_of(source) if of_work else ingest_of(run, source, reading).folder
+        photos = photos_of(source) if of_work else ingest_of(run, source, reading).folder
         if not work_folder.summary(photos, Photographs).cameras:
             raise InvalidScan(str(source), "no photograph", "a scan with photographs: pages are pieces of them")
         one_light = photos.name.startswith(EXPOSURE)
-        made = run.do(PhotoPages(photos, form.codec, form.page_px, form.border_px, form.quality, one_light))
+        made = run.do(PhotoPages(photos, form, one_light))
         place_pages(made.folder, out)
     finally:
         shutil.rmtree(aside, ignore_errors=True)
     return asdict(made.summary) | {"path": str(out), "seconds": made.made_seconds}
-
-
-def place_pages(made: Path, out: Path) -> None:
-    """The page file of a stage's folder under another name: a link where the disk allows it, else a copy."""
-    with whole(out) as partial:
-        try:
-            os.link(made / FILE, partial)
-        except OSError:
-            shutil.copyfile(place.here(made / FILE), partial)
 
 
 def _stage_folders(source: Path) -> list[Path]:
@@ -85,7 +65,8 @@ def _is_work_folder(source: Path) -> bool:
     return bool(_stage_folders(source))
 
 
-def _photos_of(source: Path) -> Path:
+def photos_of(source: Path) -> Path:
+    """The folder of photographs of a work folder: in one light, where that was made. Raises: InvalidScan for several scans' photographs."""
     found = _stage_folders(source)
     for name in (EXPOSURE, INGEST):
         of_name = [folder for folder in found if folder.name.startswith(name)]

@@ -11,9 +11,11 @@ import pytest
 from pipeline.execution.executors import SerialExecutor
 from pipeline.planning.settings import settings_for
 from pipeline.stages.pages.codecs import decoded
+from pipeline.stages.pages.coded import PageForm
 from renderer.evaluate import flight as flight_module
 from renderer.evaluate.compare import psnr_db
 from renderer.evaluate.flight import Flight
+from renderer.evaluate.paged_photos import PagedPhotos
 from renderer.residency.paths import pose_of
 from renderer.residency.places import Places, Screen
 from renderer.residency.prediction import Motion
@@ -23,7 +25,7 @@ from renderer.splats.pages import GpuPages, pool_shape
 from renderer.splats.scene import GpuScene
 from renderer.splats.views import view_of
 from services.processes.compress import compress
-from services.processes.pages.page_file import PageForm, make_pages
+from services.processes.pages.page_file import make_pages
 from storage.errors import InvalidPackedFile, ResourceExhausted
 from storage.packed.packed import PackedFile, PackedScene
 from storage.pages.file import PageFile
@@ -49,7 +51,7 @@ def made(tmp_path_factory):
     scan = wall_scan(folder / "wall", 24)
     settings = settings_for("draft", texture="color")
     compress(scan, folder / "out", settings, SerialExecutor(), Heard(), render=False, work=folder / "work")
-    form = PageForm("png", 32, 4, 90)
+    form = PageForm("png", 32)
     make_pages(folder / "work", folder / "wall.pages", form, SerialExecutor(), Heard())
     with PackedFile(folder / "out" / "wall.splatpress") as opened:
         scene = opened.load()
@@ -210,3 +212,19 @@ def test_pool__takes_what_fits_and_says_where_too_little_does():
     assert shape.n_bytes <= 256 << 20 and shape.n_pages > 4000
     with pytest.raises(ResourceExhausted, match="--pool-mib"):
         pool_shape(1 << 20, 136, 100, 4096, 2048)
+
+
+@pytest.mark.parametrize("n_pages", [25, 100])
+def test_paged_photos__however_small_the_pool_the_picture_is_the_baseline_s(made, renderer, n_pages):
+    views = [view_of(made.scene.header.cameras[i], (320, 240)) for i in (0, 1)]
+    gpu_scene = GpuScene(made.scene, renderer.context)
+    with PageFile(made.pages) as file:
+        photos = PagedPhotos(gpu_scene, file, n_pages * 3 * file.header.side_px**2)
+        for view in [*views, views[0]]:
+            picture, wanted = photos.draw(renderer, view), baseline_of(made, renderer, view)
+            assert np.array_equal(picture.coverage, wanted.coverage)
+            assert psnr_db(picture.rgb, wanted.rgb, wanted.coverage) > 50
+            assert photos.n_parts > 1 if n_pages == 25 else photos.n_parts <= 2
+        photos.release()
+    assert gpu_scene.pages is None
+    gpu_scene.release()

@@ -12,7 +12,7 @@ from services.cli.main import main
 from services.processes.pages.fly import warnings_of
 from services.processes.pages.table import as_text
 from storage.packed.packed import PackedFile
-from storage.pages.file import PageFile
+from storage.pages.file import PageFile, scan_digest
 from tests.effects_scans import wall_scan
 from tests.services.scans import photo_scan, point_scan
 
@@ -50,9 +50,23 @@ def test_pages__refuses_scans_without_photographs_and_wrong_forms(scan, tmp_path
 @pytest.fixture(scope="module")
 def packed(scan, tmp_path_factory):
     out = tmp_path_factory.mktemp("packed") / "out"
-    options = "--preset draft --executor serial --no-render --training-splats 256 --iterations 1 --effects exposure=on"
+    options = "--preset draft --executor serial --no-render --training-splats 256 --iterations 1 --effects exposure=on --pages --page-codec webp"
     assert main(["compress", str(scan), "--out", str(out), "--work", str(out.parent / "work"), *options.split()]) == 0
     return next(out.glob("*.splatpress"))
+
+
+def test_compress__pages_lie_beside_the_packed_file_as_pages_of_its_work_folder_are(packed, tmp_path):
+    pages, report = packed.with_suffix(".pages"), json.loads((packed.parent / "report.json").read_text())
+    assert run(packed.parent.parent / "work", "--out", tmp_path / "again.pages", "--codec", "webp") == 0
+    assert pages.read_bytes() == (tmp_path / "again.pages").read_bytes()
+    row = next(row for row in report["effects"] if row["effect"] == "pages")
+    assert row["enabled"] and row["measure"] > 0 and report["pages"]["bytes"] == pages.stat().st_size
+    with PageFile(pages) as file, PackedFile(packed) as opened:
+        assert (
+            file.header.one_light and file.header.codec == "webp" and report["pages"]["n_pages"] == file.layout.n_pages
+        )
+        assert file.header.scan == scan_digest(opened.load().header.cameras)
+    assert "as webp" in (packed.parent / "report.html").read_text()
 
 
 def test_fly__warns_where_atoms_are_in_one_light_and_pages_are_not(scan, packed, tmp_path):

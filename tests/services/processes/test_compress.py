@@ -147,9 +147,11 @@ class Haunted(SerialExecutor):
 def test_workflow__tasks_that_run_twice_or_late_change_no_byte(tmp_path):
     scan = photo_scan(tmp_path / "wavy plane", n_side=50)
     for name, executor in (("once", SerialExecutor()), ("haunted", Haunted())):
-        compress(scan, tmp_path / name, SETTINGS, executor, Heard(), render=False, work=tmp_path / f"work {name}")
-    once, haunted = ((tmp_path / name / "wavy plane.splatpress").read_bytes() for name in ("once", "haunted"))
-    assert once == haunted
+        settings, work = replace(SETTINGS, effects="pages=on"), tmp_path / f"work {name}"
+        compress(scan, tmp_path / name, settings, executor, Heard(), render=False, work=work)
+    for made in ("wavy plane.splatpress", "wavy plane.pages"):
+        once, haunted = ((tmp_path / name / made).read_bytes() for name in ("once", "haunted"))
+        assert once == haunted
     assert not [p for p in (tmp_path / "work haunted").rglob("*") if ".partial" in p.name]
 
 

@@ -39,6 +39,7 @@ TRACES = {
     "ellipsoids": Traces(("ellipsoids",), ("ellipsoids",), words=("ellipsoid",), define="ELLIPSOID"),
     "exposure": Traces(("exposure",)),
     "station_maps": Traces(),  # of laser scans: tests/services/processes/test_station_maps.py
+    "pages": Traces(("photo-pages",)),
     "depth_margin": Traces(),
     "accumulation": Traces(),
     "mip_levels": Traces(arrays=("atoms_4", "atoms_2", "atoms_1"), words=("levels",), define="LEVELS"),

@@ -11,8 +11,12 @@ from PIL import Image
 
 from pipeline.effects.exposure.stations import StationGains
 from pipeline.execution.executors import DaskExecutor, SerialExecutor
+from pipeline.maps.light import levels_with
+from pipeline.maps.station_map import NOTHING
 from pipeline.planning.settings import settings_for
 from pipeline.readers.attributes.options import ReadOptions
+from pipeline.stages.maps.panoramas import read_map
+from pipeline.stages.pages.codecs import decoded
 from pipeline.summaries import Points
 from renderer.evaluate.compare import psnr_of_error
 from renderer.splats.renderer import Renderer
@@ -23,6 +27,7 @@ from services.processes.compress import compress
 from storage.errors import InvalidScan
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Camera
+from storage.pages.file import PageFile
 from storage.work import arrays, work
 from tests.pipeline.execution.test_stage import Heard
 from tests.services.scans import point_scan
@@ -139,6 +144,27 @@ def test_maps__bytes_do_not_depend_on_the_executor(made):
             _, path, _ = made(settings, name=name)
             _, other, _ = made(settings, executor, "dask")
             assert path.read_bytes() == other.read_bytes()
+
+
+def test_maps__their_pages_are_those_of_the_maps_whatever_the_executor(made):
+    settings = replace(SETTINGS, effects="pages=on", page_codec="png")
+    report, packed, folder = made(settings)
+    with DaskExecutor(2) as executor:
+        other = made(settings, executor, "dask")[1]
+    path = packed.with_suffix(".pages")
+    assert path.read_bytes() == other.with_suffix(".pages").read_bytes()
+    assert report["pages"]["bytes"] == path.stat().st_size and report["pages"]["psnr_db"] == 100.0
+    (maps,) = folder.glob("panoramas-*")
+    with PageFile(path) as file:
+        assert file.header.names == ("station 0", "station 1") and file.header.one_light
+        seen = read_map(maps, 0)
+        assert file.layout.sizes_px[0] == (6 * seen.frame.height_px, seen.frame.height_px)
+        page = decoded("png", file.read(0), file.header.side_px, "a page")[4:-4, 4:-4]
+    (light,) = folder.glob("station-light-*")
+    levels = np.rint(levels_with(work.summary(light, StationGains).log_gain[0]))
+    known = seen.depth[:128, :128] != NOTHING
+    wanted = np.stack([levels[:, k][seen.color[:128, :128, k]] for k in range(3)], axis=-1)
+    assert known.any() and np.array_equal(page[: known.shape[0]][known], wanted[known])
 
 
 def test_maps__an_estimate_tells_what_the_file_with_maps_has(scan, made, monkeypatch):

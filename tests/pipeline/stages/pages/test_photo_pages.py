@@ -6,8 +6,9 @@ import pytest
 from pipeline.execution.executors import SerialExecutor
 from pipeline.execution.stage import run_stage
 from pipeline.stages.pages.codecs import CODECS, decoded
+from pipeline.stages.pages.coded import FILE, PageForm
 from pipeline.stages.pages.cut import inner_size, pages_of
-from pipeline.stages.pages.photo_pages import FILE, PhotoPages
+from pipeline.stages.pages.photo_pages import PhotoPages
 from pipeline.stages.texture.photo_codecs import halved
 from pipeline.summaries import Photographs
 from storage.errors import InvalidPackedFile
@@ -82,7 +83,7 @@ def photos(tmp_path_factory):
 
 
 def test_photo_pages__hold_the_photographs_and_name_their_scan(photos, tmp_path):
-    stage = PhotoPages(photos, "png", 64, 4)
+    stage = PhotoPages(photos, PageForm("png", 64, 4))
     made = run_stage(stage, tmp_path, SerialExecutor(), Heard())
     assert made.summary.n_photographs == 2 and made.summary.psnr_db == 100.0
     assert not list(made.folder.glob("parts/*"))
@@ -95,7 +96,7 @@ def test_photo_pages__hold_the_photographs_and_name_their_scan(photos, tmp_path)
 
 
 def test_photo_pages__are_the_same_bytes_whatever_the_order_of_tasks(photos, tmp_path):
-    stage = PhotoPages(photos, "jpeg", 64, 4, 80)
+    stage = PhotoPages(photos, PageForm("jpeg", 64, 4, 80))
     first = run_stage(stage, tmp_path / "a", SerialExecutor(), Heard()).folder / FILE
 
     class Backwards(SerialExecutor):
