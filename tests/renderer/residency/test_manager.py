@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from renderer.residency.feedback import BIAS, REQUIRED, Feedback, merged, with_ancestors
 from renderer.residency.keys import evict_key, load_and_map_key
-from renderer.residency.manager import FRESH_FRAMES, MAPPED, RECENT_FEEDBACKS, Manager
+from renderer.residency.manager import FRESH_FRAMES, MAPPED, Manager
 from storage.pages.layout import PageLayout
+from tests.renderer.residency.random_paths import keys_order, walk
 
 LAYOUT = PageLayout(((700, 500), (300, 900)), 64)
 PAGES = np.flatnonzero(~LAYOUT.is_tail)
@@ -21,26 +22,12 @@ def feedback(rng: np.random.Generator, n: int) -> Feedback:
     return with_ancestors(found, LAYOUT.parents)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.booleans())
-def test_manager__never_maps_more_than_the_pool_nor_what_was_not_loaded(seed, published):
-    rng = np.random.default_rng(seed)
-    n_pool, n_frame = int(rng.integers(1, 40)), int(rng.integers(1, 9))
-    manager = Manager(LAYOUT.level_of, LAYOUT.parents, n_pool, n_frame, published)
-    loading: list[int] = []
-    for frame in range(60):
-        loaded = [page for page in loading if rng.random() < 0.5]
-        loading = [page for page in loading if page not in loaded]
-        found = feedback(rng, int(rng.integers(0, 12))) if rng.random() < 0.8 else None
-        before = manager.state.copy()
-        orders = manager.step(frame, found, np.array(loaded, np.int64))
-        loading += orders.load.tolist()
-        assert manager.n_mapped <= n_pool and len(orders.load) <= n_frame and len(orders.map) <= n_frame
-        assert (manager.state[LAYOUT.is_tail] == MAPPED).all()
-        assert set(orders.map.tolist()) <= set(np.flatnonzero(before >= 2).tolist()), "loading or loaded before"
-        if not published:
-            heard = manager._heard
-            assert (manager.last_required[orders.evict] <= heard - RECENT_FEEDBACKS).all(), "required now"
+def test_manager__on_random_paths_its_guarantees_hold_and_nobody_starves(seed, published):
+    """`benchmarks.residency` walks 10,000 of them."""
+    walk(seed, published)
+    keys_order(seed)
 
 
 @pytest.mark.parametrize("published", [False, True])
