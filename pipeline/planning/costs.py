@@ -37,6 +37,7 @@ SAMPLED = 16  # blocks that effects are measured on
 KILO, SMALLEST = 1024, min(ATOM_SIZES)  # indices of atoms, and texels to a side of the smallest
 COSTS = Path(__file__).with_name("costs.json")
 
+PAGES = "photo-pages"
 PHOTOGRAPHS = "photographs"  # the part of ingest that grows with them: a stage of its own to the model
 
 
@@ -59,6 +60,7 @@ BY_ATOMS = {entry.name for entry in CATALOGUE if entry.by_atoms}  # whose costs 
 READS = {entry.name: entry.reads for entry in CATALOGUE} | {  # the training set reads its own share of patches
     "exposure": (PHOTOGRAPHS,),
     "resample": ("splats", PHOTOGRAPHS),
+    PAGES: (PHOTOGRAPHS,),
 }
 
 
@@ -100,6 +102,7 @@ class Job:
     # Whether patches are stored, or made again where they are used. That takes the time that storing them took: `balanced` of
     # fountain_p11, kept and made again alternating, 34 and 34 processor seconds.
     keeps_patches: bool = False
+    pages: bool = False  # whether photographs are packed in pages too
 
 
 @dataclass(frozen=True)
@@ -148,7 +151,11 @@ def plan_job(job: Job, costs: dict[str, StageCost]) -> list[StagePlan]:
     }
     if not job.keeps_patches and "resample" in written:
         written["resample"] = max(0.0, written["resample"] - PATCH_DIM * _units("resample", job))
-    called_for = (name for name in TASKS if name in costs and (name not in BEYOND_MEMORY or job.n_splats > MOST_HELD))
+    called_for = (
+        name
+        for name in TASKS
+        if name in costs and (name not in BEYOND_MEMORY or job.n_splats > MOST_HELD) and (name != PAGES or job.pages)
+    )
     return [_plan_stage(name, costs[name], job, kilos, written) for name in called_for]
 
 

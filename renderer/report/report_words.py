@@ -130,6 +130,7 @@ ESTIMATE = (  # key, title, in words
     ("peak_memory_bytes", "Peak memory of a worker", size),
     ("gpu_bytes", "Bytes on the GPU", size),
     ("texture_psnr_db", "Texture PSNR", decibels),
+    ("pages_bytes", "Page file", size),
 )
 
 

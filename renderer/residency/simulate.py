@@ -49,15 +49,15 @@ def parts_along(places: Places, path: Path90, distance: float) -> list[dict[str,
 
 
 def misses_of(
-    places: Places, parts: list[Parts], prediction: str, n_frame: int, n_pool: int, published: bool
+    places: Places, parts: list[Parts], prediction: str, n_frame: int, n_pool: int, published: bool, cold: bool = False
 ) -> Misses:
-    """Run the manager over the frames of a path, once it has settled on the first."""
+    """Run the manager over the frames of a path, once it has settled on the first; `cold` from the first frame on, with tails alone."""
     layout = places.layout
     manager = Manager(layout.level_of, layout.parents, n_pool, n_frame, published)
     asked = [part.asked(prediction) for part in parts]
     under_way: list[tuple[int, np.ndarray]] = []
     pixels, pages, wanted, n_loaded, n_evicted = [], [], [], 0, 0
-    i, clock, n_quiet = -(SETTLED_FRAMES + -(-n_pool // n_frame)), 0, 0
+    i, clock, n_quiet = 0 if cold else -(SETTLED_FRAMES + -(-n_pool // n_frame)), 0, 0
     while i < len(parts):
         if i >= 0:
             required = parts[i].required
@@ -93,17 +93,22 @@ class Row:
     pages_of_nothing: float | None
     pixels_of_published: float | None  # against the published policy without prediction
     pages_of_published: float | None
+    cold: bool = False  # whether the viewer came in at once, with nothing loaded
 
 
 def rows_of_path(
-    places: Places, path: Path90, distance: float, budgets: tuple[tuple[int, int], ...] = BUDGETS
+    places: Places,
+    path: Path90,
+    distance: float,
+    budgets: tuple[tuple[int, int], ...] = BUDGETS,
+    starts: tuple[bool, ...] = (False,),
 ) -> list[Row]:
-    """The rows of one path, of all policies and predictions (2020, Table 1)."""
+    """The rows of one path, of all policies and predictions (2020, Table 1), for each of `starts`, cold or not."""
     both = parts_along(places, path, distance)
     rows = []
-    for n_frame, n_pool in budgets:
+    for (n_frame, n_pool), cold in ((budget, cold) for cold in starts for budget in budgets):
         found = {
-            policy: _by_prediction(places, [parts[policy] for parts in both], n_frame, n_pool, policy == "paper")
+            policy: _by_prediction(places, [parts[policy] for parts in both], n_frame, n_pool, policy == "paper", cold)
             for policy in POLICIES
         }
         published = found["paper"]["nothing"]
@@ -111,16 +116,20 @@ def rows_of_path(
             own = by_prediction["nothing"]
             for prediction, misses in by_prediction.items():
                 shares = (_share(misses, own), _share(misses, published))
-                rows.append(Row(path.name, policy, prediction, n_frame, n_pool, misses, *shares[0], *shares[1]))
+                rows.append(Row(path.name, policy, prediction, n_frame, n_pool, misses, *shares[0], *shares[1], cold))
     return rows
 
 
-def _by_prediction(places: Places, parts: list[Parts], n_frame: int, n_pool: int, published: bool) -> dict[str, Misses]:
+def _by_prediction(
+    places: Places, parts: list[Parts], n_frame: int, n_pool: int, published: bool, cold: bool
+) -> dict[str, Misses]:
     found: dict[str, Misses] = {}
     unbiased = not any(part.bias.n_pages for part in parts)  # then a prediction with bias is the one without
     for prediction in PREDICTIONS:
         same = {"bias": "nothing", "combined": "frustum"}.get(prediction) if unbiased else None
-        found[prediction] = found[same] if same else misses_of(places, parts, prediction, n_frame, n_pool, published)
+        found[prediction] = (
+            found[same] if same else misses_of(places, parts, prediction, n_frame, n_pool, published, cold)
+        )
     return found
 
 

@@ -12,7 +12,7 @@ from storage import place
 from storage.work import work
 
 FOLDER = "estimates"
-FIGURES = ("seconds", "peak_memory_bytes", "gpu_bytes", "texture_psnr_db")
+FIGURES = ("seconds", "peak_memory_bytes", "gpu_bytes", "texture_psnr_db", "pages_bytes")
 
 
 def keep_estimate(work_folder: Path, settings: Settings, estimate: dict) -> None:
@@ -40,5 +40,5 @@ def against(estimate: dict | None, happened: dict[str, float | None]) -> dict | 
     return {
         name: estimate[name] | {"happened": happened[name]}
         for name in FIGURES
-        if estimate[name] and happened[name] is not None
+        if estimate.get(name) and happened.get(name) is not None
     }

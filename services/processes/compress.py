@@ -135,7 +135,7 @@ def finish(
         numerics=_numerics(prepared, coded),
         settings=asdict(settings),
         effects=tuple(_with_choice(row, textured) for row in prepared.effects.rows),
-        estimate=msgspec.convert(_estimate(run, path, textured, settings), dict[str, EstimatedFigure] | None),
+        estimate=msgspec.convert(_estimate(run, path, textured, settings, pages), dict[str, EstimatedFigure] | None),
         runs=runs_report(prepared.runs, path) if prepared.runs is not None else None,
         pages=pages,
     )
@@ -147,7 +147,7 @@ def _with_choice(row: Row, textured: Texture) -> Row:
     return replace(row, choice=textured.choice) if row.effect == "station_maps" else row
 
 
-def _estimate(run: Run, path: Path, textured: Texture, settings: Settings) -> dict | None:
+def _estimate(run: Run, path: Path, textured: Texture, settings: Settings, pages: PagesMade | None) -> dict | None:
     """What was estimated for this job, beside what happened up to its packed file, in stages run now or before."""
     estimate = known_estimate(run.work, settings)
     if estimate is None:
@@ -161,6 +161,7 @@ def _estimate(run: Run, path: Path, textured: Texture, settings: Settings) -> di
             "peak_memory_bytes": max(r.peak_rss_bytes for r in run.records),
             "gpu_bytes": n_bytes,
             "texture_psnr_db": textured.psnr_db,
+            "pages_bytes": pages.bytes if pages else None,
         },
     )
 

@@ -39,6 +39,7 @@ from services.flow.run import Run
 from services.flow.stage_lock import stage_lock
 from services.flow.textures import PATCHES_AN_ATOM, Coded, index_bits
 from services.processes.estimate_gaps import Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
+from services.processes.estimate_pages import PagesEstimated, estimate_pages
 from storage.packed.packed import SUFFIX, PackedFile
 from storage.packed.schema import ATOM_SIZES, EXTRAS
 from storage.work import arrays, work
@@ -47,7 +48,7 @@ SAMPLE = 2 * arrays.BLOCK  # splats: two tasks of full size
 MOST_TRAINING = 16_384  # patches that the pilot learns from
 MOST_ATOMS = MOST_TRAINING // PATCHES_AN_ATOM
 MOST_PRODUCTS = 4 * 12_288 * 4096  # of a patch and an atom in one of its turns: four passes of learning for most scans
-BANDS = {"seconds": 0.25, "gpu_bytes": 0.05, "texture_psnr_db": 0.5, "peak_memory_bytes": 0.25}
+BANDS = {"seconds": 0.25, "gpu_bytes": 0.05, "texture_psnr_db": 0.5, "peak_memory_bytes": 0.25, "pages_bytes": 0.15}
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ class _Pilot:
     full: list[StageRecord]  # stages with all splats
     n_workers: int
     mapped: Mapped | None = None
+    pages: PagesEstimated | None = None
 
     @property
     def n_splats(self) -> int:
@@ -77,7 +79,7 @@ def estimate(
     scan: Path, settings: Settings, executor: Executor, progress: Progress, work_folder: Path | None = None
 ) -> dict:
     """Seconds up to the packed file (previews not among them), peak memory of a worker, bytes on the GPU and texture
-    PSNR, each with a band, and what each stage adds to the seconds.
+    PSNR, each with a band, those of a page file beside it, and what each stage adds to the seconds.
 
     With `work_folder` the full part stays there, and so does the estimate, for the report of the job that follows.
 
@@ -154,6 +156,7 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
         list(run.records),
         run.executor.n_workers,
         mapped,
+        estimate_pages(run, prepared, settings, scratch / "pages"),
     )
 
 
@@ -193,6 +196,7 @@ def _scaled(pilot: _Pilot, settings: Settings) -> dict:
     learning = _learning(pilot, settings)
     rows = [_row(r, r.made_seconds, _processor_seconds(r)) for r in pilot.full]
     rows += [_row(record, *_stage_seconds(pilot, stage, record, settings, learning)) for stage, record in pilot.stages]
+    rows += [_row(pages.record, pages.seconds, pages.processor_seconds)] if (pages := pilot.pages) else []
     rows = _merged(rows)
     loss, taken = _job_for_pilot(pilot, settings, learning)
     sizes = _sizes(pilot, learning, taken)
@@ -202,6 +206,7 @@ def _scaled(pilot: _Pilot, settings: Settings) -> dict:
         "peak_memory_bytes": memory,
         "gpu_bytes": sizes["gpu_bytes"],
         "texture_psnr_db": _psnr_db(pilot, loss),
+        "pages_bytes": pages.bytes if pages else None,
     }
     return {name: _banded(name, value) for name, value in figures.items()} | {
         "bytes_per_splat": sizes["gpu_bytes"] / pilot.n_splats,

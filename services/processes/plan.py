@@ -25,7 +25,13 @@ MEMORY_BYTES = 4 << 30  # what a worker gets
 
 
 def plan(
-    n_splats: int, n_workers: int, settings: Settings, n_photographs: int, megapixels: float, speed: float = 1.0
+    n_splats: int,
+    n_workers: int,
+    settings: Settings,
+    n_photographs: int,
+    megapixels: float,
+    speed: float = 1.0,
+    pages: bool = False,
 ) -> dict:
     """The plan as the command prints it with --json, for a machine that takes `speed` times as long as the one measured
     on."""
@@ -40,6 +46,7 @@ def plan(
         2 ** index_bits(settings, form, n_splats),
         form.size if form else PATCH_SIZE,
         pursuit=settings.pursuit if form else "omp",
+        pages=pages,
     )
     costs = known_costs(speed=speed)
     stages = plan_job(job, costs)

@@ -122,6 +122,11 @@ def add_fly(commands) -> None:
     fly.add_argument(
         "--magnified", type=int, default=4, metavar="N", help="with --table: photographs N times as wide; default: 4"
     )
+    fly.add_argument(
+        "--cold-start",
+        action="store_true",
+        help="with --table: besides of a viewer who comes in at once, with nothing loaded",
+    )
     fly.add_argument("--path", type=Path, metavar="PATH.json", help="what `path record` wrote")
     fly.add_argument("--pages", type=Path, metavar="F", help="default: the packed file's name with .pages, beside it")
     fly.add_argument("--out", type=Path, metavar="DIR", help="frames as PNG, a video where ffmpeg is found, fly.json")
@@ -193,6 +198,8 @@ def _table(packed: Path, options: argparse.Namespace) -> int:
 
     if not 1 <= options.magnified <= MOST_MAGNIFIED:
         raise WrongArgument(f"--magnified {options.magnified}; allowed: 1 to {MOST_MAGNIFIED}")
-    found = table_of(packed, options.magnified, on_path=lambda name: print(f"path {name}", file=sys.stderr))
+    found = table_of(
+        packed, options.magnified, on_path=lambda name: print(f"path {name}", file=sys.stderr), cold=options.cold_start
+    )
     print(json.dumps(found) if options.json else as_text(found))
     return OK

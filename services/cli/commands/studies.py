@@ -179,7 +179,7 @@ def _estimate_lines(found: dict) -> str:
     lines = [
         f"{title:<24} {say(figure['value']):>14}   {say(figure['low'])} to {say(figure['high'])}"
         for name, title, say in ESTIMATE
-        if (figure := found[name])
+        if (figure := found.get(name))
     ]
     lines.append(f"{'Bytes a splat':<24} {found['bytes_per_splat']:>14.2f}")
     return "\n".join(
@@ -202,6 +202,7 @@ def add_plan(commands) -> None:
         action="store_true",
         help="on the machine that the costs were measured on; default: on machines as fast as this one",
     )
+    plan.add_argument("--pages", action="store_true", help="with the photographs in pages beside it")
     plan.add_argument("--json", action="store_true")
     add_settings(plan, ("coder", "dictionary_bits", "training_splats", "iterations"))
     plan.set_defaults(command=_plan)
@@ -211,6 +212,14 @@ def _plan(options: argparse.Namespace) -> int:
     from services.processes.plan import as_text, plan, speed_of_this_machine
 
     speed = 1.0 if options.as_measured else speed_of_this_machine()
-    found = plan(options.splats, options.workers, settings_of(options), options.photographs, options.megapixels, speed)
+    found = plan(
+        options.splats,
+        options.workers,
+        settings_of(options),
+        options.photographs,
+        options.megapixels,
+        speed,
+        options.pages,
+    )
     print(json.dumps(found) if options.json else as_text(found))
     return OK

@@ -26,9 +26,11 @@ def table_of(
     magnified: int = MAGNIFIED,
     budgets: tuple[tuple[int, int], ...] = BUDGETS,
     on_path: Callable[[str], None] = lambda name: None,
+    cold: bool = False,
 ) -> dict:
-    """Misses by pixels relative to no prediction under `misses`, of the default policy and the first budget; under `rows`
-    those of both policies, all budgets, by pixels and pages.
+    """Misses by pixels relative to no prediction under `misses`, by pages under `misses_by_pages`, of the default policy and the first
+    budget; under `rows`
+    those of both policies, all budgets, by pixels and pages; with `cold` besides those of a viewer who comes in at once.
 
     Guarantees: the same file gives the same table, digit for digit.
     Raises: InvalidScan for a packed file without photographs.
@@ -40,13 +42,18 @@ def table_of(
     rows: list[Row] = []
     for name in NAMES:
         on_path(name)
-        rows += rows_of_path(places, paths[name], distance, budgets)
-    first = {(r.prediction, r.path): r for r in rows if r.policy == "default" and (r.n_frame, r.n_pool) == budgets[0]}
+        rows += rows_of_path(places, paths[name], distance, budgets, (False, True) if cold else (False,))
+    first = {
+        (r.prediction, r.path): r
+        for r in rows
+        if r.policy == "default" and (r.n_frame, r.n_pool) == budgets[0] and not r.cold
+    }
     return {
         "packed": packed.name,
         "magnified": magnified,
         "n_pages": places.layout.n_pages,
         "misses": {p: {name: first[p, name].pixels_of_nothing for name in NAMES} for p in PREDICTIONS},
+        "misses_by_pages": {p: {name: first[p, name].pages_of_nothing for name in NAMES} for p in PREDICTIONS},
         "rows": [asdict(row) for row in rows],
     }
 
@@ -77,16 +84,18 @@ def as_text(found: dict) -> str:
     lines = [
         f"page misses relative to no prediction, by pixels / by pages; photographs {found['magnified']} times as wide"
     ]
-    blocks = dict.fromkeys((r["n_frame"], r["n_pool"], r["policy"]) for r in found["rows"])
+    blocks = dict.fromkeys((r["n_frame"], r["n_pool"], r["policy"], r["cold"]) for r in found["rows"])
     for block in blocks:
-        n_frame, n_pool, policy = block
+        n_frame, n_pool, policy, cold = block
         lines += [
             "",
-            f"{n_frame} pages a frame, pool of {n_pool}, policy {policy}".ljust(48)
+            f"{n_frame} pages a frame, pool of {n_pool}, policy {policy}{', cold' if cold else ''}".ljust(48)
             + "".join(f"{n:>14}" for n in NAMES),
         ]
         rows = {
-            (r["prediction"], r["path"]): r for r in found["rows"] if (r["n_frame"], r["n_pool"], r["policy"]) == block
+            (r["prediction"], r["path"]): r
+            for r in found["rows"]
+            if (r["n_frame"], r["n_pool"], r["policy"], r["cold"]) == block
         }
         for prediction in PREDICTIONS:
             cells = (rows[prediction, name] for name in NAMES)

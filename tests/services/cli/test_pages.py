@@ -95,14 +95,20 @@ def test_fly__makes_table_1_in_its_form_and_the_same_twice(packed, monkeypatch, 
     monkeypatch.setattr(paths, "SECONDS", 0.2)
     outputs = []
     for _ in range(2):
-        assert main(["fly", str(packed), "--table", "--json", "--magnified", "8"]) == 0
+        assert main(["fly", str(packed), "--table", "--json", "--magnified", "8", "--cold-start"]) == 0
         outputs.append(capsys.readouterr().out)
     assert outputs[0] == outputs[1]
     found = json.loads(outputs[0])
     assert set(found["misses"]) == {"nothing", "bias", "frustum", "combined"}
     assert all(set(row) == set(paths.NAMES) for row in found["misses"].values())
-    assert len(found["rows"]) == 4 * 4 * 2 * 3 and max(r["misses"]["wanted"] for r in found["rows"]) > 0
-    assert "8 pages a frame, pool of 2500, policy paper" in as_text(found)
+    assert (
+        len(found["rows"]) == 2 * 4 * 4 * 2 * 3
+        and set(found["misses_by_pages"]["bias"]) == set(paths.NAMES)
+        and max(r["misses"]["wanted"] for r in found["rows"]) > 0
+    )
+    assert "8 pages a frame, pool of 2500, policy paper, cold" in as_text(found)
+    cold = [[r["misses"]["pixels"] for r in found["rows"] if r["cold"] == start] for start in (True, False)]
+    assert sum(cold[0]) > sum(cold[1]), "who comes in at once misses the first view"
 
 
 def test_fly__a_file_without_photographs_is_refused(tmp_path, capsys):
