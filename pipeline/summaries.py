@@ -162,6 +162,8 @@ class SplatsMade:
     n_without_camera: int
     mean_position_error: float
     mean_normal_error_degrees: float
+    mean_error_in_radii: float = 0.0  # of positions, each in radii of its own splat
+    number_bits: float = 0.0  # a splat, of numbers of quadrics before they are sorted
 
 
 @dataclass(frozen=True)

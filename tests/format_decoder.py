@@ -122,7 +122,7 @@ class Packed:
             root = zarr.open_group(store, mode="r")
             self.header = dict(root.attrs)
             self.arrays = {name: np.asarray(root[name][:]) for name in root.array_keys()}
-        several = ("run_codes", "colors", "codes", "cliplines", "ellipsoids")
+        several = ("splats", "run_codes", "colors", "codes", "cliplines", "ellipsoids")
         several = [name for name in several if name in self.arrays]  # in the order of the page
         self.rows_of = dict(zip(several, self.arrays["group_rows"].T)) if several else {}
         self.runs: dict[int, list[Run]] = {}  # by group
@@ -175,7 +175,71 @@ class Packed:
         products = np.array(turn, np.float32).reshape(3, 3) * p
         return ((products[:, 0] + products[:, 1]) + products[:, 2]).astype(float), (x, y)
 
+    def high(self, n: int, bits: int) -> int:
+        """How many bits of the numbers of n splats are in unary."""
+        h = 0
+        while 2**h < n:
+            h += 1
+        h = min(h, bits - 16)
+        return h if h * n > n + 2**h else 0
+
+    def number(self, i: int) -> int:
+        """The number of a splat of quadrics."""
+        chunk, left, at = i // 128, i % 128, 0
+        bits, counts = self.arrays["frame_bits"].astype(int).tolist(), self.arrays["batch_count"].astype(int).tolist()
+        for other in range(chunk // 64 * 64, chunk + 1):
+            for n in counts[other]:
+                h = self.high(n, bits[other])
+                vector = n + 2**h if h else 0
+                low = bits[other] - h
+                if other == chunk and left < n:
+                    place, ones = -1, -1
+                    while h and ones < left:
+                        place += 1
+                        ones += self.field("splats", i // 8192, at + place, 1)
+                    at += vector + left * low
+                    first = (
+                        self.field("splats", i // 8192, at, 16)
+                        | self.field("splats", i // 8192, at + 16, low - 16) << 16
+                    )
+                    return ((place - left) << low if h else 0) + first
+                left -= n if other == chunk else 0
+                at += vector + n * low
+            at += -at % 32
+        raise AssertionError(i)
+
+    def quadric_cell(self, i: int) -> tuple[np.ndarray, tuple[int, int]]:
+        """Position against the origin and octahedral normal of a splat of quadrics."""
+        of = {
+            name: np.array(values[i // 128]).astype(float)
+            for name, values in self.arrays.items()
+            if name.startswith(("frame_", "normal_")) and name != "frame_step"
+        }
+        number, digits = self.number(i), []
+        for many in (*(of["normal_cells"] + 1), *of["frame_cells"]):
+            digits.append(number % int(many))
+            number //= int(many)
+        x, y = (2 * d + 1 - n for d, n in zip(digits[2:], of["frame_cells"]))
+        power = 1
+        while power <= of["frame_cells"].max():
+            power *= 2
+        rise = of["frame_curve"] @ [x * x, x * y, y * y] / (128 * power)
+        step = np.array([0, self.arrays["frame_step"][i // 128]], "<u2").view("<f4")[0].astype(float)
+        q = np.array([*of["frame_turn"], 117])
+        q = q / np.linalg.norm(q)
+        p = np.array([digits[2] + 0.5, digits[3] + 0.5, number + 0.5 + rise]) * step
+        p = p + 2 * np.cross(q[:3], np.cross(q[:3], p) + q[3] * p)
+        slope = of["normal_slope"].reshape(2, 2) @ [x, y] // 256
+        a, b = np.clip(of["normal_low"] + digits[:2] + slope, -254, 254).astype(int).tolist()
+        if abs(a) > 127:
+            a, b = int(np.sign(a)) * 254 - a, -b
+        if abs(b) > 127:
+            a, b = -a, int(np.sign(b)) * 254 - b
+        return of["frame_origin"] + p, (a, b)
+
     def position(self, i: int) -> np.ndarray:
+        if self.header.get("geometry") == "quadrics":
+            return np.array(self.header["origin"]) + self.quadric_cell(i)[0]
         if self.header.get("geometry") == "runs":
             return np.array(self.header["origin"]) + self.run_cell(i)[0]
         number = int.from_bytes(self.arrays["position"][i].tobytes(), "little")
@@ -187,8 +251,8 @@ class Packed:
         return np.array(self.header["origin"]) + (low + (cell + 0.5) * size / 2.0**bits)
 
     def frame(self, i: int) -> np.ndarray:
-        runs = self.header.get("geometry") == "runs"
-        a, b = self.run_cell(i)[1] if runs else self.arrays["normal"][i].tolist()
+        cell = {"runs": self.run_cell, "quadrics": self.quadric_cell}.get(self.header.get("geometry"))
+        a, b = cell(i)[1] if cell else self.arrays["normal"][i].tolist()
         c = 127 - abs(a) - abs(b)
         sign = (1 if a >= 0 else -1), (1 if b >= 0 else -1)
         p = np.array([a, b, c] if c >= 0 else [sign[0] * (127 - abs(b)), sign[1] * (127 - abs(a)), c])

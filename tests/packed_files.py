@@ -22,6 +22,7 @@ from storage.packed.schema import (
     FORMS,
     GROUP,
     NO_CAMERA,
+    QUADRICS,
     RUNS,
     Batch,
     Camera,
@@ -58,6 +59,7 @@ class Case:
     color_step: int = 0
     size_bits: int = 0
     runs: bool = False
+    quadrics: bool = False
     n_maps: int = 0
 
 
@@ -104,7 +106,7 @@ def header_of(case: Case) -> Header:
         coarsest_size=case.coarsest_size,
         n_ranks=case.n_ranks,
         color_step=case.color_step,
-        geometry=RUNS if case.runs else BOXES,
+        geometry=RUNS if case.runs else QUADRICS if case.quadrics else BOXES,
         runs=RunGrid(0.7, TURN, len(_sections(case)), len(_run_lengths(case))) if case.runs else None,
         maps=tuple(
             StoredMap((450000.0 + i, 5400000.5, 90.0), 16, 2.0, 0.005 * (i + 1), len(WEBP)) for i in range(case.n_maps)
@@ -125,6 +127,10 @@ def arrays_for(case: Case, header: Header) -> dict[str, np.ndarray]:
     }
     if case.runs:
         arrays = {name: values for name, values in arrays.items() if name not in FORMS} | _runs(case, header)
+    if case.quadrics:
+        arrays = {name: values for name, values in arrays.items() if name not in FORMS} | _quadrics(
+            case, header, arrays["batch_count"]
+        )
     if header.size_bits:
         low = noise(c, 14, 100) + 60
         arrays["size_scale"] = np.stack([low, low + noise(c, 15, 90)], axis=1).astype(np.uint8)
@@ -188,9 +194,10 @@ def _bounds(header: Header, arrays: dict[str, np.ndarray], name: str) -> list[in
         "cliplines": "clipline_word",
         "ellipsoids": "ellipsoid_word",
         "colors": "color_word",
+        "splats": "splat_word",
     }
     if name in first:
-        step = CHUNKS_PER_GROUP if name == "colors" else 1
+        step = CHUNKS_PER_GROUP if name in ("colors", "splats") else 1
         return [*arrays[first[name]][::step].tolist(), len(arrays[name]) - 1]
     sections = arrays["run_section"].tolist()
     runs = [0, *arrays["run_first"][sections[1:]].tolist(), header.runs.n_runs]
@@ -263,6 +270,40 @@ def _runs(case: Case, header: Header) -> dict[str, np.ndarray]:
         batch = noise(case.n_splats, 8, len(header.batches), case.period)
         arrays["run_batch"] = batch.astype(np.uint8)  # those that _batch_count counts
     return arrays
+
+
+def _quadrics(case: Case, header: Header, batch_count: np.ndarray) -> dict[str, np.ndarray]:
+    """Any frames, and any numbers in them, sorted in each batch and packed bit by bit: the highest in unary, the others a field each."""
+    c, n_batches = header.n_chunks, len(header.batches)
+    bits = 16 + noise(c, 31, 32)
+    normals = np.where(bits > 32, 256, noise(c, 36, 256) + 1)
+    arrays = {
+        "frame_origin": (noise(3 * c, 30, 4096) / 64 - 32).reshape(c, 3).astype(np.float32),
+        "frame_turn": (noise(3 * c, 39, 255) - 127).reshape(c, 3).astype(np.int8),
+        "frame_step": (0x3800 + noise(c, 32, 512)).astype(np.uint16),
+        "frame_cells": (noise(2 * c, 33, 300) + 1).reshape(c, 2).astype(np.uint16),
+        "frame_curve": (noise(3 * c, 34, 255) - 127).reshape(c, 3).astype(np.int8),
+        "frame_bits": bits.astype(np.uint8),
+        "normal_low": (noise(2 * c, 35, 400) - 200).reshape(c, 2).astype(np.int16),
+        "normal_cells": (np.stack([normals, np.full(c, 256)], axis=1) - 1).astype(np.uint8),
+        "normal_slope": (noise(4 * c, 37, 255) - 127).reshape(c, 4).astype(np.int8),
+    }
+    splat, words = 0, []
+    for chunk in range(c):
+        stream: list[int] = []
+        for n in batch_count[chunk, :n_batches].tolist():
+            numbers = sorted(int(x) % 2 ** int(bits[chunk]) for x in noise(n, 38 + splat, 1 << 47, case.period))
+            high = min(max(0, n - 1).bit_length(), int(bits[chunk]) - 16)
+            high = high if n * high > n + 2**high else 0
+            if high:
+                ones = {(x >> (int(bits[chunk]) - high)) + rank for rank, x in enumerate(numbers)}
+                stream += [int(i in ones) for i in range(n + 2**high)]
+            stream += [x >> i & 1 for x in numbers for i in range(int(bits[chunk]) - high)]
+            splat += n
+        words.append(_packed(np.array(stream), 1))
+    lengths = np.array([len(w) for w in words])
+    arrays["splat_word"] = (np.cumsum(lengths) - lengths).astype(np.uint32)
+    return arrays | {"splats": np.concatenate([*words, np.zeros(1, np.uint32)])}
 
 
 def _bytes(case: Case, seed: int, below: int) -> np.ndarray:

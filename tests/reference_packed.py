@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.geometry.frame import tangent_frames
 from storage.packed.scene import PackedScene
-from storage.packed.schema import CHUNK, CLIPLINE_BITS, GROUP
+from storage.packed.schema import CHUNK, CLIPLINE_BITS, FRAMES, GROUP
 
 
 def read_field(words: np.ndarray, first_bit: int, width: int) -> int:
@@ -115,6 +116,8 @@ def decode_run_cell(scene: PackedScene, splat: int) -> tuple[list[float], list[i
 
 def normal_code(scene: PackedScene, splat: int) -> np.ndarray:
     """(1, 2) int8"""
+    if scene.header.geometry == "quadrics":
+        return np.array([decode_cell(scene, splat)[1]], np.int8)
     code = decode_run_cell(scene, splat)[1] if scene.header.runs else scene.arrays["normal"][splat].tolist()
     return np.array([code], np.int8)
 
@@ -123,6 +126,8 @@ def decode_position(scene: PackedScene, splat: int) -> list[float]:
     """Against the origin."""
     if scene.header.runs:
         return decode_run_cell(scene, splat)[0]
+    if scene.header.geometry == "quadrics":
+        return decode_cell(scene, splat)[0]
     chunk = splat // CHUNK
     code = int.from_bytes(scene.arrays["position"][splat].tobytes(), "little")
     position = []
@@ -132,6 +137,49 @@ def decode_position(scene: PackedScene, splat: int) -> list[float]:
         position.append(low + (code % 2**bits + 0.5) * size / 2**bits)
         code >>= bits
     return position
+
+
+def number_of(scene: PackedScene, splat: int) -> int:
+    """The number of a splat of quadrics, its chunk's words read bit by bit."""
+    arrays, (chunk, left) = scene.arrays, divmod(splat, CHUNK)
+    bits, at = int(arrays["frame_bits"][chunk]), 32 * int(arrays["splat_word"][chunk])
+    for n in arrays["batch_count"][chunk].tolist():
+        high = min(max(0, n - 1).bit_length(), bits - 16)
+        high = high if n * high > n + 2**high else 0
+        length = n + 2**high if high else 0
+        if left < n:
+            vector = read_field(arrays["splats"], at, length)
+            ones = [i for i in range(length) if vector >> i & 1]
+            assert len(ones) == (n if high else 0)
+            low = bits - high
+            field = read_field(arrays["splats"], at + length + left * low, low)
+            return ((ones[left] - left) << low) + field if high else field
+        left, at = left - n, at + length + n * (bits - high)
+    raise AssertionError(f"no batch has splat {splat}")
+
+
+def decode_cell(scene: PackedScene, splat: int) -> tuple[list[float], list[int]]:
+    """Position against the origin and octahedral normal of a splat of quadrics, its axes by a library's rotation."""
+    of = {name: scene.arrays[name][splat // CHUNK].tolist() for name in FRAMES}
+    number, a = divmod(number_of(scene, splat), of["normal_cells"][0] + 1)
+    number, b = divmod(number, of["normal_cells"][1] + 1)
+    number, i = divmod(number, of["frame_cells"][0])
+    k, j = divmod(number, of["frame_cells"][1])
+    x, y = 2 * i + 1 - of["frame_cells"][0], 2 * j + 1 - of["frame_cells"][1]
+    rise = sum(c * p for c, p in zip(of["frame_curve"], (x * x, x * y, y * y))) / 128
+    rise /= 2 ** int(max(of["frame_cells"])).bit_length()
+    step = struct.unpack("<f", struct.pack("<I", of["frame_step"] << 16))[0]
+    along = np.array([i + 0.5, j + 0.5, k + 0.5 + rise]) * step
+    position = np.array(of["frame_origin"]) + Rotation.from_quat([*of["frame_turn"], 117]).apply(along)
+    slope = of["normal_slope"]
+    p = a + of["normal_low"][0] + math.floor((slope[0] * x + slope[1] * y) / 256)
+    q = b + of["normal_low"][1] + math.floor((slope[2] * x + slope[3] * y) / 256)
+    p, q = max(-254, min(254, p)), max(-254, min(254, q))
+    if abs(p) > 127:
+        p, q = int(math.copysign(254, p)) - p, -q
+    if abs(q) > 127:
+        p, q = -p, int(math.copysign(254, q)) - q
+    return position.tolist(), [p, q]
 
 
 def decode_color(scene: PackedScene, splat: int) -> list[float]:

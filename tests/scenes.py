@@ -11,6 +11,8 @@ from pipeline.geometry.cliplines import encode_cliplines
 from pipeline.geometry.ellipsoids import encode_ellipsoids
 from pipeline.geometry.normals import encode_normals
 from pipeline.geometry.positions import encode_positions, fit_boxes
+from pipeline.geometry.quadrics.codes import asked_steps, encode_quadrics
+from pipeline.geometry.quadrics.frames import Frames, arrays_of_frames
 from pipeline.geometry.sizes import encode_sizes, fit_scales
 from pipeline.texture.colors import encode_colors, fit_color_boxes
 from storage.packed.batches import CHUNKS_PER_GROUP, count_batches, rows_of
@@ -18,7 +20,21 @@ from storage.packed.bits import pack_bits, pack_sizes
 from storage.packed.codes import pack_codes
 from storage.packed.colors import pack_colors
 from storage.packed.packed import PackedScene
-from storage.packed.schema import CHUNK, CLIPLINE_BITS, GROUP, MAX_ATOMS, MIP_SIZES, NO_CAMERA, Batch, Camera, Header
+from storage.packed.quadrics import number_words, pack_numbers
+from storage.packed.schema import (
+    BOXES,
+    CHUNK,
+    CLIPLINE_BITS,
+    FORMS,
+    GROUP,
+    MAX_ATOMS,
+    MIP_SIZES,
+    NO_CAMERA,
+    QUADRICS,
+    Batch,
+    Camera,
+    Header,
+)
 
 
 @dataclass(frozen=True)
@@ -60,6 +76,7 @@ class Settings:
     cameras: tuple[Camera, ...] = field(default=())
     size_bits: int = 3  # where splats have sizes of their own
     color_step: int = 0  # 0: colours in whole bytes, else in boxes
+    quadric_error: float | None = None  # of quadrics, in radii; None: in boxes
 
 
 def random_colors(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -127,7 +144,14 @@ def build_scene_and_order(
 
     local = np.asarray(splats.position, np.float64) - settings.origin
     order = median_split(local)
-    order = order[np.lexsort([batch[order], np.arange(n) // CHUNK])]
+    keys = [batch[order], np.arange(n) // CHUNK]
+    if settings.quadric_error:
+        radii = (np.full(n, settings.radius) if splats.size is None else splats.size)[order]
+        asked = asked_steps(radii, settings.quadric_error)
+        number, frames = encode_quadrics(local[order], encode_normals(splats.normal[order]), asked)
+        keys = [number, *keys]
+    sorted_ = np.lexsort(keys)
+    order = order[sorted_]
     batch, line, n_atoms, axes = batch[order], line[order], n_atoms[order], axes[order]
 
     header = Header(
@@ -147,6 +171,7 @@ def build_scene_and_order(
         scan={},
         settings={},
         color_step=settings.color_step,
+        geometry=QUADRICS if settings.quadric_error else BOXES,
         **(
             {
                 "atom_size": dictionary.atoms.shape[1],
@@ -168,6 +193,10 @@ def build_scene_and_order(
         "normal": encode_normals(splats.normal[order]),
         "batch_count": count_batches(batch, len(batches)),
     }
+    normal_code = arrays["normal"]
+    if settings.quadric_error:
+        arrays = {name: values for name, values in arrays.items() if name not in FORMS}
+        arrays |= _quadrics(number[sorted_], frames, arrays["batch_count"])
     if header.size_bits:
         scales = fit_scales(splats.size[order], settings.radius, header.size_bits)
         codes = encode_sizes(splats.size[order], scales)
@@ -186,17 +215,22 @@ def build_scene_and_order(
         streams = [pack_bits(_in_row_order(codes[g], rows.clipline[g]), CLIPLINE_BITS) for g in groups]
         arrays["cliplines"], arrays["clipline_word"] = _joined(streams)
     if any(kind.ellipsoid for kind in batches):
-        fields = encode_ellipsoids(
-            arrays["normal"], header.up, header.ahead, np.nan_to_num(axes, nan=1.0), settings.radius
-        )
+        fields = encode_ellipsoids(normal_code, header.up, header.ahead, np.nan_to_num(axes, nan=1.0), settings.radius)
         words = fields.view("<u4")[:, 0]
         streams = [_in_row_order(words[g], rows.extra["ellipsoid"][g]) for g in groups]
         arrays["ellipsoids"], arrays["ellipsoid_word"] = _joined(streams)
     if settings.cameras:
         camera = np.full(n, NO_CAMERA) if splats.camera is None else splats.camera
         arrays["camera"] = camera[order].astype(np.uint16)
-    assert len(arrays["box_low"]) == -(-n // CHUNK) and len(groups) == -(-n // (CHUNK * CHUNKS_PER_GROUP))
+    assert len(arrays["batch_count"]) == -(-n // CHUNK) and len(groups) == -(-n // (CHUNK * CHUNKS_PER_GROUP))
     return PackedScene(header, arrays), order
+
+
+def _quadrics(number: np.ndarray, frames: Frames, batch_count: np.ndarray) -> dict[str, np.ndarray]:
+    """The arrays of splats over quadrics, of numbers (n,) in the order of the file."""
+    words = number_words(batch_count, frames.bits)
+    stream = np.append(pack_numbers(number, batch_count, frames.bits), np.uint32(0))
+    return arrays_of_frames(frames) | {"splats": stream, "splat_word": (words.cumsum() - words).astype(np.uint32)}
 
 
 def color_boxes(color: np.ndarray, step: int) -> dict[str, np.ndarray]:

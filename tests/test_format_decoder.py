@@ -24,6 +24,7 @@ CASES = [
     Case(n_splats=300),
     Case(size_bits=3, ellipsoids=True),
     Case(size_bits=3, ellipsoids=True, runs=True),
+    Case(size_bits=3, ellipsoids=True, quadrics=True),
     Case(dictionary_bits=12, n_dictionary=300, atom_size=8, n_turns=8, cliplines=True),
     Case(n_dictionary=0, atom_counts=(0,), color_step=112, cliplines=True, ellipsoids=True),
     Case(n_dictionary=0, atom_counts=(0,), n_maps=2),

@@ -170,6 +170,7 @@ def test_structure__a_file_holds_one_idea():
         "pipeline/coding/search/stepwise_kernels.py": "kernels, each kept whole",
         "pipeline/effects/ellipsoids/decision.py": "kernels, each kept whole",
         "pipeline/planning/knobs.py": "a table",
+        "storage/packed/schema.py": "a table",
         "services/store/store.py": "all changes of a job's state, to be read beside each other",
         "services/api/uploads.py": "the tus protocol",
         "services/processes/evaluate.py": "the rows and figures of the paper",

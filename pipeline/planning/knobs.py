@@ -326,12 +326,24 @@ KNOBS = (
     Knob(
         "geometry",
         str,
-        "how positions and normals are coded: in boxes of 128; as runs of cells in a hexagonal close packed grid; auto: boxes, or with "
-        "`cell`, the error that is asked for, what takes fewer bytes",
-        "runs: 10 to 18 bits a splat for 42, and 1.6 points a splat",
-        "runs: positions at most cell / sqrt(2) off, normals by 2 to 4 degrees; no ellipsoids and no levels",
+        "how positions and normals are coded: in boxes of 128; over a quadric that is fitted to each 128; as runs of cells in a hexagonal close "
+        "packed grid; auto: boxes, or what takes fewer bytes at the error that is asked for, with `cell` runs, with `geometry_error` quadrics",
+        "quadrics: 27 to 29 bits a splat for 42; runs: 10 to 18, and 1.6 points a splat",
+        "quadrics: positions 1/30 of a radius off on average for 1/50 to 1/70, normals are the same; runs: positions at most cell / sqrt(2) off, "
+        "normals by 2 to 4 degrees; no ellipsoids and no levels",
         "run-grid",
-        choices=("auto", "boxes", "runs"),
+        choices=("auto", "boxes", "quadrics", "runs"),
+    ),
+    Knob(
+        "geometry_error",
+        float,
+        "how far positions over quadrics are off on average, in radii of their splats; by default 1/30, and with a geometry of auto boxes",
+        "larger: 1 bit a splat fewer for each factor of 1.26, 3 for 2",
+        "larger: positions and outlines less exact",
+        "splats",
+        low=0.001,
+        high=0.5,
+        optional=True,
     ),
     Knob(
         "run_length",

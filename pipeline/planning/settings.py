@@ -36,7 +36,8 @@ class Settings:
     levels: int | None = None
     view_distance: float | None = None
     iso: str = ""  # of a volume, as pipeline.volumes.request writes it; "" leaves the value to the volume
-    geometry: str = "auto"  # boxes, runs, or auto
+    geometry: str = "auto"  # boxes, quadrics, runs, or auto
+    geometry_error: float | None = None
     run_length: int = 25
     cell: float | None = None
     resampling: str = "trilinear"

@@ -9,11 +9,13 @@ import numpy as np
 from pipeline.geometry.ellipsoids import decode_ellipsoids, squares_of
 from pipeline.geometry.frame import Direction, tangent_frames
 from pipeline.geometry.positions import Boxes, decode_positions
+from pipeline.geometry.quadrics.frames import decode_quadrics, frames_of_arrays
 from pipeline.geometry.sizes import Scales, decode_sizes
 from pipeline.splats.runs import bounds_of, decoded_splats
 from pipeline.splats.visibility import seen_points
+from storage.packed.quadrics import frame_boxes
 from storage.packed.scene import PackedScene
-from storage.packed.schema import CHUNK, Camera
+from storage.packed.schema import BOXES, CHUNK, FRAMES, QUADRICS, Camera
 from storage.work import arrays
 
 
@@ -75,8 +77,8 @@ def scene_radii(scene: PackedScene) -> np.ndarray:
 
 def scene_positions(scene: PackedScene) -> np.ndarray:
     """Where the splats of a packed file lie, (n, 3) float64 against the origin."""
-    if scene.header.runs:
-        return _splats_of_runs(scene)[0].astype(np.float64)
+    if scene.header.geometry != BOXES:
+        return _decoded_splats(scene)[0].astype(np.float64)
     arrays = scene.arrays
     position = arrays["position"].astype(np.uint32)
     code = position[:, 0] | position[:, 1] << 8 | position[:, 2] << 16
@@ -85,23 +87,28 @@ def scene_positions(scene: PackedScene) -> np.ndarray:
 
 def scene_normal_codes(scene: PackedScene) -> np.ndarray:
     """The octahedral normals (n, 2) int8 of the splats of a packed file."""
-    return _splats_of_runs(scene)[1] if scene.header.runs else scene.arrays["normal"]
+    return scene.arrays["normal"] if scene.header.geometry == BOXES else _decoded_splats(scene)[1]
 
 
 def scene_bounds(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
     """Low and high corner (c, 3) float64 against the origin of a box that holds the centres of each chunk."""
+    if scene.header.geometry == QUADRICS:
+        return frame_boxes(scene.arrays)
     if scene.header.runs:
-        low, high = bounds_of(_splats_of_runs(scene)[0])
+        low, high = bounds_of(_decoded_splats(scene)[0])
         return low.astype(np.float64), high.astype(np.float64)
     low = scene.arrays["box_low"].astype(np.float64)
     return low, low + scene.arrays["box_size"]
 
 
-def _splats_of_runs(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
-    """Decoded once a scene: every reader of a file asks for them."""
-    if "runs" not in scene.decoded:
-        scene.decoded["runs"] = decoded_splats(scene)
-    return scene.decoded["runs"]
+def _decoded_splats(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and normals of runs or quadrics, decoded once a scene: every reader of a file asks for them."""
+    if "splats" not in scene.decoded:
+        if scene.header.runs:
+            scene.decoded["splats"] = decoded_splats(scene)
+        else:
+            scene.decoded["splats"] = decode_quadrics(scene.numbers, frames_of_arrays(scene.arrays))
+    return scene.decoded["splats"]
 
 
 def decoded_centres(splats: Path, start: int, stop: int) -> np.ndarray:
@@ -109,6 +116,9 @@ def decoded_centres(splats: Path, start: int, stop: int) -> np.ndarray:
     if arrays.exists(splats, "centre"):
         return arrays.read(splats, "centre", start, stop).astype(np.float64)
     chunks = slice(start // CHUNK, -(-stop // CHUNK))
+    if arrays.exists(splats, FRAMES[0]):
+        frames = {name: arrays.read(splats, name, chunks.start, chunks.stop) for name in FRAMES}
+        return decode_quadrics(arrays.read(splats, "number", start, stop), frames_of_arrays(frames))[0]
     boxes = Boxes(
         *(arrays.read(splats, name, chunks.start, chunks.stop) for name in ("box_low", "box_size", "box_bits"))
     )

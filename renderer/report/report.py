@@ -105,6 +105,8 @@ def sizes_of(scene: PackedScene, file_bytes: int) -> dict:
         name: bytes_on_gpu(scene.header, BY_NAME[name], a.nbytes) if name in BY_NAME else int(a.nbytes)
         for name, a in scene.arrays.items()
     }
+    if "splat_word" in arrays:
+        arrays["splat_word"] = 4 * scene.header.n_groups  # those of chunks stand in their frames' 9 words
     part_of = FIRST_WORDS | {name: array.part for name, array in BY_NAME.items()}
     part = {p: sum(size for name, size in arrays.items() if part_of[name] == p) for p in (*GPU_PARTS, "provenance")}
     gpu_bytes = sum(part[p] for p in GPU_PARTS)

@@ -40,7 +40,7 @@ QUALITY = (  # key, title, meaning
 
 GEOMETRY = (  # key, title, unit, meaning; the unit of None is the scan's own
     ("mean_position_error", "Position error", None, "How far quantisation moves a splat, on average."),
-    ("mean_position_error_in_radii", "… in splat radii", "radii", "The same against the radius of a splat."),
+    ("mean_position_error_in_radii", "… in splat radii", "radii", "The same, each against the radius of its splat."),
     ("mean_normal_error_degrees", "Normal error", "degrees", "How far quantisation tilts a splat, on average."),
 )
 

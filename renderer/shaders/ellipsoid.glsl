@@ -22,13 +22,14 @@ vec3 square_u, square_v;      // the half axes a and b, which span the square th
 #endif
 
 Ellipsoid decode_ellipsoid(uint splat, uint word) {
-    uvec2 words = splat_words(splat);
+    ivec2 normal_code;
+    uint cell = read_splat(splat, normal_code);
     vec3 u, v;
-    decode_frame(ivec2(int(words.x) >> 24, int(words.y << 24) >> 24), u, v);
+    decode_frame(normal_code, u, v);
     float turn = float(word & 255u) * (3.14159265358979 / 256.0);
     float radius = radius_of(splat);
     vec3 lengths = radius * exp2((vec3((uvec3(word) >> uvec3(8u, 16u, 24u)) & 255u) - 191.0) / 32.0);
-    return Ellipsoid(world_to_camera(decode_position(splat, words.x & 0xFFFFFFu)),
+    return Ellipsoid(world_to_camera(decode_position(splat, cell)),
                      lengths.x * world_to_camera(cos(turn) * u + sin(turn) * v),
                      lengths.y * world_to_camera(cos(turn) * v - sin(turn) * u),
                      lengths.z * world_to_camera(cross(u, v)), radius);

@@ -20,7 +20,8 @@ void set_map(uint splat, vec3 u, vec3 v) {
     uint at = map * MAP_WORDS;
     vec3 high = vec3(map_frames[at], map_frames[at + 1u], map_frames[at + 2u]);
     vec3 low = vec3(map_frames[at + 3u], map_frames[at + 4u], map_frames[at + 5u]);
-    from_station = position_against(high, low, splat, splat_words(splat).x & 0xFFFFFFu);
+    ivec2 normal;
+    from_station = position_against(high, low, splat, read_splat(splat, normal));
     map_u = camera_to_world(u);
     map_v = camera_to_world(v);
     float height = map_frames[at + 6u], texel = PI / 2.0 / height, away = max(length(from_station), 1e-30);

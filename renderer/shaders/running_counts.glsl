@@ -1,6 +1,8 @@
 // Running counts of batches inside a group; derived at load from batch_count, see running_counts() of scene.py.
 // Needs view.glsl.
 
+#ifndef RUNNING_COUNTS
+#define RUNNING_COUNTS
 layout(std430, binding = 2) readonly buffer RunningCounts { uint running_counts[]; };  // uint16, two a word
 
 // How many splats of the chunk's group stand in chunks up to this one and in batches below `batch`.
@@ -19,3 +21,4 @@ uint counted_of(uint chunk, uint batch) {
 uint last_chunk(uint group) {
     return min((group + 1u) * CHUNKS_PER_GROUP, (scene.n_splats + CHUNK - 1u) / CHUNK) - 1u;
 }
+#endif

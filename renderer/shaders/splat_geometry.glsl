@@ -2,7 +2,21 @@
 // pipeline/texture/colors.py do. Needs view.glsl.
 
 layout(std430, binding = 1) readonly buffer Boxes { uint boxes[]; };  // BOX_WORDS a chunk: low, size, bits and sizes, those of its colours, then the sizes of its splats
-#ifdef RUNS
+#ifdef QUADRICS
+layout(std430, binding = 0) readonly buffer Splats { uint splats[]; };  // the first word of each group, then those of all numbers
+
+uint splat_word(uint at) { return splats[at]; }
+
+layout(std430, binding = 10) readonly buffer Colors { uint colors[]; };  // in boxes, or 3 B a splat
+const uint COLOR_WORD = 9u;
+#ifdef COLOR_BOXES
+#include "bits.glsl"
+const uint SIZE_WORD = 13u;
+#else
+const uint SIZE_WORD = 9u;
+#endif
+#elif defined(RUNS)
+const uint COLOR_WORD = 7u;
 layout(std430, binding = 0) readonly buffer Splats { uint splats[]; };  // decoded: x, y, z as floats, a word of normal
 layout(std430, binding = 10) readonly buffer Colors { uint colors[]; };  // in boxes, or 3 B a splat
 #ifdef COLOR_BOXES
@@ -23,6 +37,7 @@ vec3 position_against(vec3 place_high, vec3 place_low, uint splat, uint code) {
 }
 #elif defined(COLOR_BOXES)
 #include "bits.glsl"
+const uint COLOR_WORD = 7u;
 layout(std430, binding = 0) readonly buffer Splats { uint splats[]; };  // 3 B position, 2 B normal
 layout(std430, binding = 10) readonly buffer Colors { uint colors[]; };
 const uint SIZE_WORD = 11u;
@@ -63,7 +78,9 @@ struct Disc {
     float radius;
 };
 
-#ifndef RUNS
+#ifdef QUADRICS
+#include "quadric.glsl"
+#elif !defined(RUNS)
 // Against a place that is the sum of two floats, part by part.
 vec3 position_against(vec3 place_high, vec3 place_low, uint splat, uint code) {
     uint box = splat / CHUNK * BOX_WORDS;
@@ -74,6 +91,15 @@ vec3 position_against(vec3 place_high, vec3 place_low, uint splat, uint code) {
     uvec3 cells = uvec3(1u) << bits;
     uvec3 cell = (uvec3(code) >> uvec3(0u, bits.x, bits.x + bits.y)) & (cells - 1u);
     return against(place_high, place_low, low) + (vec3(cell) + 0.5) * (size / vec3(cells));
+}
+#endif
+
+#ifndef QUADRICS
+// The octahedral normal of a splat, and its cell as one number.
+uint read_splat(uint splat, out ivec2 normal) {
+    uvec2 words = splat_words(splat);
+    normal = ivec2(int(words.x) >> 24, int(words.y << 24) >> 24);
+    return words.x & 0xFFFFFFu;
 }
 #endif
 
@@ -103,18 +129,18 @@ void decode_frame(ivec2 code, out vec3 u, out vec3 v) {
 }
 
 Disc decode_disc(uint splat) {
-    uvec2 words = splat_words(splat);
-    ivec2 normal_code = ivec2(int(words.x) >> 24, int(words.y << 24) >> 24);
+    ivec2 normal_code;
+    uint cell = read_splat(splat, normal_code);
     vec3 u, v;
     decode_frame(normal_code, u, v);
     float radius = radius_of(splat);
-    return Disc(world_to_camera(decode_position(splat, words.x & 0xFFFFFFu)),
+    return Disc(world_to_camera(decode_position(splat, cell)),
                 world_to_camera(u) * radius, world_to_camera(v) * radius, radius);
 }
 
 #ifdef COLOR_BOXES
 vec3 decode_color(uint splat) {
-    uint box = splat / CHUNK * BOX_WORDS + 7u;
+    uint box = splat / CHUNK * BOX_WORDS + COLOR_WORD;
     uint low_xy = boxes[box + 1u], low_z_size_xy = boxes[box + 2u], size_z_bits = boxes[box + 3u];
     vec3 low = vec3(int(low_xy << 16) >> 16, int(low_xy) >> 16, int(low_z_size_xy << 16) >> 16) / 32.0;
     uvec3 size_code = uvec3(low_z_size_xy >> 16, low_z_size_xy >> 24, size_z_bits) & 0xFFu;
@@ -129,7 +155,7 @@ vec3 decode_color(uint splat) {
                + on_axes.z * inversesqrt(6.0) * vec3(1.0, -2.0, 1.0);
     return clamp(color / 255.0, 0.0, 1.0);
 }
-#elif defined(RUNS)
+#elif defined(RUNS) || defined(QUADRICS)
 vec3 decode_color(uint splat) {
     uint at = 3u * splat, shift = 8u * (at & 3u);
     uint word = colors[at >> 2] >> shift | colors[(at >> 2) + 1u] << (31u - shift) << 1;

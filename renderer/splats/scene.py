@@ -28,7 +28,8 @@ from renderer.splats.upload.tables import (
 )
 from storage.errors import ResourceExhausted
 from storage.packed.packed import PackedScene
-from storage.packed.schema import MIP_SIZES, Camera, Header
+from storage.packed.schema import BOXES as IN_BOXES
+from storage.packed.schema import MIP_SIZES, QUADRICS, RUNS, Camera, Header
 
 # Bindings of the shader storage blocks; the shaders say the same numbers.
 SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS, ELLIPSOIDS, COLORS, SHARES = (
@@ -102,7 +103,9 @@ class GpuScene:
                 self.buffers[SHARES] = self.context.buffer(reserve=4 * header.n_groups)
             self.buffers[DRAWS] = self.context.buffer(reserve=header.n_groups * (len(header.batches) + 1) * DRAW_BYTES)
             self.uniforms = self.context.buffer(self._uniform_block())
-        with_geometry = 16 * header.n_chunks if header.color_step else 0 if header.runs else 3 * header.n_splats
+        with_geometry = (
+            16 * header.n_chunks if header.color_step else 0 if header.geometry != IN_BOXES else 3 * header.n_splats
+        )
         self.bytes_by_part["geometry"] -= with_geometry
         self.bytes_by_part["colors"] += with_geometry
 
@@ -123,7 +126,8 @@ class GpuScene:
         """What the programs that decode its splats are compiled with."""
         with_boxes, with_levels = int(bool(self.scene.header.color_step)), int(self.tree is not None)
         header, of_boxes = self.scene.header, {"COLOR_BOXES": with_boxes, "DETAIL": with_levels}
-        sources = {"RUNS": int(header.runs is not None), "MAPPED": int(bool(header.maps))}
+        forms = {"RUNS": int(header.geometry == RUNS), "QUADRICS": int(header.geometry == QUADRICS)}
+        sources = {**forms, "MAPPED": int(bool(header.maps))}
         return {**of_boxes, "SIZE_BITS": header.size_bits, **sources}
 
     def show(self, view: Camera, detail: Detail) -> None:
@@ -164,7 +168,7 @@ class GpuScene:
         if header.color_step:
             boxes = np.concatenate([boxes, color_box_words(arrays, header.color_step)], axis=1)
             self._upload(COLORS, "colors", arrays["colors"], "colours")
-        elif header.runs:
+        elif header.geometry != IN_BOXES:
             self._upload(COLORS, "colors", with_spare(arrays["color"]), "colours")
         if header.size_bits:
             boxes = np.concatenate([boxes, arrays["sizes"]], axis=1)
@@ -173,7 +177,8 @@ class GpuScene:
             self._decode_runs()
         else:
             splats = splat_words(arrays)
-            self._upload(SPLATS, "geometry", with_spare(splats) if header.color_step else splats, "geometry")
+            boxed = header.color_step and header.geometry == IN_BOXES
+            self._upload(SPLATS, "geometry", with_spare(splats) if boxed else splats, "geometry")
         self._upload(BOXES, "geometry", boxes, "chunk boxes")
 
     def _decode_runs(self) -> None:

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.splats.decoded import scene_radii
+from pipeline.splats.decoded import scene_positions, scene_radii
 from storage.packed.packed import PackedScene
-from storage.packed.schema import CHUNK
+from storage.packed.schema import CHUNK, QUADRICS
 
 # Centres within this share of a radius give a rim weights that are as good as equal: 300 rims of one colour were off by
 # 6.9/255 as copies, 3.7 scattered by 1/1024 of a radius, 1.0 by 1/256 and 0.6 by 1/16.
@@ -32,6 +32,8 @@ def has_stacks(scene: PackedScene) -> bool:
     """
     if scene.header.runs:
         return False  # a walk goes through a cell three times at most (pipeline/geometry/runs/walks.py)
+    if scene.header.geometry == QUADRICS:
+        return _has_stacks_of_positions(scene)
     n_chunks = len(scene.arrays["box_low"])
     code = np.full(n_chunks * CHUNK, -1)  # the last chunk is filled up with what is no splat
     code[: scene.header.n_splats] = scene.arrays["position"].astype(np.int64) @ [1, 1 << 8, 1 << 16]
@@ -46,6 +48,20 @@ def has_stacks(scene: PackedScene) -> bool:
         _has_many_equal(_cells(by_chunk[suspect], bits[suspect], dropped[suspect], shifted), MOST_ALIKE).any()
         for shifted in (False, True)
     )
+
+
+def _has_stacks_of_positions(scene: PackedScene) -> bool:
+    """The same of decoded positions, whose cells are no powers of two of a box."""
+    position, n = scene_positions(scene), scene.header.n_splats
+    chunk = np.arange(n) // CHUNK
+    low = np.minimum.reduceat(position, np.arange(0, n, CHUNK), axis=0)
+    cell = ((position - low[chunk]) / (CELL_IN_RADII * _smallest_radii(scene))[chunk, None]).clip(0, 2**20 - 2)
+    for shift in (0.0, 0.5):
+        key = np.full(-(-n // CHUNK) * CHUNK, -1)
+        key[:n] = np.floor(cell + shift).astype(np.int64) @ np.array([1, 1 << 20, 1 << 40])
+        if _has_many_equal(key.reshape(-1, CHUNK), MOST_ALIKE).any():
+            return True
+    return False
 
 
 def _smallest_radii(scene: PackedScene) -> np.ndarray:

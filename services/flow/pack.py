@@ -21,7 +21,7 @@ from services.flow.prepare import Prepared
 from services.flow.run import Run
 from services.flow.textures import Coded, color_step
 from storage.packed.groups import FIRST_WORDS
-from storage.packed.schema import BOXES, BY_NAME, EXTRAS, RUNS, Header, RunGrid
+from storage.packed.schema import BOXES, BY_NAME, EXTRAS, QUADRICS, RUNS, Header, RunGrid
 from storage.work import arrays
 
 
@@ -87,7 +87,7 @@ def pack(
         n_ranks=max([1, *(batch.n_atoms for batch in batches)]),
         color_step=color_step(settings) if coded else 0,
         maps=stored_maps(mapped.pictures.folder)[1] if mapped else (),
-        geometry=RUNS if prepared.runs else BOXES,
+        geometry=RUNS if prepared.runs else BOXES if prepared.quadric_error is None else QUADRICS,
         runs=_run_grid(prepared.runs) if prepared.runs else None,
         cameras=scan.cameras,
         scan={"name": name, "format": scan.format, "n_points": scan.n_read},

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.effects.block import Sources
-from pipeline.effects.levels import measured_by as levels_measured
 from pipeline.effects.levels import possible_levels
 from pipeline.effects.plan.plan import EffectPlan, Row, measured_effects, plan_effects
 from pipeline.effects.plan.registry import effects
 from pipeline.effects.plan.request import AUTO, OFF, ON, canonical_request, parse_request
-from pipeline.effects.sizes import measured_by
 from pipeline.effects.station_maps import has_maps
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
@@ -26,6 +25,8 @@ from pipeline.stages.points.splats import Splats
 from pipeline.summaries import Points, ScanRead, SizesNeeded, Spacings, SplatsMade
 from pipeline.volumes.request import SurfaceRequest
 from services.flow.maps import StationMaps, draw_maps, maps_for, with_edits
+from services.flow.points.called_for import calls_for_levels, calls_for_sizes
+from services.flow.points.quadrics import quadric_error, quadrics_row
 from services.flow.points.read import in_chunk_order, points_of
 from services.flow.points.runs import (
     GeometryRequest,
@@ -38,7 +39,7 @@ from services.flow.points.runs import (
 )
 from services.flow.run import Run
 from storage.errors import InvalidScan
-from storage.packed.schema import BOXES, RUNS
+from storage.packed.schema import RUNS
 from storage.work import work
 
 
@@ -57,7 +58,8 @@ class Prepared:
     built: tuple[tuple[str, Path], ...] = ()  # by effect, what its encoder made
     maps: StationMaps | None = None  # of a laser scan's stations, where they texture its splats
     runs: RunGeometry | None = None  # where its geometry is runs
-    geometry: Row | None = None  # of the plan: where boxes and runs were weighed
+    geometry: tuple[Row, ...] = ()  # of the plan: where boxes, runs and quadrics were weighed
+    quadric_error: float | None = None  # where its geometry is quadrics: the mean one asked for, in radii
 
     @property
     def photos(self) -> Path:
@@ -126,9 +128,7 @@ def with_effects(run: Run, prepared: Prepared, request: str) -> Prepared:
         (name, effects()[name].build(prepared.sources, plan.outcomes[name], surveys.get(name))) for name in plan.enabled
     )
     built = {name: run.do(stage).folder for name, stage in stages if stage is not None}
-    if prepared.geometry is not None:
-        plan = replace(plan, rows=(prepared.geometry, *plan.rows))
-    prepared = replace(prepared, effects=plan)
+    prepared = replace(prepared, effects=replace(plan, rows=(*prepared.geometry, *plan.rows)))
     if "ellipsoids" in built:
         prepared = _with_ellipsoids(run, prepared, built["ellipsoids"])
         built["ellipsoids"] = prepared.splats.folder
@@ -137,11 +137,10 @@ def with_effects(run: Run, prepared: Prepared, request: str) -> Prepared:
 
 def _with_ellipsoids(run: Run, prepared: Prepared, ellipsoids: Path) -> Prepared:
     """The splats once more, where their ellipsoids lie, so that textures are sampled on what is drawn."""
-    s = prepared.sources
-    sized = s.used_sizes
-    splats = run.do(
-        Splats(s.ingest, s.partition, s.neighbours, s.depth_maps, s.radius, prepared.held_out, ellipsoids, sized)
-    )
+    s, error = prepared.sources, prepared.quadric_error
+    places = s.ingest, s.partition, s.neighbours, s.depth_maps
+    made = Splats(*places, s.radius, prepared.held_out, ellipsoids, s.used_sizes, quadric_error=error)
+    splats = run.do(made)
     return replace(prepared, splats=splats, sources=replace(s, splats=splats.folder))
 
 
@@ -182,19 +181,33 @@ def splats_from(
     runs, which have none."""
     settle = signs_are_open(ingest.summary, partition.folder)
     neighbours = run.do(Neighbourhoods(partition.folder, settle))
-    if geometry.form == BOXES or (geometry.form == AUTO and geometry.cell is None):
-        return _sized_splats(run, ingest, partition, neighbours, scan, radius, request, held_out, levels)
+    sources = run, ingest, partition, neighbours, scan, radius
+
+    def splats_with(error: float | None) -> Prepared:
+        return _sized_splats(*sources, request, held_out, levels, quadric_error=error)
+
+    if geometry.form != RUNS and (geometry.form != AUTO or geometry.cell is None):
+        return _over_quadrics_or_in_boxes(geometry, splats_with)
     plain = canonical_request([request, "levels=off"])
-    boxes = _sized_splats(run, ingest, partition, neighbours, scan, radius, plain, held_out, 0)
+    boxes = _sized_splats(*sources, plain, held_out, 0)
     grid = grid_for(run, geometry, ingest.summary, partition.folder, boxes.splats.folder)
     row = geometry_row(geometry, grid.summary)
     if not row.enabled:
-        splats = _sized_splats(run, ingest, partition, neighbours, scan, radius, request, held_out, levels)
-        return replace(splats, geometry=row)
+        splats = _over_quadrics_or_in_boxes(geometry, splats_with)
+        return replace(splats, geometry=(row, *splats.geometry))
     runs = runs_of_splats(run, geometry, grid, partition.folder, neighbours.folder, boxes.splats.folder)
     points, near = as_points(runs), as_spacings(runs)
     made = _sized_splats(run, ingest, points, near, scan, radius, plain, held_out, 0, of_runs=True)
-    return replace(made, runs=runs, geometry=row)
+    return replace(made, runs=runs, geometry=(row,))
+
+
+def _over_quadrics_or_in_boxes(asked: GeometryRequest, splats_with: Callable[[float | None], Prepared]) -> Prepared:
+    """Whichever is asked for, or fewer bits at the asked error."""
+    made = splats_with(error := quadric_error(asked))
+    if error is None:
+        return made
+    row = quadrics_row(asked, made.splats.summary)
+    return replace(made if row.enabled else splats_with(None), geometry=(row,))
 
 
 def _sized_splats(
@@ -208,22 +221,22 @@ def _sized_splats(
     held_out: tuple[int, ...],
     levels: int | None,
     of_runs: bool = False,
+    quadric_error: float | None = None,
 ) -> Prepared:
     asked_radius, radius = radius, radius_of(neighbours.summary, radius, scan)
     needed, sizes = None, None
     if asked_radius is None and parse_request(request)["sizes"] != OFF:
         needed = run.do(Sizes(partition.folder, neighbours.folder, radius))
-        sizes = needed.folder if _calls_for_sizes(needed.summary, request) else None
+        sizes = needed.folder if calls_for_sizes(needed.summary, request) else None
     depth = None
     if ingest.summary.cameras and not ingest.summary.has_visibility:
         depth = run.do(DepthMaps(ingest.folder, partition.folder, radius, sizes)).folder
     counts = possible_levels(partition.summary.n_splats, levels)
     near = neighbours.folder
-    if len(counts) > 1 and (levels or _calls_for_levels(counts, request)):
+    if len(counts) > 1 and (levels or calls_for_levels(counts, request)):
         partition, near, sizes = with_levels(run.do, partition, near, needed, sizes, radius, len(counts) - 1)
-    splats = run.do(
-        Splats(ingest.folder, partition.folder, near, depth, radius, held_out, sizes=sizes, of_runs=of_runs)
-    )
+    points = ingest.folder, partition.folder, near, depth
+    splats = run.do(Splats(*points, radius, held_out, None, sizes, of_runs, quadric_error))
     sources = Sources(
         ingest.folder,
         partition.folder,
@@ -235,18 +248,8 @@ def _sized_splats(
         held_out,
         sizes or (needed.folder if needed else None),
     )
-    return Prepared(ingest, partition, neighbours, splats, radius, sources, held_out)
-
-
-def _calls_for_levels(counts: tuple[int, ...], request: str) -> bool:
-    known = {"levels": effects()["levels"]}
-    return bool(plan_effects({"levels": levels_measured(counts)}, parse_request(request), known=known).enabled)
-
-
-def _calls_for_sizes(summary: SizesNeeded, request: str) -> bool:
-    """Decided before the plan, for all that it measures is of splats as large as they will be; the plan says the same."""
-    known = {"sizes": effects()["sizes"]}
-    return bool(plan_effects({"sizes": measured_by(summary)}, parse_request(request), known=known).enabled)
+    made = Prepared(ingest, partition, neighbours, splats, radius, sources, held_out)
+    return replace(made, quadric_error=quadric_error)
 
 
 def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[EffectPlan, dict[str, Path]]:

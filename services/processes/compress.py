@@ -216,10 +216,12 @@ def _numerics(prepared: Prepared, coded: Coded | None) -> HardCases:
 def _quality(prepared: Prepared, textured: Texture) -> Quality:
     splats = prepared.splats.summary
     position, normal = splats.mean_position_error, splats.mean_normal_error_degrees
+    in_radii = splats.mean_error_in_radii
     if prepared.runs is not None:
         position = prepared.runs.cells.summary.mean_error
+        in_radii = position / prepared.radius
         normal = prepared.runs.codes.summary.mean_normal_error_degrees
-    geometry = GeometryErrors(position, position / prepared.radius, normal)
+    geometry = GeometryErrors(position, in_radii, normal)
     coded = textured.coded
     if coded is None:
         return Quality(textured.psnr_db, geometry=geometry)

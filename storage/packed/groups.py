@@ -13,13 +13,17 @@ import numpy as np
 from storage.packed.batches import group_batch_counts
 from storage.packed.bits import unpack_sizes
 from storage.packed.colors import color_words
+from storage.packed.quadrics import frame_boxes, number_words
 from storage.packed.runs.tables import DECODED, most_bytes, run_bounds
 from storage.packed.schema import (
+    BOXES,
     CHUNK,
     EXTRAS,
     GROUP,
     MOST_COLOR_BITS,
+    MOST_NUMBER_BITS,
     ONE_SIZE,
+    QUADRICS,
     SIZE_STEPS_AN_OCTAVE,
     Array,
     Header,
@@ -31,6 +35,7 @@ PREFIX = "group_"  # of the table's arrays; what follows is a field of GroupTabl
 CONE_STEPS = 127  # of an axis and of a cosine
 ANY_NORMAL = np.array([0, 0, CONE_STEPS, -CONE_STEPS], np.int8)
 _WIDER = 1e-6  # so that rounding never narrows a cone
+SAME_CORNER = 1e-5  # as a share of the largest coordinate: what rotations of two machines may differ by
 SAME_RADIUS = 1e-5  # as a share: what the sums of two machines may differ by
 
 
@@ -51,6 +56,7 @@ class GroupTable:
 # Tables that readers make of the lengths of streams and of runs, for memory and GPUs, and the row of the size table that their bytes are counted in.
 FIRST_WORDS = {
     "run_section": "geometry",
+    "splat_word": "geometry",
     "color_word": "colors",
     "group_word": "codes",
     "clipline_word": "geometry",
@@ -69,7 +75,7 @@ def most_rows(header: Header, array: Array) -> int:
     n = min(GROUP, header.n_splats)
     if "u" in array.dims:
         return most_bytes(n)
-    bits = {"codes": header.n_ranks * header.entry_bits, "colors": MOST_COLOR_BITS}
+    bits = {"codes": header.n_ranks * header.entry_bits, "colors": MOST_COLOR_BITS, "splats": MOST_NUMBER_BITS}
     bits |= {extra.stream: extra.bits * extra.n_fields for extra in EXTRAS}
     return -(-n // CHUNK) * CHUNK * bits[array.name] // 32
 
@@ -88,35 +94,45 @@ def rows_told(header: Header, arrays: dict[str, np.ndarray]) -> dict[str, np.nda
         bits = color_bits(arrays["color_size"], header.color_step).sum(axis=1)
         words = color_words(header.n_splats, bits)
         told["colors"] = np.add.reduceat(words, np.arange(0, len(words), GROUP // CHUNK))
+    if header.geometry == QUADRICS:
+        words = number_words(arrays["batch_count"], arrays["frame_bits"])
+        told["splats"] = np.add.reduceat(words, np.arange(0, len(words), GROUP // CHUNK))
     return told
 
 
 def first_words(header: Header, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Where streams that stand one group after the other begin: of each group `group_word`, `clipline_word` and `ellipsoid_word`
-    (g,), and of each chunk `color_word` (c,), uint32."""
+    (g,), and of each chunk `color_word` and `splat_word` (c,), uint32."""
     table_of = {extra.stream: extra.table for extra in EXTRAS} | {"codes": "group_word"}
     words = {table_of[name]: n for name, n in rows_told(header, arrays).items() if name in table_of}
     if header.color_step:
         bits = color_bits(arrays["color_size"], header.color_step).sum(axis=1)
         words["color_word"] = color_words(header.n_splats, bits)
+    if header.geometry == QUADRICS:
+        words["splat_word"] = number_words(arrays["batch_count"], arrays["frame_bits"])
     return {name: (np.cumsum(n) - n).astype(np.uint32) for name, n in words.items()}
 
 
 def outline_of(header: Header, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """What the table says that one group shows: its `low`, `high`, `cone` and `radius`; `n_splats` of the header is the group's."""
-    low, high = run_bounds(header, arrays) if header.runs else _box_bounds(arrays)
+    low, high = _bounds(header, arrays)
     radius = radii_of(header, arrays)
     return {
         "low": np.where(low.astype(np.float32) > low, np.nextafter(low.astype(np.float32), np.float32(-np.inf)), low),
         "high": np.where(
             high.astype(np.float32) < high, np.nextafter(high.astype(np.float32), np.float32(np.inf)), high
         ),
-        "cone": ANY_NORMAL if header.runs else _cone(arrays["normal"]),
+        "cone": _cone(arrays["normal"]) if header.geometry == BOXES else ANY_NORMAL,
         "radius": np.array([radius.mean(), radius.max()]),
     }
 
 
-def _box_bounds(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(header: Header, arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    if header.runs:
+        return run_bounds(header, arrays)
+    if header.geometry == QUADRICS:
+        low, high = frame_boxes(arrays)
+        return low.min(axis=0), high.max(axis=0)
     high = arrays["box_low"].astype(np.float64) + arrays["box_size"]
     return arrays["box_low"].min(axis=0).astype(np.float64), high.max(axis=0)
 
@@ -151,7 +167,11 @@ def check_outline(header: Header, table: GroupTable, index: int, arrays: dict[st
     """ValueError unless the table says of group `index` what its arrays show."""
     told = outline_of(header, arrays)
     for name in ("low", "high"):
-        if not np.array_equal(getattr(table, name)[index], told[name].astype(np.float32)):
+        found, wanted = getattr(table, name)[index], told[name].astype(np.float32)
+        off = (
+            SAME_CORNER * np.abs(wanted).max() if header.geometry == QUADRICS else 0.0
+        )  # rotations round as machines do
+        if not (np.abs(found - wanted) <= off).all():
             raise ValueError(f"group_{name} of group {index} is not that of its splats")
     if np.abs(table.cone[index].astype(int) - told["cone"]).max() > 1:
         raise ValueError(f"group_cone of group {index} is not that of its normals")

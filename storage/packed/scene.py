@@ -13,6 +13,7 @@ from storage.packed.batches import Rows, group_batch_counts, rows_of
 from storage.packed.bits import unpack_sizes, words_for
 from storage.packed.codes import unpack_codes
 from storage.packed.colors import color_words, unpack_colors
+from storage.packed.quadrics import check_frames, unpack_numbers
 from storage.packed.runs.tables import DECODED, check_runs
 from storage.packed.schema import (
     BY_NAME,
@@ -22,6 +23,7 @@ from storage.packed.schema import (
     GROUP,
     MOST_COLOR_BITS,
     NO_CAMERA,
+    QUADRICS,
     Header,
     color_bits,
 )
@@ -75,6 +77,12 @@ class PackedScene:
         return unpack_colors(self.arrays["colors"], self.arrays["color_word"], bits, self.header.n_splats)
 
     @cached_property
+    def numbers(self) -> np.ndarray:
+        """Of each splat, (n,) uint64, where the geometry is quadrics."""
+        words, first = self.arrays["splats"], self.arrays["splat_word"]
+        return unpack_numbers(words, first, self.arrays["batch_count"], self.arrays["frame_bits"])
+
+    @cached_property
     def size_codes(self) -> np.ndarray:
         """Of each splat, (n,) uint8, where each has a size of its own."""
         return unpack_sizes(self.arrays["sizes"], self.header.size_bits, self.header.n_splats)
@@ -115,6 +123,8 @@ def check_tables(scene: PackedScene) -> None:
         raise ValueError("batch_count does not add up to the size of every chunk")
     if header.runs:
         check_runs(header, arrays)
+    elif header.geometry == QUADRICS:
+        check_frames(arrays)
     elif not (arrays["box_bits"].sum(axis=1, dtype=np.int64) == POSITION_BITS).all():
         raise ValueError(f"box_bits does not add up to {POSITION_BITS} in every chunk")
     _check_numbers(arrays)

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 
+import numpy as np
+
 from storage.json_fields import listed, numbers, plain, typed, whole_numbers
 from storage.maps import StoredMap
 
@@ -28,9 +30,12 @@ STEPS_AN_OCTAVE = 16  # of lengths in boxes of colours: code s is 2^(s / 16 - 6)
 FINEST_COLOR_STEP, COARSEST_COLOR_STEP = 80, 255  # half a 255th, and more than there are; 0 stands for whole bytes
 MOST_COLOR_BITS = 30  # of a splat: what the finest step takes for a box of all colours
 DEFAULT_UP, DEFAULT_AHEAD = (0, 0, 1), (1, 0, 0)
-BOXES, RUNS = GEOMETRIES = ("boxes", "runs")  # how positions and normals are coded
+BOXES, RUNS, QUADRICS = GEOMETRIES = ("boxes", "runs", "quadrics")  # how positions and normals are coded
 COLUMN_BITS, ROW_BITS, SLICE_BITS, LENGTH_BITS = 11, 11, 5, 5  # of the start of a run, the lowest first
 MOST_RUNS = 256  # of a section
+LEAST_NUMBER_BITS, MOST_NUMBER_BITS = 16, 47  # of the number of a splat over a quadric
+MOST_FRAME_CELLS = 4096  # along an axis of a quadric's frame
+TURN_W = 117  # of quaternions whose other entries are bytes; those of encoders are below 1.083 of it
 SIZE_BITS = (0, 2, 3, 4)  # that a splat's radius may take; without any all have the header's
 SIZE_STEPS_AN_OCTAVE, ONE_SIZE = 16, 128  # of radii: step s is 2^((s - 128) / 16) of the header's
 LONGEST_DIRECTION = 36  # so that 100 (up . normal)^2 of whole numbers stays within 32 bits
@@ -217,6 +222,16 @@ ARRAYS = (
     Array("sizes", ("c", "s"), "uint32", "geometry", "radius of each splat between them, a chunk in whole words"),
     Array("position", ("n", "3"), "uint8", "geometry", "24-bit cell index, little-endian: x lowest, then y, then z"),
     Array("normal", ("n", "2"), "int8", "geometry", "octahedral normal, -127..127"),
+    Array("frame_origin", ("c", "3"), "float32", "geometry", "lowest corner of each chunk's cells against the origin"),
+    Array("frame_turn", ("c", "3"), "int8", "geometry", "x, y, z of a quaternion with w 117: the chunk's axes"),
+    Array("frame_step", ("c",), "uint16", "geometry", "side of each chunk's cells, unit: the upper half of a float32"),
+    Array("frame_cells", ("c", "2"), "uint16", "geometry", "how many cells along the first two axes"),
+    Array("frame_curve", ("c", "3"), "int8", "geometry", "how the quadric rises by half cells squared"),
+    Array("frame_bits", ("c",), "uint8", "geometry", "bits of each splat's number"),
+    Array("normal_low", ("c", "2"), "int16", "geometry", "octahedral coordinates that steps of normals count from"),
+    Array("normal_cells", ("c", "2"), "uint8", "geometry", "steps of normals along each coordinate, less 1"),
+    Array("normal_slope", ("c", "4"), "int8", "geometry", "256ths by which normals turn a half cell"),
+    Array("splats", ("g", "e"), "uint32", "geometry", "number of each splat: its normal's steps lowest, then its cell"),
     Array("run_codes", ("g", "u"), "uint8", "geometry", "sections, starts, turns and steps of normals, range coded"),
     Array("run_codebook", ("32", "2"), "int8", "geometry", "steps of normals on the octahedral map"),
     Array("run_batch", ("n",), "uint8", "geometry", "batch of each cell, in the order of the runs"),
@@ -249,9 +264,12 @@ ARRAYS = (
     Array("group_seal", ("g", "32"), "uint8", "provenance", "SHA-256 of its zarr chunks, as they stand in the file"),
 )
 BY_NAME = {array.name: array for array in ARRAYS}
-FORMS = dict.fromkeys(("box_low", "box_size", "box_bits", "position", "normal"), BOXES) | {
-    array.name: RUNS for array in ARRAYS if array.name.startswith("run_")
-}  # arrays of one geometry alone
+FRAMES = tuple(name for name in BY_NAME if name.startswith(("frame_", "normal_")))  # of chunks over quadrics
+FORMS = (
+    dict.fromkeys(("box_low", "box_size", "box_bits", "position", "normal"), BOXES)
+    | {name: RUNS for name in BY_NAME if name.startswith("run_")}
+    | dict.fromkeys((*FRAMES, "splats"), QUADRICS)
+)  # arrays of one geometry alone
 
 
 def arrays_of(header: Header) -> tuple[Array, ...]:
@@ -294,3 +312,14 @@ def color_bits(size, step: int):
     """Bits of each axis, (c, 3) int64, of boxes of colours with the extents `size` (c, 3) uint8: halvings until no cell
     is larger than `step`. By whole numbers, so that readers and writers agree and no table of them is stored."""
     return (-(-(size.astype(int) - step) // STEPS_AN_OCTAVE)).clip(0)
+
+
+def curve_units(cells: np.ndarray) -> np.ndarray:
+    """What 1 of `frame_curve` is, (c,) float64, cells a product of half cells: 2^-7 over the power of two above the longer side's cells."""
+    longest = cells.max(axis=1).astype(np.int64)
+    return 2.0 ** -(7 + np.frexp(longest.astype(np.float64))[1])
+
+
+def steps_of(code: np.ndarray) -> np.ndarray:
+    """The sides (c,) float64 of cells of which `frame_step` (c,) has the upper half of the float32."""
+    return (code.astype(np.uint32) << np.uint32(16)).view(np.float32).astype(np.float64)

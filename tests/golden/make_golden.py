@@ -43,6 +43,10 @@ CASES = {
         n_splats=8192 + 130, period=128, n_dictionary=0, atom_counts=(0,), n_cameras=0, color_step=80
     ),
     "runs": Case(n_splats=8192 + 130, period=128, n_dictionary=0, atom_counts=(0,), n_cameras=0, runs=True),
+    "quadrics": Case(n_splats=8192 + 130, period=128, n_dictionary=0, atom_counts=(0,), n_cameras=0, quadrics=True),
+    "quadrics-of-batches": Case(
+        quadrics=True, cliplines=True, ellipsoids=True, size_bits=3, atom_size=8, color_step=100
+    ),
     "runs-of-batches": Case(runs=True, cliplines=True, ellipsoids=True, size_bits=3, atom_size=8, color_step=100),
 }
 

@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.geometry.cliplines import decode_cliplines
 from pipeline.geometry.ellipsoids import decode_ellipsoids
 from pipeline.geometry.frame import tangent_frames
-from pipeline.geometry.positions import Boxes, decode_positions
+from pipeline.splats.decoded import scene_normal_codes, scene_positions
 from storage.packed.bits import unpack_bits
 from storage.packed.packed import PackedScene
 from storage.packed.schema import CLIPLINE_BITS, GROUP, MIP_SIZES, NO_CAMERA, Camera
@@ -155,10 +155,8 @@ def blend(scene: PackedScene, view: Camera, color) -> tuple[np.ndarray, np.ndarr
 
 
 def discs_of(scene: PackedScene, view: Camera) -> Discs:
-    header, arrays = scene.header, scene.arrays
-    code = arrays["position"].astype(np.int64) @ [1, 1 << 8, 1 << 16]
-    position = decode_positions(code, Boxes(arrays["box_low"], arrays["box_size"], arrays["box_bits"]))
-    u, v, _ = tangent_frames(arrays["normal"], header.up, header.ahead)
+    header, position = scene.header, scene_positions(scene)
+    u, v, _ = tangent_frames(scene_normal_codes(scene), header.up, header.ahead)
     to_camera = np.array(view.rotation).T
     eye = np.subtract(view.centre, header.origin)
     radius = radii_of(scene)[:, None]
@@ -184,7 +182,7 @@ def ellipsoids_of(scene: PackedScene, view: Camera) -> dict[int, np.ndarray]:
             scene.arrays["ellipsoid_word"][splat // GROUP] + scene.rows.extra["ellipsoid"][splat]
         ]
         fields = np.frombuffer(word.tobytes(), np.uint8)[None]
-        header, normal = scene.header, scene.arrays["normal"][splat : splat + 1]
+        header, normal = scene.header, scene_normal_codes(scene)[splat : splat + 1]
         radius = decode_radius(scene, int(splat))
         found[int(splat)] = (
             decode_ellipsoids(fields, normal, header.up, header.ahead, radius)[0] @ np.array(view.rotation).T

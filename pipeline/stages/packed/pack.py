@@ -17,9 +17,10 @@ from storage.packed.codes import pack_codes
 from storage.packed.colors import pack_colors
 from storage.packed.groups import TABLE, ragged_in
 from storage.packed.layout import bytes_on_gpu, shape_of
+from storage.packed.quadrics import number_words, pack_numbers
 from storage.packed.runs.tables import DECODED
 from storage.packed.scene import streams_of
-from storage.packed.schema import BY_NAME, CHUNK, EXTRAS, GROUP, Batch, Header, arrays_of, color_bits
+from storage.packed.schema import BY_NAME, CHUNK, EXTRAS, FRAMES, GROUP, QUADRICS, Batch, Header, arrays_of, color_bits
 from storage.packed.writer import (
     WrittenGroup,
     begin_packed,
@@ -63,12 +64,13 @@ class Pack:
         start, stop = index * TASK_SPLATS, min((index + 1) * TASK_SPLATS, self.header.n_splats)
         n_atoms = self._codes("n_atoms", start, stop)
         batch = self._batches(n_atoms, start, stop)
-        order = np.lexsort((batch, np.arange(len(batch)) // CHUNK))
+        order = self._order(batch, start, stop)
         counts = count_batches(batch[order], len(self.header.batches))
         rows = self._splats(start, stop, order) | {"batch_count": counts}
         if self.runs and len(self.header.batches) > 1:
             rows["run_batch"] = batch.astype(np.uint8)
         words = self._words(start, stop, order, counts) | self._color_words(start, stop, order)
+        words |= self._number_words(rows, start, stop, order, counts)
         groups = []
         for place in range(-(-(stop - start) // GROUP)):
             chunks = slice(place * CHUNKS_PER_GROUP, (place + 1) * CHUNKS_PER_GROUP)
@@ -108,7 +110,7 @@ class Pack:
     def _splats(self, start: int, stop: int, order: np.ndarray) -> dict[str, np.ndarray]:
         """The rows of all arrays of splats and of chunks."""
         first, end = start // CHUNK, -(-stop // CHUNK)
-        rows = {} if self.runs else self._boxes(start, stop, order)
+        rows = {} if self.runs else self._frames(start, stop) if self._of_quadrics else self._boxes(start, stop, order)
         if not self.header.color_step:
             color = (self.splats, "color") if self.colors is None else (self.colors, "average")
             rows["color"] = arrays.read(*color, start, stop)[order].astype(np.uint8)
@@ -123,6 +125,28 @@ class Pack:
         for name in ("color_low", "color_size") if self.header.color_step else ():
             rows[name] = arrays.read(self.colors, name, first, end)
         return rows
+
+    @property
+    def _of_quadrics(self) -> bool:
+        return self.header.geometry == QUADRICS
+
+    def _order(self, batch: np.ndarray, start: int, stop: int) -> np.ndarray:
+        """Chunk by chunk, in it batch by batch, and in that by the numbers of quadrics, else as splats stood."""
+        keys = (batch, np.arange(len(batch)) // CHUNK)
+        return np.lexsort((arrays.read(self.splats, "number", start, stop), *keys) if self._of_quadrics else keys)
+
+    def _frames(self, start: int, stop: int) -> dict[str, np.ndarray]:
+        return {name: arrays.read(self.splats, name, start // CHUNK, -(-stop // CHUNK)) for name in FRAMES}
+
+    def _number_words(
+        self, rows: dict[str, np.ndarray], start: int, stop: int, order: np.ndarray, counts: np.ndarray
+    ) -> dict[str, list[np.ndarray]]:
+        """The words of each group's numbers of quadrics."""
+        if not self._of_quadrics:
+            return {}
+        number, bits = arrays.read(self.splats, "number", start, stop)[order], rows["frame_bits"]
+        ends = np.cumsum(number_words(counts, bits))[CHUNKS_PER_GROUP - 1 :: CHUNKS_PER_GROUP]
+        return {"splats": np.split(pack_numbers(number, counts, bits), ends[: -(-(stop - start) // GROUP) - 1])}
 
     def _boxes(self, start: int, stop: int, order: np.ndarray) -> dict[str, np.ndarray]:
         code, chunks = (
@@ -235,7 +259,8 @@ def array_bytes(header: Header, groups: list[WrittenGroup]) -> dict[str, int]:
         found[array.name] = a_row * (sum(group.rows[i] for group in groups) + ("e" in array.dims))
         if array.name in tables:
             found[tables[array.name]] = 4 * header.n_groups
-    return found | ({"color_word": 4 * header.n_chunks} if header.color_step else {})
+    found |= {"color_word": 4 * header.n_chunks} if header.color_step else {}
+    return found | ({"splat_word": 4 * header.n_groups} if header.geometry == QUADRICS else {})
 
 
 def write_packed(pack_folder: Path, path: Path) -> None:

@@ -10,22 +10,26 @@ import numpy as np
 from pipeline.geometry.ellipsoids import encode_ellipsoids
 from pipeline.geometry.frame import directions_of
 from pipeline.geometry.normals import decode_normals, encode_normals
-from pipeline.geometry.positions import Boxes, decode_positions, encode_positions, fit_boxes
+from pipeline.geometry.positions import decode_positions, encode_positions, fit_boxes
+from pipeline.geometry.quadrics.codes import asked_steps, encode_quadrics
+from pipeline.geometry.quadrics.frames import arrays_of_frames, decode_quadrics
 from pipeline.splats.cameras import best_cameras
 from pipeline.splats.colors import point_colors
 from pipeline.splats.decoded import seen_by_cameras, splat_radii
 from pipeline.splats.normals import turned_to, usable_normals
 from pipeline.stages.points.sizes import create_sizes
 from pipeline.summaries import Points, ScanRead, Spacings, SplatsMade
-from storage.packed.schema import CHUNK, ELLIPSOID_FIELDS, NO_CAMERA
+from storage.packed.schema import BY_NAME, CHUNK, ELLIPSOID_FIELDS, FRAMES, NO_CAMERA
 from storage.work import arrays, work
+
+BOX_ARRAYS = ("box_low", "box_size", "box_bits")
 
 
 @dataclass(frozen=True)
 class Splats:
     """A task a block. Arrays by splat: position_code (n,) uint32, normal_code (n, 2) int8, camera (n,) uint16, color
-    (n, 3) uint8; by chunk: box_low, box_size (c, 3) float32, box_bits (c, 3) uint8; of runs in the place of codes and boxes
-    centre (n, 3) float32; with sizes size_code (n,) and size_scale (c, 2) uint8."""
+    (n, 3) uint8; by chunk: box_low, box_size (c, 3) float32, box_bits (c, 3) uint8; of quadrics in the place of codes and boxes
+    number (n,) uint64 and storage.packed.schema.FRAMES, of runs centre (n, 3) float32; with sizes size_code (n,) and size_scale (c, 2) uint8."""
 
     ingest: Path
     partition: Path
@@ -36,26 +40,30 @@ class Splats:
     ellipsoids: Path | None = None  # has_ellipsoid, centre and axes: these lie and look as their ellipsoids do
     sizes: Path | None = None  # size_code and size_scale: each splat has a radius of its own
     of_runs: bool = False  # the points are decoded cells of runs, in the place that they have in the file
+    quadric_error: float | None = None  # mean one of positions over quadrics, in radii; None: in boxes
     name = "splats"
 
     def init(self, folder: Path) -> int:
         n = work.summary(self.partition, Points).n_splats
         for name, shape, dtype in (
-            ("centre", (n, 3), "float32") if self.of_runs else ("position_code", (n,), "uint32"),
+            ("centre", (n, 3), "float32") if self.of_runs else self._coded(n),
             ("normal_code", (n, 2), "int8"),
             ("camera", (n,), "uint16"),
             ("color", (n, 3), "uint8"),
         ):
             arrays.create(folder, name, shape, dtype)
-        boxes = (("box_low", "float32"), ("box_size", "float32"), ("box_bits", "uint8"))
-        for name, dtype in () if self.of_runs else boxes:
-            arrays.create(folder, name, (-(-n // CHUNK), 3), dtype, (arrays.BLOCK // CHUNK, 3))
+        for name in () if self.of_runs else BOX_ARRAYS if self.quadric_error is None else FRAMES:
+            width = tuple(int(dim) for dim in BY_NAME[name].dims[1:])
+            arrays.create(folder, name, (-(-n // CHUNK), *width), BY_NAME[name].dtype, (arrays.BLOCK // CHUNK, *width))
         if self.sizes:
             create_sizes(folder, n)
         if self.ellipsoids:
             arrays.create(folder, "has_ellipsoid", (n,), "bool")
             arrays.create(folder, "ellipsoid", (n, ELLIPSOID_FIELDS), "uint8")
         return arrays.n_blocks(n)
+
+    def _coded(self, n: int) -> tuple[str, tuple[int, ...], str]:
+        return ("position_code", (n,), "uint32") if self.quadric_error is None else ("number", (n,), "uint64")
 
     def run(self, folder: Path, index: int) -> dict:
         scan, points = work.summary(self.ingest, ScanRead), work.summary(self.partition, Points)
@@ -66,7 +74,7 @@ class Splats:
         camera = self._cameras(scan, absolute, normal, start, stop)
         towards = self._towards_viewer(scan, absolute, normal, camera, start, stop)
         color = point_colors(scan, self.partition, turned_to(normal, towards), start, stop)
-        scanned = position
+        scanned, bits = position, 0
         if self.ellipsoids:
             position = position.copy()
             self._take_ellipsoids(position, normal, start, stop)
@@ -81,10 +89,10 @@ class Splats:
                 arrays.write(folder, name, start, rows.astype(arrays.layout_of(folder, name).dtype))
         else:
             normal = turned_to(normal, towards)
-            boxes, normal_code = fit_boxes(position), encode_normals(normal)
-            code = encode_positions(position, boxes)
-            centre = decode_positions(code, boxes)
-            self._write(folder, start, code, normal_code, camera, color, boxes)
+            normal_code = encode_normals(normal)
+            centre, bits = self._write_geometry(folder, start, stop, position, normal_code)
+            for name, rows in (("normal_code", normal_code), ("camera", camera), ("color", color)):
+                arrays.write(folder, name, start, rows)
         if self.sizes:
             self._write_sizes(folder, start, stop)
         if self.ellipsoids:
@@ -97,6 +105,8 @@ class Splats:
             "n_without_camera": int((camera == NO_CAMERA).sum()),
             "position_error": float(off.sum()),
             "normal_error": float(np.degrees(np.arccos(cosine)).sum()),
+            "error_in_radii": float((off / self._radii(start, stop)).sum()),
+            "number_bits": bits,
         }
 
     def finalise(self, folder: Path, results: list[dict]) -> SplatsMade:
@@ -106,13 +116,31 @@ class Splats:
             n_without_camera=sum(r["n_without_camera"] for r in results),
             mean_position_error=sum(r["position_error"] for r in results) / n,
             mean_normal_error_degrees=sum(r["normal_error"] for r in results) / n,
+            mean_error_in_radii=sum(r["error_in_radii"] for r in results) / n,
+            number_bits=sum(r["number_bits"] for r in results) / n,
         )
 
-    def _write(self, folder: Path, start: int, code, normal_code, camera, color, boxes: Boxes) -> None:
-        for name, rows in (("position_code", code), ("normal_code", normal_code), ("camera", camera), ("color", color)):
-            arrays.write(folder, name, start, rows)
-        for name, rows in (("box_low", boxes.low), ("box_size", boxes.size), ("box_bits", boxes.bits)):
+    def _write_geometry(
+        self, folder: Path, start: int, stop: int, position: np.ndarray, normal_code: np.ndarray
+    ) -> tuple[np.ndarray, int]:
+        """Code positions, and normals with them where that is the form. Returns the positions (n, 3) as they will be decoded, and the bits
+        of all numbers of quadrics before they are sorted."""
+        if self.quadric_error is not None:
+            number, frames = encode_quadrics(
+                position, normal_code, asked_steps(self._radii(start, stop), self.quadric_error)
+            )
+            coded, of_chunks = ("number", number), arrays_of_frames(frames)
+            decoded = decode_quadrics(number, frames)[0]
+            bits = int(frames.bits[np.arange(stop - start) // CHUNK].sum())
+        else:
+            boxes = fit_boxes(position)
+            coded = "position_code", encode_positions(position, boxes)
+            of_chunks = dict(zip(BOX_ARRAYS, (boxes.low, boxes.size, boxes.bits)))
+            decoded, bits = decode_positions(coded[1], boxes), 0
+        arrays.write(folder, coded[0], start, coded[1])
+        for name, rows in of_chunks.items():
             arrays.write(folder, name, start // CHUNK, rows)
+        return decoded, bits
 
     def _write_sizes(self, folder: Path, start: int, stop: int) -> None:
         arrays.write(folder, "size_code", start, arrays.read(self.sizes, "size_code", start, stop))

@@ -17,19 +17,47 @@ from storage.packed.schema import GROUP, color_bits
 
 def splat_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
     """Position, normal and, where it is in whole bytes, colour of each splat side by side, (n, 8) or (n, 5) uint8: one
-    load instead of five."""
+    load instead of five; of quadrics the first word of each group, in what follows too, and the words of numbers, uint32."""
+    if "splats" in arrays:
+        first = arrays["splat_word"][::CHUNKS_PER_GROUP]
+        return np.concatenate([first + np.uint32(len(first)), arrays["splats"]])
     color = [arrays["color"]] if "color" in arrays else []
     return np.concatenate([arrays["position"], arrays["normal"].view(np.uint8), *color], axis=1)
 
 
 def box_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """Low corner, size, bits along x and y, and the scale of its splats' sizes, of each chunk's box, (n_chunks, 7) uint32."""
-    words = np.zeros((len(arrays["batch_count"]), 7), np.uint32)
+    """Low corner, size, bits along x and y, and the scale of its splats' sizes, of each chunk's box, (n_chunks, 7) uint32; of quadrics
+    (n_chunks, 9), as renderer/shaders/quadric.glsl reads them."""
+    words = _frame_words(arrays) if "splats" in arrays else np.zeros((len(arrays["batch_count"]), 7), np.uint32)
     if "box_low" in arrays:
         _add_boxes(words, arrays)
     if "size_scale" in arrays:
         words[:, 6] |= arrays["size_scale"].astype(np.uint32) @ np.array([1 << 16, 1 << 24], np.uint32)
     return words
+
+
+def _frame_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """Origin; turn and bits; step and steps of normals; curve and high parts of cells; low parts of cells and the scale of sizes; slopes;
+    where normals begin and the first word."""
+    cells, step = arrays["frame_cells"].astype(np.uint32) - 1, arrays["frame_step"].astype(np.uint32)
+    low, many = (arrays["normal_low"] + 256).astype(np.uint32), arrays["normal_cells"].astype(np.uint32)
+    in_group = arrays["splat_word"] - np.repeat(arrays["splat_word"][::CHUNKS_PER_GROUP], CHUNKS_PER_GROUP)[: len(low)]
+    return np.column_stack(
+        [
+            arrays["frame_origin"].view(np.uint32),
+            _bytes_word(arrays["frame_turn"], arrays["frame_bits"]),
+            step | many[:, 0] << 16 | many[:, 1] << 24,
+            _bytes_word(arrays["frame_curve"], cells[:, 0] >> 8 | cells[:, 1] >> 8 << 4),
+            cells[:, 0] & 0xFF | (cells[:, 1] & 0xFF) << 8,
+            np.ascontiguousarray(arrays["normal_slope"]).view(np.uint32)[:, 0],
+            low[:, 0] | low[:, 1] << 9 | in_group << 18,
+        ]
+    )
+
+
+def _bytes_word(three: np.ndarray, fourth: np.ndarray) -> np.ndarray:
+    """Three bytes (c, 3) and a fourth (c,) as words (c,) uint32."""
+    return np.column_stack([three.view(np.uint8), fourth.astype(np.uint8)]).view("<u4")[:, 0].astype(np.uint32)
 
 
 def _add_boxes(words: np.ndarray, arrays: dict[str, np.ndarray]) -> None:

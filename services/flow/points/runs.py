@@ -33,6 +33,7 @@ class GeometryRequest:
     form: str = BOXES
     cell: float | None = None
     run_length: int = RUN_LENGTH
+    error: float | None = None  # mean one of positions over quadrics, in radii
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class RunGeometry:
 
 def geometry_request(settings: Settings) -> GeometryRequest:
     """What settings say of it."""
-    return GeometryRequest(settings.geometry, settings.cell, settings.run_length)
+    return GeometryRequest(settings.geometry, settings.cell, settings.run_length, settings.geometry_error)
 
 
 def grid_for(run: Run, asked: GeometryRequest, ingest: ScanRead, points: Path, splats: Path) -> StageRecord[GridFound]:

@@ -11,12 +11,12 @@ export const MIP_SIZES = [32, 16, 8, 4, 2, 1];
 const MOST_CHUNK_BYTES = 1 << 24;
 const TYPES = {
   box_low: Float32Array, box_size: Float32Array, color_low: Int16Array, colors: Uint32Array, codes: Uint32Array, weight_levels: Float32Array,
-  atom_scale: Float32Array, cliplines: Uint32Array, sizes: Uint32Array, ellipsoids: Uint32Array, camera: Uint16Array, group_low: Float32Array,
+  frame_origin: Float32Array, frame_step: Uint16Array, frame_cells: Uint16Array, normal_low: Int16Array, splats: Uint32Array, atom_scale: Float32Array, cliplines: Uint32Array, sizes: Uint32Array, ellipsoids: Uint32Array, camera: Uint16Array, group_low: Float32Array,
   group_high: Float32Array, group_radius: Float32Array, group_rows: Uint32Array, group_start: BigUint64Array, group_bytes: BigUint64Array,
 }; // all others are bytes
-const SIGNED = new Set(["normal", "run_codebook"]);
+const SIGNED = new Set(["normal", "frame_turn", "frame_curve", "normal_slope", "run_codebook"]);
 const FIRST_CHUNK = /\/c\/0(\/0)*$/, NOT_OF_GROUPS = /^(group|atoms?|map|weight)_|^run_codebook/;
-const STREAMS = ["colors", "codes", "cliplines", "ellipsoids"]; // in the order of group_rows, behind run_codes
+const STREAMS = ["splats", "colors", "codes", "cliplines", "ellipsoids"]; // in the order of group_rows, behind run_codes, which no file has with splats
 
 /** An opened packed file: its header, and arrays when they are asked for. */
 export class Packed {
@@ -32,7 +32,8 @@ export class Packed {
   constructor(source, members, header) {
     if (header.format !== "splatpress" || !VERSIONS.includes(header.version))
       throw new Error(`a file of version ${header.version}; this viewer draws version ${VERSIONS.join(", ")}`);
-    if (!["boxes", "runs"].includes(header.geometry ?? "boxes")) throw new Error(`a file whose geometry is ${header.geometry}; this viewer draws boxes and runs`);
+    if (!["boxes", "runs", "quadrics"].includes(header.geometry ?? "boxes"))
+      throw new Error(`a file whose geometry is ${header.geometry}; this viewer draws boxes, runs and quadrics`);
     Object.assign(this, { source, members, header });
     header.effects ??= {};
     this.nChunks = Math.ceil(header.n_splats / CHUNK);

@@ -7,6 +7,7 @@ import { groupTree, sharesOf } from "./detail.js";
 import { mapFrames, mapTextures } from "./maps.js";
 import { CHUNK, CHUNKS_PER_GROUP, GROUP, MIP_SIZES } from "./packed.js";
 import { Pool } from "./pool.js";
+import { FRAMES, frameBoxes } from "./quadrics.js";
 import { decodeRuns } from "./runs.js";
 import { Seals } from "./seals.js";
 import { groupBoxes, splatWords, tablesOf, widthsOf } from "./tables.js";
@@ -35,11 +36,13 @@ export class Scene {
     if (header.n_dictionary && header.coarsest_size < header.atom_size) this.drawn.add("mip_levels");
     const first = header.batches.findIndex((batch) => batch.clipline || batch.ellipsoid);
     this.nLeading = first < 0 ? header.batches.length : first;
-    this.defines = { COLOR_BOXES: header.color_step ? 1 : 0, SIZE_BITS: header.size_bits, DETAIL: levels ? 1 : 0, RUNS: header.runs ? 1 : 0, MAPPED: 0 };
+    this.defines = { COLOR_BOXES: header.color_step ? 1 : 0, SIZE_BITS: header.size_bits, DETAIL: levels ? 1 : 0, RUNS: header.runs ? 1 : 0,
+      QUADRICS: header.geometry === "quadrics" ? 1 : 0, MAPPED: 0 };
     const here = (name) => packed.has(name);
     this.runArrays = OF_RUNS.filter(here);
-    this.geometryArrays = [...OF_CHUNKS, "position", "normal", "color", "station"].filter(here).concat(this.runArrays);
-    this.shapeArrays = ["colors", "ellipsoids", "cliplines"].filter(here);
+    this.frameArrays = FRAMES.filter(here);
+    this.geometryArrays = [...OF_CHUNKS, "position", "normal", "color", "station"].filter(here).concat(this.runArrays, this.frameArrays);
+    this.shapeArrays = ["splats", "colors", "ellipsoids", "cliplines"].filter(here);
   }
 
   get bytes() {
@@ -166,7 +169,9 @@ export class Scene {
       const words = Array.from({ length: nGroups }, (_, group) => this.rowsOf(name, group)), first = [0];
       if (pool.isWhole) for (const n of words) first.push(first.at(-1) + n);
       const most = words.reduce((a, b) => Math.max(a, b), 0);
-      return [name, { begin: pool.isWhole ? (slot) => first[slot] : (slot) => slot * most, total: pool.isWhole ? first[nGroups] : pool.nSlots * most }];
+      const ahead = name === "splats" ? pool.nSlots : 0; // words that say where each slot's begin
+      return [name, { begin: pool.isWhole ? (slot) => ahead + first[slot] : (slot) => ahead + slot * most,
+        total: ahead + (pool.isWhole ? first[nGroups] : pool.nSlots * most) }];
     }));
     if (ragged.length && this.rows.length < ragged.length * nGroups) throw new Error("a table of groups that is shorter than they are");
   }
@@ -184,16 +189,18 @@ export class Scene {
       groups: words(nSlots * widths.groups) });
     if (header.levels) textures.shares = words(nSlots);
     if (header.maps) textures.splat_maps = words(Math.ceil(n / 4));
-    if (header.runs && pairs) textures.colors = words(Math.ceil((3 * n) / 4) + 1);
-    textures.splats = header.runs ? words(4 * n) : new Words(gl, pairs ? n : Math.ceil((n * 5) / 4) + 1, pairs);
+    const { RUNS, QUADRICS } = this.defines;
+    if ((RUNS || QUADRICS) && pairs) textures.colors = words(Math.ceil((3 * n) / 4) + 1);
+    if (!QUADRICS) textures.splats = RUNS ? words(4 * n) : new Words(gl, pairs ? n : Math.ceil((n * 5) / 4) + 1, pairs);
     for (const name of packed.streams) textures[name] = words(this.streams[name].total + 1);
+    if (QUADRICS) textures.splats.put(0, Uint32Array.from({ length: nSlots }, (_, slot) => this.streams.splats.begin(slot)));
   }
 
   // Boxes of chunks that hold the scene, before a camera is placed: those of the coarsest level, which is the first picture too, else of all groups.
   async outlineByChunks(signal) {
     const { packed, header, kept } = this, { levels } = header;
     const groups = Array.from({ length: levels ? Math.ceil(levels[0] / GROUP) : packed.nGroups }, (_, group) => group);
-    const isSmall = levels || packed.source.size < BATCH_BYTES, arrays = isSmall ? packed.ofGroups : header.runs ? this.runArrays : ["box_low", "box_size"];
+    const isSmall = levels || packed.source.size < BATCH_BYTES, arrays = isSmall ? packed.ofGroups : header.runs ? this.runArrays : this.defines.QUADRICS ? this.frameArrays : ["box_low", "box_size"];
     for (let chunks; (chunks = this.batch(this.pool.want(groups), arrays)).length;) await this.read(chunks, () => {}, signal, isSmall ? undefined : SMALL_GAP);
     const n = Math.min(groups.length * CHUNKS_PER_GROUP, packed.nChunks), low = kept.box_low.slice(0, 3 * n);
     this.outline = { low, high: low.map((x, i) => x + kept.box_size[i]), n };
@@ -207,6 +214,7 @@ export class Scene {
     } else if (this.geometryArrays.includes(array)) {
       const parts = { ...this.waiting.get(group), [array]: values };
       if (this.runArrays.includes(array) && this.runArrays.every((name) => parts[name])) this.decodeRuns(group, parts);
+      if (this.frameArrays.includes(array) && this.frameArrays.every((name) => parts[name])) this.keep(group, frameBoxes(parts, Math.ceil(this.splatsOf(group) / CHUNK)));
       this.waiting.set(group, parts);
       this.keep(group, { [array]: values });
       if (this.geometryArrays.every((name) => parts[name])) {
@@ -233,7 +241,7 @@ export class Scene {
 
   putGroup(group, parts) {
     const { header, textures, widths, pool } = this, slot = pool.slotOf[group], n = this.splatsOf(group), chunk = slot * CHUNKS_PER_GROUP;
-    if (!header.runs) {
+    if (!(header.runs || this.defines.QUADRICS)) {
       const perGroup = header.color_step ? (GROUP * 5) / 4 : GROUP, spared = n < GROUP ? undefined : perGroup * (header.color_step ? 1 : 2);
       textures.splats.put(slot * perGroup, splatWords(n, parts).subarray(0, spared));
     } else if (parts.color) textures.colors.put((slot * GROUP * 3) / 4, asWords(parts.color, 3 * n));

@@ -1,12 +1,16 @@
 // What is derived of groups as they arrive: running counts of batches, where streams begin, boxes. Mirrors renderer/splats/upload/tables.py.
 
 import { CHUNK } from "./packed.js";
+import { FRAME_WORDS, firstNumbers, putFrame } from "./quadrics.js";
 
 const LONGEST_ELLIPSOID = 4; // half axis in radii that a byte can say
 
+// Words of a chunk's box or frame, before those of its colours.
+const colorAt = (geometry) => (geometry === "quadrics" ? FRAME_WORDS : 7);
+
 /** Words that the tables take a chunk and a group. */
-export const widthsOf = ({ size_bits, color_step, batches }) =>
-  ({ boxes: (color_step ? 11 : 7) + 4 * size_bits, running: batches.length - 1, groups: 2 + 2 * batches.length });
+export const widthsOf = ({ size_bits, color_step, batches, geometry }) =>
+  ({ boxes: colorAt(geometry) + (color_step ? 4 : 0) + 4 * size_bits, running: batches.length - 1, groups: 2 + 2 * batches.length });
 
 /**
  * Tables of the chunks of a group by its arrays, as the shaders take them: `boxes` and `running` words, its row of `groups`, and the `counts` of
@@ -25,15 +29,18 @@ const radiusOf = (header, step) => header.radius * 2 ** (step / 16 - 8);
 // Low corner, size, bits and scale of sizes of each chunk's box, where colours are in boxes first word, low corner, size and bits of those, and
 // where splats have sizes their words.
 function boxWords(header, arrays, nSplats, colorWord) {
-  const sizeAt = header.color_step ? 11 : 7, perChunk = 4 * header.size_bits, width = sizeAt + perChunk, nChunks = Math.ceil(nSplats / CHUNK);
+  const ofFrames = header.geometry === "quadrics", at0 = colorAt(header.geometry), sizeAt = at0 + (header.color_step ? 4 : 0), perChunk = 4 * header.size_bits, width = sizeAt + perChunk, nChunks = Math.ceil(nSplats / CHUNK);
   const words = new Uint32Array(nChunks * width), floats = new Float32Array(words.buffer);
+  const numbers = ofFrames && firstNumbers(arrays, nSplats, header.batches.length);
   for (let chunk = 0; chunk < nChunks; ++chunk) {
     const at = chunk * width, i = 3 * chunk;
-    for (let axis = 0; axis < 3; ++axis) {
-      floats[at + axis] = arrays.box_low[i + axis];
-      floats[at + 3 + axis] = arrays.box_size[i + axis];
+    if (ofFrames) {
+      putFrame(words, at, chunk, arrays, numbers[chunk]);
+    } else {
+      floats.set(arrays.box_low.subarray(i, i + 3), at);
+      floats.set(arrays.box_size.subarray(i, i + 3), at + 3);
+      words[at + 6] = arrays.box_bits[i] | (arrays.box_bits[i + 1] << 8);
     }
-    words[at + 6] = arrays.box_bits[i] | (arrays.box_bits[i + 1] << 8);
     if (header.size_bits) {
       words[at + 6] |= (arrays.size_scale[2 * chunk] << 16) | (arrays.size_scale[2 * chunk + 1] << 24);
       words.set(arrays.sizes.subarray(chunk * perChunk, (chunk + 1) * perChunk), at + sizeAt);
@@ -41,10 +48,10 @@ function boxWords(header, arrays, nSplats, colorWord) {
     if (!header.color_step) continue;
     const low = arrays.color_low.subarray(i, i + 3), size = arrays.color_size.subarray(i, i + 3);
     const bits = [...size].map((s) => Math.max(0, Math.ceil((s - header.color_step) / 16)));
-    words[at + 7] = colorWord;
-    words[at + 8] = (low[0] & 0xffff) | (low[1] << 16);
-    words[at + 9] = (low[2] & 0xffff) | (size[0] << 16) | (size[1] << 24);
-    words[at + 10] = size[2] | (bits[0] << 8) | (bits[1] << 16) | (bits[2] << 24);
+    words[at + at0] = colorWord;
+    words[at + at0 + 1] = (low[0] & 0xffff) | (low[1] << 16);
+    words[at + at0 + 2] = (low[2] & 0xffff) | (size[0] << 16) | (size[1] << 24);
+    words[at + at0 + 3] = size[2] | (bits[0] << 8) | (bits[1] << 16) | (bits[2] << 24);
     colorWord += Math.ceil((Math.min(CHUNK, nSplats - chunk * CHUNK) * (bits[0] + bits[1] + bits[2])) / 32);
   }
   return words;

@@ -36,7 +36,11 @@ def scene_of(name: str, smallest: float = 0.02):
         return on_runs(
             scene_of({"runs": "groups", "runs-in-boxes": "everything"}[name], smallest=0.13)
         )  # cells of 0.06, no pinholes
-    if name == "groups":
+    if name == "quadrics-in-boxes":
+        axes = np.tile(np.diag([0.12, 0.06, 0.03])[[0, 2, 1]], (300, 1, 1))
+        axes[rng.random(300) < 0.7] = np.nan
+        return build_scene(sheet(rng, 300, axes=axes), Settings(radius=0.12, color_step=112, quadric_error=1 / 30))
+    if name in ("groups", "quadrics"):
         n = GROUP + 300
         line = np.tile([0.8, 0.6, 0.1], (n, 1))
         line[rng.random(n) < 0.6] = np.nan
@@ -44,7 +48,8 @@ def scene_of(name: str, smallest: float = 0.02):
         splats = replace(splats, position=splats.position + UTM)
         cameras = tuple(replace(camera_looking(np.add(UTM, (x, -2, 0.3)), UTM), name=f"{x}.jpg") for x in (-0.4, 0.1))
         splats = replace(splats, size=smallest * 2.5 ** rng.random(n))
-        return build_scene(splats, Settings(radius=0.03, origin=UTM, cameras=cameras), dictionary)
+        error = 1 / 30 if name == "quadrics" else None
+        return build_scene(splats, Settings(0.03, UTM, cameras=cameras, quadric_error=error), dictionary)
     if name == "maps":
         axes = np.tile(np.diag([0.12, 0.06, 0.03])[[0, 2, 1]], (400, 1, 1))
         axes[rng.random(400) < 0.7] = np.nan
@@ -83,7 +88,7 @@ def _without_complaints_of_others(page):
 def served(tmp_path_factory):
     """Addresses and scenes by name."""
     folder, running, found = tmp_path_factory.mktemp("files"), [], {}
-    for name in ("atoms", "everything", "groups", "maps", "runs", "runs-in-boxes"):
+    for name in ("atoms", "everything", "groups", "quadrics", "quadrics-in-boxes", "maps", "runs", "runs-in-boxes"):
         scene = scene_of(name)
         running.append(serving(write_arrays(scene.header, scene.arrays, folder / f"{name}.splatpress")))
         found[name] = running[-1].__enter__(), scene
@@ -123,7 +128,9 @@ VIEWS = {  # eye, size, focal length
 }
 
 
-@pytest.mark.parametrize("name", ["atoms", "everything", "groups", "maps", "runs", "runs-in-boxes"])
+@pytest.mark.parametrize(
+    "name", ["atoms", "everything", "groups", "quadrics", "quadrics-in-boxes", "maps", "runs", "runs-in-boxes"]
+)
 def test_viewer__draws_what_render_does(page, served, renderer, name):
     url, scene = served[name]
     open_viewer(page, url)
@@ -169,8 +176,9 @@ def test_viewer__draws_as_few_atoms_as_are_asked_for(page, served, renderer, ato
     assert_alike(page, renderer, scene, camera_looking(eye, (0, 0, 0), size, (focal, focal)), max_atoms=atoms)
 
 
-def test_viewer__begins_where_render_orbits(page, served):
-    url, scene = served["groups"]
+@pytest.mark.parametrize("name", ["groups", "quadrics"])
+def test_viewer__begins_where_render_orbits(page, served, name):
+    url, scene = served[name]
     open_viewer(page, url)
     (expected,) = orbit_views(scene, 1, (400, 400))  # the page may be any shape: it begins with what a square one shows
     found = json.loads(page.look("JSON.stringify({ up: viewer.camera.up, ...viewer.camera.view(400, 400) })"))

@@ -22,7 +22,7 @@ from storage.packed.groups import TABLE
 from storage.packed.layout import metadata_of
 from storage.packed.packed import PackedFile, is_packed_file
 from storage.packed.scene import PackedScene
-from storage.packed.schema import ARRAYS, BY_NAME, GROUP, Batch, Header, arrays_of
+from storage.packed.schema import ARRAYS, BY_NAME, FORMS, GROUP, QUADRICS, RUNS, Batch, Header, arrays_of
 from storage.packed.seal import SEAL_BYTES, UNSEALED, write_seal
 from storage.packed.writer import create_array, seal_packed
 from tests.packed_files import (
@@ -42,6 +42,7 @@ MANY_GROUPS = Case(n_splats=9 * GROUP + 500, cliplines=True, period=128)  # in t
 MAPPED = Case(n_splats=300, n_dictionary=0, atom_counts=(0,), n_maps=2)
 BOXED = Case(n_splats=300, n_dictionary=3, atom_counts=(0, 1, 9, 16), n_ranks=16, color_step=112)
 WALKED = Case(n_splats=300, atom_counts=(0, 2), n_dictionary=3, runs=True)
+CURVED = Case(n_splats=300, atom_counts=(0, 2), n_dictionary=3, quadrics=True)
 HUGE, NOT_A_NUMBER = 2**60, float("nan")
 MANY_BOXED = replace(MANY_GROUPS, cliplines=False, color_step=112)
 
@@ -65,6 +66,11 @@ def boxed(tmp_path_factory):
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory):
     return write_packed_file(WALKED, tmp_path_factory.mktemp("packed") / "walked.splatpress")
+
+
+@pytest.fixture(scope="module")
+def curved(tmp_path_factory):
+    return write_packed_file(CURVED, tmp_path_factory.mktemp("packed") / "curved.splatpress")
 
 
 @pytest.fixture(scope="module")
@@ -369,7 +375,9 @@ def test_packed__is_told_from_other_files_by_its_end(small, tmp_path):
 
 @pytest.mark.parametrize("array", ARRAYS, ids=lambda array: array.name)
 def test_packed__zarr_writes_the_metadata_that_the_layout_says(array, tmp_path):
-    header = header_of(BOXED if array.name == "colors" else WALKED if array.name.startswith("run_") else SMALL)
+    header = header_of(
+        BOXED if array.name == "colors" else {RUNS: WALKED, QUADRICS: CURVED}.get(FORMS.get(array.name), SMALL)
+    )
     created = create_array(zarr.open_group(str(tmp_path), mode="w"), header, array)
     assert json.loads((tmp_path / array.name / "zarr.json").read_bytes()) == metadata_of(array, created.shape)
 
@@ -738,8 +746,10 @@ def mapped(tmp_path_factory):
     return write_packed_file(MAPPED, tmp_path_factory.mktemp("packed") / "mapped.splatpress")
 
 
-def one_with(name: str, small, boxed, walked, mapped):
+def one_with(name: str, small, boxed, walked, mapped, curved):
     """A file that has an array."""
+    if FORMS.get(name) == QUADRICS:
+        return curved
     if name.startswith("run_"):
         return walked
     if BY_NAME[name].part == "maps":
@@ -748,21 +758,21 @@ def one_with(name: str, small, boxed, walked, mapped):
 
 
 @pytest.mark.parametrize("name", [array.name for array in ARRAYS])
-def test_packed__refuses_a_missing_array(small, boxed, walked, mapped, tmp_path, name):
+def test_packed__refuses_a_missing_array(small, boxed, walked, mapped, curved, tmp_path, name):
     def drop(members):
         for member in [m for m in members if m.startswith(name + "/")]:
             del members[member]
 
-    assert_refused(craft(one_with(name, small, boxed, walked, mapped), tmp_path / "a.splatpress", drop))
+    assert_refused(craft(one_with(name, small, boxed, walked, mapped, curved), tmp_path / "a.splatpress", drop))
 
 
 @pytest.mark.parametrize("name", [array.name for array in ARRAYS])
-def test_packed__refuses_a_missing_chunk(small, boxed, walked, mapped, tmp_path, name):
+def test_packed__refuses_a_missing_chunk(small, boxed, walked, mapped, curved, tmp_path, name):
     def drop(members):
         del members[next(m for m in members if m.startswith(name + "/c/"))]
 
     assert_refused(
-        craft(one_with(name, small, boxed, walked, mapped), tmp_path / "a.splatpress", drop), match="members"
+        craft(one_with(name, small, boxed, walked, mapped, curved), tmp_path / "a.splatpress", drop), match="members"
     )
 
 

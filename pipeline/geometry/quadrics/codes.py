@@ -1,0 +1,155 @@
+"""Numbers of splats over quadrics, and the frames that they are in.
+
+Cells have the side that the error asked for allows, and then are made as small as the whole bits of the number leave room for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+
+from pipeline.geometry.normals import STEPS
+from pipeline.geometry.quadrics.frames import SLOPE_BITS, Frames, curved, sloped
+from pipeline.geometry.quadrics.quaternions import axes_of
+from pipeline.geometry.quadrics.surfaces import Surface, surface
+from storage.packed.schema import CHUNK, LEAST_NUMBER_BITS, MOST_FRAME_CELLS, MOST_NUMBER_BITS, curve_units, steps_of
+
+MEAN_OF_CELL = 0.4803  # distance of a point in a cube of side 1 from its middle, on average
+ERROR = 1 / 30  # of a radius: mean distance of a decoded position from its own, by default
+MOST_NORMALS = 256  # along a coordinate
+MOST_PLACES = 2.0**31  # cells of a chunk
+TO_SPARE = (
+    1.09  # numbers have half a bit to spare on average, which makes cells so much smaller: measured on three scans
+)
+MOST_ATTEMPTS = 400  # at cells whose numbers fit; the third nearly always does
+
+
+def asked_steps(radii: np.ndarray, error: float) -> np.ndarray:
+    """Sides (c,) of cells at which the splats of each chunk are off by `error` of their own radii (n,) on average."""
+    first = np.arange(0, len(radii), CHUNK)
+    inverse = np.add.reduceat(1 / radii, first) / np.minimum(CHUNK, len(radii) - first)
+    return error / MEAN_OF_CELL / inverse
+
+
+def encode_quadrics(position: np.ndarray, normal_code: np.ndarray, asked: np.ndarray) -> tuple[np.ndarray, Frames]:
+    """Numbers (n,) uint64 and the frames of chunks, of positions (n, 3) float64 against the origin, octahedral normals (n, 2) int8 and
+    sides of cells (c,) as `asked_steps` makes them.
+
+    Guarantees: the decoded position lies within half a cell of the given one along every axis of its frame, but for float32's rounding
+    of `origin`; cells are at most 1.1 as wide as asked where 47 bits, 2^31 cells, 4,096 along an axis and that rounding leave them so;
+    normals come back exactly, though perhaps by another code of the same. A chunk depends on no other.
+    """
+    n, n_chunks = len(position), -(-len(position) // CHUNK)
+    rows = np.minimum(np.arange(n_chunks * CHUNK), n - 1).reshape(
+        n_chunks, CHUNK
+    )  # the last splat fills up the last chunk
+    piece = surface(position[rows], normal_code[rows].astype(np.int64))
+    least = np.maximum(_least_steps(piece), piece.smallest)
+    step = _up(np.maximum(asked * TO_SPARE, least))
+    frames, number, largest = _coded(piece, step)
+    taken = np.log2(largest + 1.0)
+    bits = np.ceil(taken).clip(LEAST_NUMBER_BITS, _most_bits(frames)).astype(np.int64)
+    step = _up(np.maximum(steps_of(step) * np.exp2((taken - bits) / 3), least))
+    pending = np.arange(n_chunks)
+    for _ in range(MOST_ATTEMPTS):
+        some, numbers, largest = _coded(piece.at(pending), step[pending])
+        bits[pending] = np.minimum(bits[pending], _most_bits(some))
+        fits = largest < 2.0 ** bits[pending]
+        done = pending[fits]
+        number[done] = numbers[fits]
+        for field in fields(frames):
+            getattr(frames, field.name)[done] = getattr(some, field.name)[fits]
+        pending = pending[~fits]
+        if not len(pending):
+            frames.bits[:] = bits
+            return number.reshape(-1)[:n].astype(np.uint64), frames
+        step[pending] = _up(1.015 * steps_of(step[pending]))
+    raise AssertionError(f"no frame of {len(pending)} chunks after {MOST_ATTEMPTS} attempts")
+
+
+def _most_bits(frames: Frames) -> np.ndarray:
+    """Of a number whose cells are below 2^32, (c,)."""
+    normals = (frames.normal_cells.astype(np.int64) + 1).prod(axis=1)
+    return np.minimum(MOST_NUMBER_BITS, 31 + np.frexp(normals.astype(np.float64))[1])
+
+
+def _up(step: np.ndarray) -> np.ndarray:
+    """Steps (c,) as they are stored, uint16, none smaller than they were."""
+    word = np.nextafter(step.astype(np.float32), np.float32(np.inf)).view(np.uint32)
+    return ((word + np.uint32(0xFFFF)) >> np.uint32(16)).astype(np.uint16)
+
+
+def _coded(piece: Surface, step: np.ndarray) -> tuple[Frames, np.ndarray, np.ndarray]:
+    """Frames with cells of `step` (c,) uint16, the numbers (c, CHUNK) int64 in them, and the largest of each (c,). Where normals look all
+    round they have the whole map, by itself."""
+    frames = _positioned(piece, step)
+    cell, half = _cells(piece.point, frames)
+    low, many = _normal_range(half, piece.unfolded, frames)
+    folded = ((many > MOST_NORMALS) | (np.abs(low) > 2 * STEPS)).any(axis=1)
+    frames.normal_slope[folded] = 0
+    codes = np.where(folded[:, None, None], piece.normal, piece.unfolded)
+    low, many = _normal_range(half, codes, frames)
+    frames.normal_low[:], frames.normal_cells[:] = low, many - 1
+    digit = codes - sloped(half, frames.normal_slope[:, None]) - low[:, None]
+    cells = frames.cells.astype(np.int64)[:, None]
+    place = (cell[..., 2] * cells[..., 1] + cell[..., 1]) * cells[..., 0] + cell[..., 0]
+    number = (place * many[:, None, 1] + digit[..., 1]) * many[:, None, 0] + digit[..., 0]
+    return frames, number, number.max(axis=1)
+
+
+def _least_steps(piece: Surface) -> np.ndarray:
+    """The side (c,) of the smallest cells of which the chunk's box has no more than MOST_PLACES, and MOST_FRAME_CELLS along U and V."""
+    largest = np.maximum(piece.extent.max(axis=1), piece.smallest)
+    low, high = np.full(len(largest), -32.0), np.full(len(largest), 1.0)
+    for _ in range(20):
+        middle = (low + high) / 2
+        cells = np.floor(piece.extent / (largest * np.exp2(middle))[:, None]) + 2
+        fits = (cells.prod(axis=1) <= MOST_PLACES) & (cells[:, :2].max(axis=1) <= MOST_FRAME_CELLS)
+        low, high = np.where(fits, low, middle), np.where(fits, middle, high)
+    return largest * np.exp2(high)
+
+
+def _positioned(piece: Surface, step: np.ndarray) -> Frames:
+    """Frames with cells of `step` (c,) uint16; of normals they have the slopes."""
+    wide, flat = steps_of(step)[:, None], piece.along[..., :2]
+    low = flat.min(axis=1)
+    cells = (np.floor(np.ptp(flat, axis=1) / wide) + 1).clip(1, MOST_FRAME_CELLS).astype(np.uint16)
+    many, unit = cells.astype(np.int64)[:, None], curve_units(cells)[:, None]
+    curve = np.rint(piece.quadric * wide / 4 / unit).clip(-127, 127).astype(np.int8)
+    slope = np.rint(piece.plane * wide[..., None] / 2 * 2**SLOPE_BITS).clip(-127, 127).astype(np.int8)
+    cell = np.floor((flat - low[:, None]) / wide[:, None]).clip(0, many - 1)
+    height = piece.along[..., 2] / wide - curved(2 * cell + 1 - many, curve[:, None], unit)
+    corner = np.concatenate([low, height.min(axis=1, keepdims=True) * wide], axis=1)
+    origin = piece.point.mean(axis=1) + np.einsum("ci,cij->cj", corner, axes_of(piece.turn))
+    two = np.zeros((len(step), 2))
+    return Frames(
+        origin.astype(np.float32),
+        piece.turn,
+        step.copy(),
+        cells,
+        curve,
+        np.zeros(len(step), np.uint8),
+        two.astype(np.int16),
+        two.astype(np.uint8),
+        slope.reshape(-1, 4),
+    )
+
+
+def _cells(point: np.ndarray, frames: Frames) -> tuple[np.ndarray, np.ndarray]:
+    """Cells (c, CHUNK, 3) int64 and half cells (c, CHUNK, 2) of positions, in frames as they are stored."""
+    along = np.einsum("cij,ckj->cik", point - frames.origin[:, None].astype(np.float64), axes_of(frames.turn))
+    along /= steps_of(frames.step)[:, None, None]
+    many = frames.cells.astype(np.int64)[:, None]
+    flat = np.floor(along[..., :2]).clip(0, many - 1).astype(np.int64)
+    half = 2 * flat + 1 - many
+    height = along[..., 2] - curved(half, frames.curve[:, None], curve_units(frames.cells)[:, None])
+    deep = np.floor(height).clip(0, 2.0**32).astype(np.int64)
+    return np.concatenate([flat, deep[..., None]], axis=2), half
+
+
+def _normal_range(half: np.ndarray, unfolded: np.ndarray, frames: Frames) -> tuple[np.ndarray, np.ndarray]:
+    """The lowest steps (c, 2) and how many there are (c, 2), int64."""
+    left = unfolded - sloped(half, frames.normal_slope[:, None])
+    low = left.min(axis=1)
+    return low, left.max(axis=1) - low + 1

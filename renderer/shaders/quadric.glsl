@@ -1,0 +1,111 @@
+// Position and normal of a splat as a cell over its chunk's quadric: numbers as storage/packed/quadrics.py packs them, decoded as
+// pipeline/geometry/quadrics/frames.py does. Needs view.glsl, splat_word and `boxes` with BOX_WORDS a chunk: origin (0 to 2), turn and bits of
+// numbers (3), step and steps of normals (4), curve and high parts of cells (5), low parts of cells and scale of sizes (6), slopes of
+// normals (7), where their steps begin and the chunk's first word in its group (8).
+
+#include "running_counts.glsl"
+
+const uint LEAST_BITS = 16u;  // of a number, which the lowest part has
+
+uint ones_of(uint word) {
+    word -= word >> 1 & 0x55555555u;
+    word = (word & 0x33333333u) + (word >> 2 & 0x33333333u);
+    return ((word + (word >> 4)) & 0x0F0F0F0Fu) * 0x01010101u >> 24;
+}
+
+// The 32 bits that begin `bit` bits after a word of the stream.
+uint word_at(uint first, uint bit) {
+    uint at = first + (bit >> 5), shift = bit & 31u;
+    return splat_word(at) >> shift | splat_word(at + 1u) << (31u - shift) << 1;
+}
+
+// How many bits of its numbers a batch of n splats keeps in unary.
+uint high_bits(uint n, uint bits) {
+    uint high = 0u;
+    while (high < bits - LEAST_BITS && (1u << high) < n) ++high;
+    return n * high > n + (1u << high) ? high : 0u;
+}
+
+// The number of a splat: its bits above the lowest 16, and these.
+uvec2 number_of(uint splat) {
+    uint chunk = splat / CHUNK, place = splat % CHUNK, box = chunk * BOX_WORDS, bits = boxes[box + 3u] >> 24;
+    uint first = splat_word(chunk / CHUNKS_PER_GROUP) + (boxes[box + 8u] >> 18);
+    uint at = 0u, begin = 0u, n = 0u, high = 0u;
+    for (uint batch_above = 1u; batch_above <= scene.n_batches; ++batch_above) {
+        uint end = counted(chunk, batch_above);
+        if (chunk % CHUNKS_PER_GROUP > 0u) end -= counted(chunk - 1u, batch_above);
+        n = end - begin;
+        high = high_bits(n, bits);
+        if (place < end) break;
+        at += n * (bits - high) + (high > 0u ? n + (1u << high) : 0u);
+        begin = end;
+    }
+    uint rank = place - begin, low = bits - high, top = 0u;
+    if (high > 0u) {  // the bit of its vector that is the one after `rank` others
+        uint left = rank, bit = at, word = word_at(first, bit), ones = ones_of(word);
+        for (uint i = 0u; i < 8u && ones <= left; ++i) {
+            left -= ones;
+            bit += 32u;
+            word = word_at(first, bit);
+            ones = ones_of(word);
+        }
+        for (uint width = 16u; width > 0u; width >>= 1) {
+            ones = ones_of(word & ((1u << width) - 1u));
+            if (ones <= left) {
+                left -= ones;
+                word >>= width;
+                bit += width;
+            }
+        }
+        top = bit - at - rank;
+        at += n + (1u << high);
+    }
+    at += rank * low;
+    uint above = word_at(first, at + LEAST_BITS) & ((1u << (low - LEAST_BITS)) - 1u);
+    return uvec2(top << (low - LEAST_BITS) | above, word_at(first, at) & 0xFFFFu);
+}
+
+uvec2 cells_of(uint box) {
+    uint low = boxes[box + 6u], high = boxes[box + 5u] >> 24;
+    return (uvec2(low, low >> 8) & 0xFFu | uvec2(high << 8 & 0xF00u, high << 4 & 0xF00u)) + 1u;
+}
+
+ivec4 bytes_of(uint word) { return ivec4(int(word << 24) >> 24, int(word << 16) >> 24, int(word << 8) >> 24, int(word) >> 24); }
+
+// What left the octahedral map over an edge, where it comes in again.
+ivec2 wrapped(ivec2 p) {
+    if (abs(p.x) > 127) p = ivec2(p.x > 0 ? 254 - p.x : -254 - p.x, -p.y);
+    if (abs(p.y) > 127) p = ivec2(-p.x, p.y > 0 ? 254 - p.y : -254 - p.y);
+    return p;
+}
+
+vec3 turned_by(vec4 q, vec3 p) { return p + 2.0 * cross(q.xyz, cross(q.xyz, p) + q.w * p); }
+
+// The octahedral normal of a splat, and its cell as one number: the quotient of its number by the steps of normals, two digits of it.
+uint read_splat(uint splat, out ivec2 normal) {
+    uint box = splat / CHUNK * BOX_WORDS;
+    uvec2 number = number_of(splat), steps = (uvec2(boxes[box + 4u]) >> uvec2(16u, 24u) & 0xFFu) + 1u, cells = cells_of(box);
+    uint states = steps.x * steps.y, above = number.x / states, rest = (number.x - above * states) << 16 | number.y;
+    uint cell = (above << 16) + rest / states, which = rest % states, low = boxes[box + 8u];
+    ivec2 across = ivec2(2u * uvec2(cell % cells.x, cell / cells.x % cells.y) + 1u) - ivec2(cells);
+    ivec4 slope = bytes_of(boxes[box + 7u]);
+    ivec2 sloped = ivec2(slope.x * across.x + slope.y * across.y, slope.z * across.x + slope.w * across.y) >> 8;
+    ivec2 begin = ivec2(low & 0x1FFu, low >> 9 & 0x1FFu) - 256;
+    normal = wrapped(clamp(begin + ivec2(which % steps.x, which / steps.x) + sloped, -254, 254));
+    return cell;
+}
+
+// Against a place that is the sum of two floats, part by part.
+vec3 position_against(vec3 place_high, vec3 place_low, uint splat, uint code) {
+    uint box = splat / CHUNK * BOX_WORDS, longest = 1u;
+    uvec2 cells = cells_of(box);
+    while (longest <= max(cells.x, cells.y)) longest <<= 1;
+    uvec3 cell = uvec3(code % cells.x, code / cells.x % cells.y, code / cells.x / cells.y);
+    vec2 across = vec2(2u * cell.xy + 1u) - vec2(cells);
+    vec3 curve = vec3(bytes_of(boxes[box + 5u]).xyz) / float(longest << 7);
+    float height = curve.x * across.x * across.x + curve.y * across.x * across.y + curve.z * across.y * across.y;
+    vec3 along = (vec3(cell) + vec3(0.5, 0.5, 0.5 + height)) * uintBitsToFloat(boxes[box + 4u] << 16);
+    vec3 origin = uintBitsToFloat(uvec3(boxes[box], boxes[box + 1u], boxes[box + 2u]));
+    vec4 turn = normalize(vec4(bytes_of(boxes[box + 3u]).xyz, 117));
+    return against(place_high, place_low, origin) + turned_by(turn, along);
+}

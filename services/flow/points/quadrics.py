@@ -1,0 +1,44 @@
+"""The geometry of a scan's splats over quadrics, where it is asked for or fewer bytes than boxes at the asked error."""
+
+from __future__ import annotations
+
+from pipeline.effects.plan.plan import Row
+from pipeline.geometry.quadrics.codes import ERROR
+from pipeline.summaries import SplatsMade
+from services.flow.points.runs import AUTO, BOX_BITS, GeometryRequest
+from storage.packed.schema import CHUNK, QUADRICS
+
+FRAME_BITS = 9 * 32 / CHUNK  # a splat, of its chunk's frame on a graphics card
+
+
+def quadric_error(asked: GeometryRequest) -> float | None:
+    """The mean error of positions over quadrics, in radii; None where boxes are meant."""
+    if asked.form == QUADRICS:
+        return asked.error or ERROR
+    return asked.error if asked.form == AUTO else None
+
+
+def quadrics_row(asked: GeometryRequest, made: SplatsMade) -> Row:
+    """The row of the plan: bits a splat over quadrics by those of boxes, before numbers are sorted by batches, which takes up to 5 away."""
+    share = (made.number_bits + FRAME_BITS) / BOX_BITS
+    is_asked = asked.form == QUADRICS
+    enabled = is_asked or share < 1
+    return Row(
+        "geometry_quadrics",
+        "positions and normals as one number over a quadric that is fitted to each chunk, in the place of boxes",
+        "on" if is_asked else AUTO,
+        enabled,
+        1.0,
+        share,
+        f"bits a splat by those of boxes, at a mean error of {made.mean_error_in_radii:.3g} radii",
+        1.0,
+        "asked to be on" if is_asked else f"{share:.2g} {'is below' if enabled else 'reaches'} 1",
+        "fewer bytes at the error that is asked for",
+        {
+            "seconds": 7e-6 * made.n_splats,
+            "bytes": round((share - 1) * BOX_BITS / 8 * made.n_splats),
+            "frame_share": 0.0,
+        },
+        None,
+        "fountain_p11, stanford_dragon, pump_e57",
+    )

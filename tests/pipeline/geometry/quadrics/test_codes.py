@@ -1,0 +1,136 @@
+"""Quadrics: what comes back, of surfaces and of what is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.geometry.chunks import median_split
+from pipeline.geometry.normals import encode_normals, octahedron_of
+from pipeline.geometry.quadrics.codes import asked_steps, encode_quadrics
+from pipeline.geometry.quadrics.frames import Frames, arrays_of_frames, decode_quadrics
+from pipeline.geometry.quadrics.quaternions import axes_of
+from storage.packed.quadrics import check_frames, number_words, pack_numbers, unpack_numbers
+from storage.packed.schema import CHUNK, MOST_FRAME_CELLS, steps_of
+
+
+def unit(rows: np.ndarray) -> np.ndarray:
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+def cases() -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    rng = np.random.default_rng(0)
+    flat = rng.uniform(-1, 1, (300, 3)) * [1, 0.4, 0]
+    bowl = rng.uniform(-1, 1, (256, 3))
+    bowl[:, 2] = 0.4 * bowl[:, 0] ** 2 - 0.2 * bowl[:, 0] * bowl[:, 1]
+    slope = np.stack([0.2 * bowl[:, 1] - 0.8 * bowl[:, 0], 0.2 * bowl[:, 0], np.ones(256)], axis=1)
+    up = np.tile([0.0, 0, 1], (300, 1))
+    return {
+        "a plane": (flat, up),
+        "a bowl": (bowl, unit(slope)),
+        "looking down": (bowl, unit(slope * [1, 1, -1] + [0.01, 0, 0])),
+        "all round": (rng.standard_normal((200, 3)), unit(rng.standard_normal((200, 3)))),
+        "one point": (np.tile([3.0, -2, 1], (130, 1)), up[:130]),
+        "one splat": (np.array([[1e5, 2e5, -3e5]]), up[:1]),
+        "a line": (np.linspace(0, 1, 128)[:, None] * [1.0, 2, 3], up[:128]),
+        "an outlier": (np.concatenate([flat[:127], [[1e4, 0, 0]]]), up[:128]),
+        "far away": (flat + [4e6, -3e6, 2e6], up),
+        "a thin sheet of two sides": (
+            flat * [1, 1, 0] + [[0, 0, 1e-3]] * 300,
+            up * np.where(np.arange(300) % 2, 1, -1)[:, None],
+        ),
+    }
+
+
+def asked(position: np.ndarray, step: float = 0.01) -> np.ndarray:
+    return np.full(-(-len(position) // CHUNK), step)
+
+
+@pytest.mark.parametrize("name", cases())
+def test_quadrics__positions_come_back_within_half_a_cell_and_normals_exactly(name):
+    position, normal = cases()[name]
+    code = encode_normals(normal)
+    number, frames = encode_quadrics(position, code, asked(position))
+    found, found_code = decode_quadrics(number, frames)
+    assert number.dtype == np.uint64 and len(number) == len(position)
+    assert (octahedron_of(found_code) == octahedron_of(code)).all()
+    chunk = np.arange(len(position)) // CHUNK
+    step = steps_of(frames.step)[chunk]
+    off = np.einsum("nij,nj->ni", axes_of(frames.turn)[chunk], found - position)
+    rounding = np.spacing(np.abs(position).max().astype(np.float32))
+    assert (np.abs(off) <= (0.5 + 1e-6) * step[:, None] + 2 * rounding).all()
+    span = np.ptp(position, axis=0).max()
+    widest = max(1.1 * 0.01, 1.1 * span / MOST_FRAME_CELLS, 2**-21 * np.abs(position).max())
+    assert step.max() <= (widest if name != "all round" else 1.1 * 0.04)  # of which 2^31 cells fill the box
+    check_frames(arrays_of(number, frames))
+
+
+def arrays_of(number: np.ndarray, frames: Frames, n_batches: int = 1) -> dict[str, np.ndarray]:
+    """As a file holds them, its splats in batches of as many in each chunk."""
+    n = np.minimum(CHUNK, len(number) - CHUNK * np.arange(len(frames.bits)))
+    ends = np.arange(1, n_batches + 1) * n[:, None] // n_batches
+    counts = np.diff(ends, axis=1, prepend=0).astype(np.uint8)
+    batch = np.repeat(np.tile(np.arange(n_batches), len(n)), counts.ravel().astype(int))
+    number = number[np.lexsort((number, batch, np.arange(len(number)) // CHUNK))]
+    words = number_words(counts, frames.bits)
+    stream = np.append(pack_numbers(number, counts, frames.bits), np.uint32(0))
+    tables = {"splats": stream, "splat_word": words.cumsum() - words, "batch_count": counts}
+    assert (unpack_numbers(stream, tables["splat_word"], counts, frames.bits) == number).all()
+    return arrays_of_frames(frames) | tables
+
+
+@pytest.mark.parametrize("n_batches", [1, 3, 20, 60])
+def test_numbers__sorted_take_fewer_bits_and_never_more(n_batches):
+    position, normal = cases()["a bowl"]
+    number, frames = encode_quadrics(position, encode_normals(normal), asked(position))
+    bits = 32 * (len(arrays_of(number, frames, n_batches)["splats"]) - 1) / len(number)
+    saved = {1: 5, 3: 3.5, 20: 0.5, 60: 0}[n_batches]
+    assert bits <= frames.bits.mean() - saved + 32 / CHUNK
+
+
+def test_numbers__a_vector_that_lacks_a_splat_is_refused():
+    position, normal = cases()["a bowl"]
+    arrays = arrays_of(*encode_quadrics(position, encode_normals(normal), asked(position)))
+    arrays["splats"][0] &= arrays["splats"][0] - np.uint32(1)  # its lowest one goes
+    with pytest.raises(ValueError, match="bit vector"):
+        check_frames(arrays)
+
+
+def test_quadrics__mean_error_is_the_one_asked_for():
+    """On a curved sheet of splats of several sizes, in radii of their own."""
+    rng = np.random.default_rng(3)
+    position = rng.uniform(0, 1, (40 * CHUNK, 3))
+    position[:, 2] = 0.1 * np.sin(3 * position[:, 0]) + 0.004 * rng.standard_normal(len(position))
+    order = median_split(position)
+    position, radii = position[order], 0.02 * 2 ** rng.random(len(position))
+    number, frames = encode_quadrics(position, np.zeros((len(position), 2), np.int8), asked_steps(radii, 1 / 30))
+    off = np.linalg.norm(decode_quadrics(number, frames)[0] - position, axis=1) / radii
+    assert 0.9 < 30 * off.mean() < 1.03
+
+
+def test_quadrics__a_curved_piece_takes_cells_that_a_flat_one_would_not_have():
+    """Heights are over the quadric: those of a bowl take a layer or two of cells, the same in another order a box full."""
+    position, normal = cases()["a bowl"]
+    code, shuffled = encode_normals(normal), position.copy()
+    shuffled[:, 2] = np.random.default_rng(1).permutation(shuffled[:, 2])
+    bowl, box = (encode_quadrics(p, code, asked(p))[1].bits.mean() for p in (position, shuffled))
+    assert bowl < box - 2
+
+
+def test_quadrics__normals_across_the_edges_of_the_map_take_no_more_steps():
+    position, normal = cases()["looking down"]
+    down, up = (
+        encode_quadrics(position, encode_normals(normal * [1, 1, side]), asked(position))[1].normal_cells.astype(int)
+        for side in (1, -1)
+    )
+    assert (down.prod(axis=1) < 3 * up.prod(axis=1)).all() and up.prod(axis=1).max() < 300
+
+
+def test_quadrics__a_chunk_does_not_depend_on_the_others():
+    position, normal = cases()["a bowl"]
+    code = encode_normals(normal)
+    whole, frames = encode_quadrics(position, code, asked(position))
+    second, alone = encode_quadrics(position[CHUNK:], code[CHUNK:], asked(position[CHUNK:]))
+    assert (whole[CHUNK:] == second).all()
+    for name, values in arrays_of_frames(frames).items():
+        assert (values[1:] == arrays_of_frames(alone)[name]).all()

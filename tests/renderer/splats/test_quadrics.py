@@ -1,0 +1,61 @@
+"""Splats over quadrics are drawn as the twin does, and as those in boxes; their tables are refused where they are not sound."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from renderer.splats.scene import GpuScene
+from renderer.splats.stacks import has_stacks
+from storage.packed.scene import check_tables
+from tests.renderer.splats.test_renderer import assert_agrees
+from tests.scenes import Settings, build_scene, camera_looking, coded, random_dictionary, sheet
+
+VIEW = camera_looking((0.3, -1.2, 0.4), (0, 0, 0))
+
+
+def mixed(color_step: int, quadric_error: float | None = 1 / 30):
+    """Discs, discs with a clipline and ellipsoids, of sizes of their own."""
+    rng = np.random.default_rng(8)
+    axes, line = np.tile(np.diag([0.12, 0.06, 0.03])[[0, 2, 1]], (150, 1, 1)), np.tile([0.8, 0.6, 0.1], (150, 1))
+    axes[50:] = np.nan
+    line[:100] = np.nan
+    splats = sheet(rng, 150, size=0.05 * 2 ** rng.random(150), axes=axes, clipline=line, **coded(rng, 150, max_atoms=2))
+    return build_scene(
+        splats, Settings(radius=0.1, color_step=color_step, quadric_error=quadric_error), random_dictionary(rng)
+    )
+
+
+@pytest.mark.parametrize("color_step", [0, 112])
+def test_quadrics__are_drawn_as_the_twin_does(renderer, color_step):
+    scene = mixed(color_step)
+    check_tables(scene)
+    assert_agrees(renderer, scene, VIEW)
+
+
+def test_quadrics__show_what_boxes_show_in_fewer_bytes(renderer):
+    pictures, n_bytes = [], []
+    for scene in (mixed(112, None), mixed(112)):
+        gpu_scene = GpuScene(scene, renderer.context)
+        pictures.append(renderer.render(gpu_scene, VIEW).rgb.astype(float))
+        n_bytes.append(gpu_scene.bytes_by_part["geometry"])
+        gpu_scene.release()
+    assert np.abs(pictures[0] - pictures[1]).mean() < 3 and n_bytes[1] < n_bytes[0]
+
+
+def test_quadrics__copies_are_told():
+    splats = sheet(np.random.default_rng(2), 300)
+    assert not has_stacks(build_scene(splats, Settings(radius=0.02, quadric_error=1 / 30)))
+    stacked = replace(splats, position=np.concatenate([splats.position[:200], np.tile(splats.position[:1], (100, 1))]))
+    assert has_stacks(build_scene(stacked, Settings(radius=0.02, quadric_error=1 / 30)))
+
+
+@pytest.mark.parametrize("name", ["frame_cells", "frame_step", "frame_bits"])
+def test_quadrics__frames_that_are_none_are_refused(name):
+    scene = mixed(0)
+    values = scene.arrays[name].copy()
+    values[0] = 0
+    with pytest.raises(ValueError, match=name):
+        check_tables(replace(scene, arrays=scene.arrays | {name: values}))
