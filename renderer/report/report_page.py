@@ -50,7 +50,7 @@ def page_of(report: dict, scene: PackedScene, folder: Path) -> str:
         quality=report["quality"],
         views=views,
         summary=report_words.summary(report),
-        parts=report_words.PARTS | ({"geometry": report_words.GEOMETRY_OF_RUNS} if scene.header.runs else {}),
+        parts=report_words.PARTS | report_words.part_of_geometry(scene.header.geometry),
         part_colors=report_plots.PART_COLORS,
         series=report_plots.SERIES,
         figures=report_words.QUALITY,

@@ -16,7 +16,16 @@ PARTS = {
     "dictionary": "The atoms with their mip levels, and what the weight codes stand for.",
 }
 
-GEOMETRY_OF_RUNS = "Where runs of cells begin, the steps from each cell to the next, and how normals change along them."
+GEOMETRY_OF = {  # in the place of that of boxes
+    "runs": "Where runs of cells begin, the steps from each cell to the next, and how normals change along them.",
+    "quadrics": "One number a splat, of its normal and its place over a quadric, and the frames of the chunks that these are in.",
+}
+
+
+def part_of_geometry(geometry: str) -> dict[str, str]:
+    """What the part `geometry` is, where it is not boxes."""
+    return {"geometry": GEOMETRY_OF[geometry]} if geometry in GEOMETRY_OF else {}
+
 
 QUALITY = (  # key, title, meaning
     (

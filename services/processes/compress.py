@@ -38,7 +38,7 @@ from services.flow.prepare import Prepared, has_photographs, prepare
 from services.flow.run import Run
 from services.flow.textures import Coded
 from storage.packed.packed import SUFFIX, PackedFile
-from storage.packed.schema import BOXES
+from storage.packed.schema import BOXES, RUNS
 from storage.pages.file import SUFFIX as PAGES_SUFFIX
 from storage.work import arrays
 
@@ -190,6 +190,8 @@ def _scan_record(prepared: Prepared, settings: Settings) -> ScanKnown:
         warnings.append(f"levels {settings.levels} is not used: runs have no coarser levels")
     if prepared.runs is None and scan.volume is None and settings.cell is not None and settings.geometry == BOXES:
         warnings.append(f"cell {settings.cell:g} is not used: boxes of a scan have no cells")
+    if settings.geometry_error is not None and settings.geometry in (BOXES, RUNS):
+        warnings.append(f"geometry_error {settings.geometry_error:g} is not used: it is of quadrics")
     return ScanKnown(
         unit=scan.unit,
         n_points=scan.n_read,
