@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.numerics import accuracy
+from pipeline.numerics.accuracy import psnr_db as psnr_db_of_error
 from pipeline.stages.packed.measure import SplatErrors, splat_errors
 from pipeline.summaries import Photographs
 from renderer.evaluate.compare import flip, psnr_db, ssim
 from renderer.evaluate.paged_photos import PagedPhotos
 from renderer.evaluate.previews import WARM_UP_PX, even_choice, limited_view
 from renderer.pictures import save_picture
+from renderer.report.evaluation_document import CloseUp, PassTimes, PictureFigures
 from renderer.splats.baseline import PHOTO_BUDGET_BYTES, PhotoSplats
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
@@ -58,25 +59,16 @@ class _Spot:
 
 def draw_close_ups(
     variants: Sequence[Variant], packed: Path, ingest: Path, folder: Path, keep: slice = slice(None)
-) -> list[dict]:
+) -> list[CloseUp]:
     """Around chosen splats of `packed`, or those of them that `keep` names, a picture for each variant, in `folder`.
 
-    A row a splat: `why`, `camera`, `psnr_db` of the splat, and by variant `pictures`, `psnr_db`, `ssim` and `flip`
-    against the first variant.
+    One a splat; figures are against the first variant, which has none itself.
     """
     spots = choose_spots(packed, ingest)[keep]
     cameras = list(work.summary(ingest, Photographs).cameras)
     views = [close_up(cameras[spot.camera], spot.centre) for spot in spots]
-    rows: list[dict] = [
-        {
-            "why": spot.why,
-            "camera": cameras[spot.camera].name,
-            "texture_psnr_db": accuracy.psnr_db(spot.error, 1),
-            "pictures": {},
-            "figures": {},
-        }
-        for spot in spots
-    ]
+    pictures: list[dict[str, str]] = [{} for _ in spots]
+    figures: list[dict[str, PictureFigures | None]] = [{} for _ in spots]
     renderer = Renderer()
     first: list[Picture] = []
     for number, variant in enumerate(variants):
@@ -87,21 +79,21 @@ def draw_close_ups(
                     first.append(picture)
                 path = f"{FOLDER}/{i + 1}-{number:02d}.png"
                 save_picture(Path(folder) / path, picture.rgb)
-                rows[i]["pictures"][variant.name] = path
-                covered = picture.coverage & first[i].coverage
-                rows[i]["figures"][variant.name] = (
-                    None
-                    if number == 0
-                    else {
-                        "psnr_db": psnr_db(picture.rgb, first[i].rgb, covered),
-                        "ssim": ssim(picture.rgb, first[i].rgb, covered),
-                        "flip": flip(picture.rgb, first[i].rgb, covered),
-                    }
-                )
-    return rows
+                pictures[i][variant.name] = path
+                figures[i][variant.name] = figures_of(picture, first[i]) if number else None
+    return [
+        CloseUp(spot.why, cameras[spot.camera].name, psnr_db_of_error(spot.error, 1), pictures[i], figures[i])
+        for i, spot in enumerate(spots)
+    ]
 
 
-def time_passes(variants: Sequence[Variant]) -> list[dict]:
+def figures_of(picture: Picture, first: Picture) -> PictureFigures:
+    """Over the pixels that both cover."""
+    covered = picture.coverage & first.coverage
+    return PictureFigures(*(measure(picture.rgb, first.rgb, covered) for measure in (psnr_db, ssim, flip)))
+
+
+def time_passes(variants: Sequence[Variant]) -> list[PassTimes]:
     """Median seconds of each pass, by variant, for one view of the whole scan; in turns, so that a load on the machine
     falls on all of them alike."""
     renderer = Renderer()
@@ -117,13 +109,13 @@ def time_passes(variants: Sequence[Variant]) -> list[dict]:
             for name, draw in draws.items():
                 seconds[name].append(draw(view).pass_seconds)
     return [
-        {
-            "name": name,
-            "seconds": {p: float(np.median([turn[p] for turn in turns])) for p in turns[0]},
-            "device": renderer.context.info["GL_RENDERER"],
-            "width_px": view.width_px,
-            "height_px": view.height_px,
-        }
+        PassTimes(
+            name,
+            {p: float(np.median([turn[p] for turn in turns])) for p in turns[0]},
+            renderer.context.info["GL_RENDERER"],
+            view.width_px,
+            view.height_px,
+        )
         for name, turns in seconds.items()
     ]
 

@@ -16,6 +16,7 @@ from renderer.evaluate.close_ups import window_view
 from renderer.evaluate.compare import difference, fullest_square, psnr_db
 from renderer.evaluate.previews import even_choice, limited_view
 from renderer.pictures import resized, save_picture
+from renderer.report.document import EdgeShown
 from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
 from storage.packed.packed import PackedFile, PackedScene
@@ -39,11 +40,10 @@ def without_cliplines(scene: PackedScene) -> PackedScene:
     )
 
 
-def draw_edges(packed: Path, photos: Path, folder: Path) -> list[dict]:
+def draw_edges(packed: Path, photos: Path, folder: Path) -> list[EdgeShown]:
     """Squares of photographs in which cliplines bring the picture nearest to the photograph, one a camera, and the one
     in which they take it farthest away, magnified: `pictures` by `with`, `without` and `photo`, as paths relative to
-    `folder`, `camera`, the square's `left_px`, `top_px` and `side_px`, and `with_db` and `without_db`, PSNR against the
-    photograph over the pixels that both cover. Nothing of a file without cliplines or without cameras.
+    `folder`; PSNR is against the photograph over the pixels that both cover. Nothing of a file without cliplines or without cameras.
     """
     with PackedFile(packed) as opened:
         scene = opened.load()
@@ -58,7 +58,7 @@ def draw_edges(packed: Path, photos: Path, folder: Path) -> list[dict]:
     def draw(view: Camera) -> dict:
         return {name: renderer.render(gpu_scene, view) for name, gpu_scene in scenes.items()}
 
-    rows: list[dict] = []
+    rows: list[EdgeShown] = []
     for i, left, top, side in _chosen(draw, scene.header.cameras, photos):
         photo = arrays.read_window(photos, f"photo_{i}", top, top + side, left, left + side)
         rows.append(_row(draw, scene.header.cameras[i], photo, (left, top, side), Path(folder), len(rows)))
@@ -97,7 +97,7 @@ def _in_photo(camera: Camera, top: float, left: float) -> tuple[int, int, int]:
     return x, y, side
 
 
-def _row(draw, camera: Camera, photo: np.ndarray, square: tuple[int, int, int], folder: Path, number: int) -> dict:
+def _row(draw, camera: Camera, photo: np.ndarray, square: tuple[int, int, int], folder: Path, number: int) -> EdgeShown:
     left, top, side = square
     drawn = draw(window_view(camera, *square, ZOOM))
     shown = {name: picture.rgb for name, picture in drawn.items()} | {"photo": resized(photo, side * ZOOM, side * ZOOM)}
@@ -105,11 +105,5 @@ def _row(draw, camera: Camera, photo: np.ndarray, square: tuple[int, int, int], 
     pictures = {name: f"{FOLDER}/{number + 1}.{name}.png" for name in shown}
     for name, rgb in shown.items():
         save_picture(folder / pictures[name], rgb)
-    return {
-        "camera": camera.name,
-        "left_px": left,
-        "top_px": top,
-        "side_px": side,
-        "pictures": pictures,
-        **{f"{name}_db": psnr_db(shown[name], shown["photo"], covered) for name in drawn},
-    }
+    with_db, without_db = (psnr_db(shown[name], shown["photo"], covered) for name in ("with", "without"))
+    return EdgeShown(camera.name, left, top, side, with_db, without_db, pictures)

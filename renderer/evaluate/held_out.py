@@ -12,6 +12,7 @@ from pipeline.numerics.srgb import linear_of, srgb_of
 from renderer.evaluate.compare import flip, psnr_db, ssim
 from renderer.evaluate.previews import limited_view, safe_names
 from renderer.pictures import resized, save_picture
+from renderer.report.evaluation_document import HeldOutView
 from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
 from storage.packed.packed import PackedFile
@@ -41,8 +42,8 @@ def matched(rgb: np.ndarray, photo: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return np.round(255 * srgb_of(np.clip(linear_of(rgb / 255.0) * gain, 0, 1))).astype(np.uint8)
 
 
-def compare_held_out(held_out: HeldOut, folder: Path) -> list[dict]:
-    """A row a camera: PSNR, SSIM and FLIP against its photograph over the pixels that splats cover, and their share;
+def compare_held_out(held_out: HeldOut, folder: Path) -> list[HeldOutView]:
+    """One a camera: PSNR, SSIM and FLIP against its photograph over the pixels that splats cover, and their share;
     and `matched_psnr_db`, PSNR once the picture's light has the photograph's gain, one number a channel: what exposed
     the photograph is no property of the scan."""
     with PackedFile(held_out.packed) as packed:
@@ -60,17 +61,17 @@ def compare_held_out(held_out: HeldOut, folder: Path) -> list[dict]:
         for kind, rgb in (("packed", picture.rgb), ("photo", photo)):
             save_picture(Path(folder) / pictures[kind], rgb)
         rows.append(
-            {
-                "camera": view.name,
-                "width_px": view.width_px,
-                "height_px": view.height_px,
-                "coverage": float(np.mean(picture.coverage)),
-                "psnr_db": psnr_db(picture.rgb, photo, picture.coverage),
-                "matched_psnr_db": psnr_db(matched(picture.rgb, photo, picture.coverage), photo, picture.coverage),
-                "ssim": ssim(picture.rgb, photo, picture.coverage),
-                "flip": flip(picture.rgb, photo, picture.coverage),
-                "pictures": pictures,
-            }
+            HeldOutView(
+                camera=view.name,
+                width_px=view.width_px,
+                height_px=view.height_px,
+                coverage=float(np.mean(picture.coverage)),
+                psnr_db=psnr_db(picture.rgb, photo, picture.coverage),
+                matched_psnr_db=psnr_db(matched(picture.rgb, photo, picture.coverage), photo, picture.coverage),
+                ssim=ssim(picture.rgb, photo, picture.coverage),
+                flip=flip(picture.rgb, photo, picture.coverage),
+                pictures=pictures,
+            )
         )
     gpu_scene.release()
     return rows

@@ -17,6 +17,7 @@ import numpy as np
 from renderer.evaluate.compare import psnr_db, ssim
 from renderer.evaluate.holes import outline_holes
 from renderer.pictures import on_background, resized, save_picture
+from renderer.report.document import ViewMeasured
 from renderer.splats.baseline import PhotoSplats
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
@@ -55,16 +56,16 @@ def make_previews(
     renderer: Renderer | None = None,
     options: PreviewOptions = PreviewOptions(),
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> list[dict]:
-    """Write pictures into `folder`/previews and return the rows of `quality.views` of the report.
+) -> list[ViewMeasured]:
+    """Write pictures into `folder`/previews and return `quality.views` of the report.
 
     Renderings are PNGs whose alpha is their coverage. From up to `n_cameras` of the scene's cameras, evenly among them: `NAME.packed.png` and, with `read_photo`,
     `NAME.baseline.png` and `NAME.photo.jpg`. Without cameras: `n_orbits` views around the scene, packed alone.
     `progress` is told after every view how many of them are done.
 
-    Each row has `camera`, `width_px`, `height_px`, `coverage`, `holes` (of its outline, see `holes.py`), the FIGURES (None where there is nothing to compare
-    with), `device` (what drew it), `accumulation` (see renderer/splats/targets.py), `seconds` and `baseline_seconds` by
-    render pass (None without a baseline), and `pictures` by kind, as paths relative to `folder`.
+    Figures are None where there is nothing to compare with; `holes` are of the outline (`holes.py`), `accumulation` is
+    what colours were added up in (`renderer/splats/targets.py`), `seconds` are by render pass, `pictures` by kind, as
+    paths relative to `folder`.
 
     Guarantees: names of pictures are plain and differ from each other, whatever the cameras are called; a picture
     appears under its name only when it is whole.
@@ -81,10 +82,10 @@ def make_previews(
     photos = PhotoSplats(gpu_scene, read_photo) if read_photo else None
     waiting: list[Future] = []
 
-    def finish(i: int, view: Camera, packed: Picture, baseline: Picture | None) -> dict:
+    def finish(i: int, view: Camera, packed: Picture, baseline: Picture | None) -> ViewMeasured:
         photo = resized(read_photo(chosen[i]), view.width_px, view.height_px) if read_photo else None
         pictures = _save(Path(folder), names[i], packed, baseline, photo)
-        return _row(view, packed, baseline, photo) | {"device": device, "pictures": pictures}
+        return _measured(view, packed, baseline, photo, device, pictures)
 
     try:
         with ThreadPoolExecutor(1) as pool:  # compares and writes a view while the next one is drawn
@@ -168,8 +169,15 @@ def _save(
     return {kind: path for kind, (path, _) in pictures.items()}
 
 
-def _row(view: Camera, packed: Picture, baseline: Picture | None, photo: np.ndarray | None) -> dict:
-    figures = dict.fromkeys(FIGURES)
+def _measured(
+    view: Camera,
+    packed: Picture,
+    baseline: Picture | None,
+    photo: np.ndarray | None,
+    device: str,
+    pictures: dict[str, str],
+) -> ViewMeasured:
+    figures: dict[str, float | None] = dict.fromkeys(FIGURES)
     covered = packed.coverage
     if baseline is not None:
         covered = covered & baseline.coverage
@@ -179,15 +187,17 @@ def _row(view: Camera, packed: Picture, baseline: Picture | None, photo: np.ndar
         figures["psnr_vs_photo_db"] = psnr_db(packed.rgb, photo, covered)
         figures["ssim_vs_photo"] = ssim(packed.rgb, photo, covered)
         figures["baseline_psnr_vs_photo_db"] = psnr_db(baseline.rgb, photo, covered)
-    return (
-        {"camera": view.name, "width_px": view.width_px, "height_px": view.height_px}
-        | figures
-        | {
-            "coverage": float(covered.mean()),
-            "holes": outline_holes(packed.coverage),
-            "accumulation": packed.accumulation,
-            "programs": list(packed.programs),
-            "seconds": packed.pass_seconds,
-            "baseline_seconds": baseline.pass_seconds if baseline is not None else None,
-        }
+    return ViewMeasured(
+        camera=view.name,
+        width_px=view.width_px,
+        height_px=view.height_px,
+        **figures,
+        coverage=float(covered.mean()),
+        holes=outline_holes(packed.coverage),
+        seconds=packed.pass_seconds,
+        baseline_seconds=baseline.pass_seconds if baseline is not None else None,
+        device=device,
+        pictures=pictures,
+        accumulation=packed.accumulation,
+        programs=tuple(packed.programs),
     )

@@ -79,7 +79,7 @@ def compare_variants(variants: Sequence[Variant], folder: Path | None = None) ->
             "frame_s": median(seconds[k]),
             "frame_ratio": median(ratios[k]),
             "file_bytes": variant.packed.stat().st_size,
-            "gpu_bytes": sizes_of(scenes[k].scene, 0)["gpu_bytes"],
+            "gpu_bytes": sizes_of(scenes[k].scene, 0).gpu_bytes,
             **{name: _mean(values) for name, values in figures[k].items()},
             "programs": sorted(programs[k]),
         }

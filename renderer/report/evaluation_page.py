@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 from bokeh.embed import components
 from bokeh.resources import Resources
 from markupsafe import Markup
@@ -12,6 +13,7 @@ from pipeline.readers.photos import decode_photo
 from renderer.files import strict, write_json, write_whole
 from renderer.pictures import data_uri, jpeg_within, png_uri
 from renderer.report import evaluation_plots
+from renderer.report.evaluation_document import EvaluationDocument
 from renderer.report.report_page import template
 
 EVALUATION_NAME, EVALUATION_PAGE = "evaluate.json", "evaluate.html"
@@ -39,10 +41,11 @@ PAPER_ATTRIBUTE_MS = {
 }
 
 
-def write_evaluation(folder: Path, document: dict) -> None:
+def write_evaluation(folder: Path, document: EvaluationDocument) -> None:
     """evaluate.json and evaluate.html, each whole; the pictures that the document names are read from the folder."""
-    write_json(folder / EVALUATION_NAME, document)
-    write_whole(folder / EVALUATION_PAGE, page_of(strict(document), folder).encode("utf-8", errors="replace"))
+    plain = strict(msgspec.to_builtins(document))
+    write_json(folder / EVALUATION_NAME, plain)
+    write_whole(folder / EVALUATION_PAGE, page_of(plain, folder).encode("utf-8", errors="replace"))
 
 
 def page_of(document: dict, folder: Path) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.effects.plan.request import OFF, asked_by
 from renderer.files import strict, write_json
-from renderer.report.document import Report, RunRecord
+from renderer.report.document import AtomsUsed, Report, RunRecord, Sizes, ViewMeasured
 from storage.packed.groups import FIRST_WORDS
 from storage.packed.layout import bytes_on_gpu
 from storage.packed.packed import PackedScene
@@ -22,7 +22,7 @@ SOURCE_BYTES_PER_PIXEL = 4  # three channels, times 4/3 for the mip levels
 
 
 def build_report(
-    scene: PackedScene, file_bytes: int, record: RunRecord = RunRecord(), views: Sequence[dict] = ()
+    scene: PackedScene, file_bytes: int, record: RunRecord = RunRecord(), views: Sequence[ViewMeasured] = ()
 ) -> Report:
     """The report of one packed scene; docs of each figure stand in `sizes_of` and `atoms_of`.
 
@@ -41,9 +41,9 @@ def build_report(
                 "scan": scan,
                 "splats": header.n_splats,
                 "radius": header.radius,
-                "sizes": sizes_of(scene, file_bytes),
-                "quality": known["quality"] | {"views": list(views)},
-                "atoms": atoms_of(scene),
+                "sizes": msgspec.to_builtins(sizes_of(scene, file_bytes)),
+                "quality": known["quality"] | {"views": msgspec.to_builtins(list(views))},
+                "atoms": msgspec.to_builtins(atoms_of(scene)),
                 "learning": known["learning"],
                 "numerics": known["numerics"] | {"accumulation": _accumulation(header, views)},
                 "stages": known["stages"],
@@ -53,7 +53,7 @@ def build_report(
                 "edges": known["edges"],
                 "runs": known["runs"],
                 "pages": known["pages"],
-                "programs": sorted({name for view in views for name in view.get("programs") or ()}),
+                "programs": sorted({name for view in views for name in view.programs}),
                 "warnings": warnings,
             }
         ),
@@ -67,21 +67,17 @@ def _scan_of(header: Header) -> dict:
     return {name: value if isinstance(value := header.scan.get(name), kind) else None for name, kind in kinds.items()}
 
 
-def _accumulation(header: Header, views: Sequence[dict]) -> str | None:
+def _accumulation(header: Header, views: Sequence[ViewMeasured]) -> str | None:
     found = accumulation_of(views)
     return f"{found}, as asked for" if found and asked_by(header.settings)["accumulation"] == OFF else found
 
 
-def accumulation_of(views: Sequence[dict]) -> str | None:
-    """What the colours of the pictures were added up in: the widest that any of them called for.
-
-    >>> accumulation_of([{"accumulation": "RGBA16F"}, {"accumulation": "RGBA32F"}]), accumulation_of([])
-    ('RGBA32F', None)
-    """
-    return max((view["accumulation"] for view in views if view.get("accumulation")), default=None)
+def accumulation_of(views: Sequence[ViewMeasured]) -> str | None:
+    """What the colours of the pictures were added up in: the widest that any of them called for."""
+    return max((view.accumulation for view in views if view.accumulation), default=None)
 
 
-def sizes_of(scene: PackedScene, file_bytes: int) -> dict:
+def sizes_of(scene: PackedScene, file_bytes: int) -> Sizes:
     """Bytes by part and the compression factors, as Table 1 of the paper counts them.
 
     - `geometry_bytes`, `codes_bytes`, `colors_bytes`, `dictionary_bytes`, `maps_bytes`: the arrays of each
@@ -111,15 +107,16 @@ def sizes_of(scene: PackedScene, file_bytes: int) -> dict:
     part = {p: sum(size for name, size in arrays.items() if part_of[name] == p) for p in (*GPU_PARTS, "provenance")}
     gpu_bytes = sum(part[p] for p in GPU_PARTS)
     source = source_texture_bytes(scene.header.cameras)
-    return {f"{name}_bytes": size for name, size in part.items()} | {
-        "gpu_bytes": gpu_bytes,
-        "file_bytes": int(file_bytes),
-        "bytes_per_splat": gpu_bytes / scene.header.n_splats,
-        "source_texture_bytes": source,
-        "compression_factor_total": None if source is None else (part["geometry"] + source) / gpu_bytes,
-        "compression_factor_texture": None if source is None else source / (gpu_bytes - part["geometry"]),
-        "arrays": arrays,
-    }
+    return Sizes(
+        **{f"{name}_bytes": size for name, size in part.items()},
+        gpu_bytes=gpu_bytes,
+        file_bytes=int(file_bytes),
+        bytes_per_splat=gpu_bytes / scene.header.n_splats,
+        source_texture_bytes=source,
+        compression_factor_total=None if source is None else (part["geometry"] + source) / gpu_bytes,
+        compression_factor_texture=None if source is None else source / (gpu_bytes - part["geometry"]),
+        arrays=arrays,
+    )
 
 
 def source_texture_bytes(cameras: Sequence[Camera]) -> int | None:
@@ -136,12 +133,12 @@ def source_texture_bytes(cameras: Sequence[Camera]) -> int | None:
     return sum(camera.width_px * camera.height_px for camera in cameras) * SOURCE_BYTES_PER_PIXEL
 
 
-def atoms_of(scene: PackedScene) -> dict:
+def atoms_of(scene: PackedScene) -> AtomsUsed:
     """How many splats have 0, 1 ... `n_ranks` atoms (`histogram`), and the `mean`; counted from the batches."""
     splats = scene.arrays["batch_count"].sum(axis=0, dtype=np.int64)
     n_atoms = [batch.n_atoms for batch in scene.header.batches]
     histogram = np.bincount(n_atoms, weights=splats, minlength=scene.header.n_ranks + 1).astype(np.int64)
-    return {"histogram": histogram.tolist(), "mean": float(histogram @ np.arange(len(histogram)) / histogram.sum())}
+    return AtomsUsed(tuple(histogram.tolist()), float(histogram @ np.arange(len(histogram)) / histogram.sum()))
 
 
 def as_json(report: Report) -> dict:

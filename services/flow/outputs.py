@@ -16,8 +16,7 @@ import msgspec
 from pipeline.catalogue import RENDER
 from pipeline.execution.stage import StageRecord
 from renderer.evaluate.edges import draw_edges
-from renderer.files import strict
-from renderer.report.document import EdgeShown, RunRecord, StageCost
+from renderer.report.document import RunRecord, StageCost, ViewMeasured
 from renderer.report.report import as_json, build_report, write_report
 from services.flow.run import Run
 from storage.packed.packed import PackedFile
@@ -37,7 +36,7 @@ def write_outputs(run: Run, path: Path, photos: Path, record: RunRecord, out: Pa
     )
     known = msgspec.structs.replace(
         record,
-        edges=msgspec.convert(strict(edges), tuple[EdgeShown, ...]),
+        edges=tuple(edges),
         stages=tuple(stage_row(r) for r in merged(run.records)),
     )
     report = as_json(build_report(scene, path.stat().st_size, known, views))
@@ -46,7 +45,7 @@ def write_outputs(run: Run, path: Path, photos: Path, record: RunRecord, out: Pa
     return report
 
 
-def _views(run: Run, path: Path, photos: Path, out: Path) -> list[dict]:
+def _views(run: Run, path: Path, photos: Path, out: Path) -> list[ViewMeasured]:
     begun = time.perf_counter()
     done = 0
 

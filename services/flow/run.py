@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from pipeline.execution.stage import Executor, Progress, Stage, StageRecord, run_stage
+from renderer.report.document import ViewMeasured
 from services.flow.previews import previews_of
 
 S = TypeVar("S")
@@ -33,7 +34,7 @@ class Run:
     executor: Executor
     progress: Progress
     step: Callable[[Stage, Callable[[], StageRecord]], StageRecord] = _at_once
-    draw: Callable[[Path, Path, Path, Callable[[int, int], None]], list[dict]] = previews_of
+    draw: Callable[[Path, Path, Path, Callable[[int, int], None]], list[ViewMeasured]] = previews_of
     paint: Callable = _here  # how other pictures are drawn: a function and its arguments
     round: Callable[[int, int], None] = lambda index, n_rounds: None  # hears which point of a trade-off begins
     clock: Callable[[], float] = time.monotonic

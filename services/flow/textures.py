@@ -22,6 +22,7 @@ from pipeline.stages.texture.training import Coefficients, Components, TrainingS
 from pipeline.summaries import AverageColors, CodesMade, Ladder, PatchesMade, Quantised, Training, Updated
 from pipeline.texture.colors import step_for
 from pipeline.texture.resample import PATCH_DIM
+from renderer.report.document import LearningPass
 from services.flow.run import Run
 from storage.packed.schema import ATOM_SIZES, PATCH_SIZE
 
@@ -55,7 +56,7 @@ class Coded:
     colors: StageRecord[AverageColors]
     codes: StageRecord[CodesMade]
     quantized: StageRecord[Quantised] | None
-    learning: list[dict]
+    learning: tuple[LearningPass, ...]
     n_dictionary: int
     safeguard_steps: int  # dictionaries that did worse than the best before them
 
@@ -85,7 +86,7 @@ def code_patches(
         )
     )
     if not (settings.max_atoms and training.summary.n_patches):
-        return Coded(patches, colors, encode(run, patches.folder, colors.folder, None, settings), None, [], 0, 0)
+        return Coded(patches, colors, encode(run, patches.folder, colors.folder, None, settings), None, (), 0, 0)
     form = _form(training.summary, settings, tolerance, most_texels)
     if form is None:
         space: StageRecord = run.do(Components(training.folder, tolerance * 10 ** (-settings.subspace_floor_db / 10)))
@@ -94,7 +95,7 @@ def code_patches(
     bits = index_bits(settings, form, n_splats or training.summary.n_splats)
     learned, learning = _learn(run, training, space, settings, stop, form, bits)
     quantized, n_taken_back = _quantize_best(run, space, learned, settings, stop, form)
-    n_taken_back += sum(not row["accepted"] for row in learning)
+    n_taken_back += sum(not row.accepted for row in learning)
     price = 0.0
     if form is not None:
         stage = Prices(space.folder, training.folder, quantized.folder, settings.max_atoms, tolerance, settings.pursuit)
@@ -175,7 +176,7 @@ def _learn(
     stop: Stop,
     form: AtomForm | None,
     bits: int,
-) -> tuple[StageRecord[Updated], list[dict]]:
+) -> tuple[StageRecord[Updated], tuple[LearningPass, ...]]:
     """The last iteration, and the learning curve as estimates for the whole scan: of the best dictionary so far.
 
     Ends early where an iteration gains less than `least_gain_db`.
@@ -184,7 +185,7 @@ def _learn(
     of_turns = form or AtomForm()
     n_atoms = max(1, min(2**bits // of_turns.n_turns, training.summary.n_patches // PATCHES_AN_ATOM))
     learned = run.do(DictionarySeed(space.folder, n_atoms, settings.seed, of_turns)).folder
-    curve = []
+    curve: list[LearningPass] = []
     for iteration in range(settings.iterations):
         record = run.do(
             KsvdUpdate(space.folder, learned, settings.max_atoms, stop.tolerance, iteration, stop.price, of_turns)
@@ -192,23 +193,18 @@ def _learn(
         seconds += record.made_seconds
         learned, found = record.folder, record.summary
         curve.append(
-            {
-                "seconds": seconds,
-                "replaced_atoms": found.n_replaced,
-                "accepted": found.accepted,
-                "psnr_db": estimated_psnr_db(training.summary, found),
-            }
+            LearningPass(seconds, estimated_psnr_db(training.summary, found), found.n_replaced, found.accepted)
         )
         if _is_settled(curve, settings.least_gain_db):
             break
-    return record, curve
+    return record, tuple(curve)
 
 
-def _is_settled(curve: list[dict], least_gain_db: float) -> bool:
+def _is_settled(curve: list[LearningPass], least_gain_db: float) -> bool:
     """Whether the last iteration was one that did better, by less than that."""
-    if len(curve) < 2 or not curve[-1]["accepted"] or curve[-1]["psnr_db"] is None:
+    if len(curve) < 2 or not curve[-1].accepted or curve[-1].psnr_db is None:
         return False
-    return curve[-1]["psnr_db"] - curve[-2]["psnr_db"] < least_gain_db
+    return curve[-1].psnr_db - curve[-2].psnr_db < least_gain_db
 
 
 def _quantize_best(

@@ -31,7 +31,7 @@ from services.store.tokens import forget_actions
 from services.uploads.scans import discard_unused_scans
 from storage import place
 
-APPLICATION_VERSION = "1"  # raised when the steps of a job change; workflows of another version are not resumed
+APPLICATION_VERSION = "2"  # raised when the steps of a job change; workflows of another version are not resumed
 EXECUTOR_ID = "runner"
 UNDER_WAY = ("PENDING", "ENQUEUED", "DELAYED")
 POLL_S = 0.3

@@ -21,6 +21,7 @@ from pipeline.execution.stage import Stage, StageRecord
 from pipeline.planning.settings import Settings
 from pipeline.stages.points.ingest import Ingest
 from pipeline.stages.texture.dictionary import KsvdUpdate
+from renderer.report.document import ViewMeasured
 from services.flow.previews import previews_of
 from services.flow.run import Run
 from services.flow.stage_lock import stage_lock
@@ -159,7 +160,7 @@ class JobRunner:
                 write_json(out / LEARNING, progress.learning)
             return record
 
-        def draw(packed: Path, ingest: Path, folder: Path, on_view: Callable[[int, int], None]) -> list[dict]:
+        def draw(packed: Path, ingest: Path, folder: Path, on_view: Callable[[int, int], None]) -> list[ViewMeasured]:
             previews = folder / "previews"
 
             def count() -> None:
@@ -167,7 +168,7 @@ class JobRunner:
                 if done:
                     on_view(done, max(done, min(12, n_views or done)))
 
-            def on_gl_worker() -> list[dict]:
+            def on_gl_worker() -> list[ViewMeasured]:
                 check_room(self.settings, "render")
                 files = (packed, ingest, folder)
                 return call_with_files(link, out, there, RENDER, previews_of, *files, resources=GL, meanwhile=count)

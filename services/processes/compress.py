@@ -15,12 +15,10 @@ from pipeline.planning.settings import Settings
 from pipeline.readers.files.spelling import shown
 from pipeline.stages.packed.pack import write_packed
 from pipeline.stages.pages.coded import PagesMade
-from renderer.files import strict
 from renderer.report.document import (
     EstimatedFigure,
     GeometryErrors,
     HardCases,
-    LearningPass,
     Quality,
     RunRecord,
     ScanKnown,
@@ -131,7 +129,7 @@ def finish(
     record = RunRecord(
         scan=_scan_record(prepared, settings),
         quality=_quality(prepared, textured),
-        learning=msgspec.convert(strict(coded.learning if coded else []), tuple[LearningPass, ...]),
+        learning=coded.learning if coded else (),
         numerics=_numerics(prepared, coded),
         settings=asdict(settings),
         effects=tuple(_with_choice(row, textured) for row in prepared.effects.rows),
@@ -153,7 +151,7 @@ def _estimate(run: Run, path: Path, textured: Texture, settings: Settings, pages
     if estimate is None:
         return None
     with PackedFile(path, verify=False) as packed:
-        n_bytes = sizes_of(packed.load(), 0)["gpu_bytes"]
+        n_bytes = sizes_of(packed.load(), 0).gpu_bytes
     return against(
         estimate,
         {
@@ -210,7 +208,7 @@ def _numerics(prepared: Prepared, coded: Coded | None) -> HardCases:
         dropped_points=scan.n_dropped,
         degenerate_normals=prepared.neighbours.summary.n_degenerate,
         flagged_projections=coded.patches.summary.n_flagged if coded else blind,
-        replaced_atoms=sum(row["replaced_atoms"] for row in coded.learning) if coded else 0,
+        replaced_atoms=sum(row.replaced_atoms for row in coded.learning) if coded else 0,
         safeguard_steps=coded.safeguard_steps if coded else 0,
     )
 

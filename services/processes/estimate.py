@@ -27,6 +27,7 @@ from pipeline.stages.texture.resample import Resample
 from pipeline.stages.texture.strata import shares
 from pipeline.stages.texture.training import TrainingSet, membership
 from pipeline.summaries import AverageColors
+from renderer.report.document import Sizes
 from renderer.report.report import sizes_of
 from services.flow.code import chosen_maps, code_prepared, mapped_by, resample
 from services.flow.estimate_cache import keep_estimate
@@ -58,7 +59,7 @@ class _Pilot:
     prepared: Prepared  # with all splats
     coded: Coded | None
     settings: Settings  # the pilot's own
-    sizes: dict
+    sizes: Sizes
     n_sample: int
     stages: list[tuple[Stage, StageRecord]]
     full: list[StageRecord]  # stages with all splats
@@ -314,7 +315,7 @@ def _rate(tasks: Iterable[dict], clock: str, cold: bool) -> float:
 
 
 def _gain_of_passes(pilot: _Pilot, settings: Settings) -> float:
-    curve = [row["psnr_db"] for row in pilot.coded.learning]
+    curve = [row.psnr_db for row in pilot.coded.learning]
     return (
         0.0
         if None in curve or len(curve) < pilot.settings.iterations
@@ -345,13 +346,13 @@ def _merged(rows: list[dict]) -> list[dict]:
 
 def _sizes(pilot: _Pilot, learning: dict, taken: float) -> dict:
     """Bytes by part: the dictionary by its atoms, codes by the `taken` atoms of a splat, all else by the splat."""
-    sizes = {name: pilot.sizes[f"{name}_bytes"] / pilot.share for name in ("geometry", "codes", "colors")}
-    sizes["dictionary"] = pilot.sizes["dictionary_bytes"] * (
+    sizes = {name: getattr(pilot.sizes, f"{name}_bytes") / pilot.share for name in ("geometry", "codes", "colors")}
+    sizes["dictionary"] = pilot.sizes.dictionary_bytes * (
         learning["n_atoms"] / learning["n_atoms_pilot"] if learning else 1
     )
     sizes["codes"] *= taken
     if pilot.mapped:  # pictures are as large whatever the sample; a byte a splat names its own
-        sizes["maps"] = pilot.sizes["maps_bytes"] + pilot.n_splats - pilot.n_sample
+        sizes["maps"] = pilot.sizes.maps_bytes + pilot.n_splats - pilot.n_sample
     return {f"{name}_bytes": int(n) for name, n in sizes.items()} | {"gpu_bytes": int(sum(sizes.values()))}
 
 

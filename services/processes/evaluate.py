@@ -19,6 +19,7 @@ from pipeline.stages.texture.patch_sample import PatchSample
 from pipeline.summaries import Photographs
 from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluate.held_out import HeldOut, compare_held_out
+from renderer.report.evaluation_document import AtomsByTarget, EvaluationDocument, Failure, HeldOutPhotos
 from renderer.splats.baseline import PHOTO_BUDGET_BYTES, texture_bytes
 from services.flow.code import code, resample
 from services.flow.outputs import put_in_place
@@ -64,7 +65,7 @@ def evaluate(
     render: bool = True,
     work: Path | None = None,
     pool_bytes: int = PHOTO_BUDGET_BYTES,
-) -> dict:
+) -> EvaluationDocument:
     """Measure the chosen rows of Table 1 and what the figures need; writes evaluate.json and evaluate.html into `out`.
 
     `settings` are those of the coded rows, but for the bits that name them. With `hold_out` every N-th photograph is
@@ -105,7 +106,7 @@ def _measure(
     hold_out: int | None,
     render: bool,
     pool_bytes: int,
-) -> dict:
+) -> EvaluationDocument:
     prepared = prepare(
         run,
         scan,
@@ -148,11 +149,11 @@ def _measure(
         attempt("close-ups and passes", _pictures, e, out)
     if held_out:
         attempt("photographs held out", _held_out, e, out, hold_out, held_out)
-    _write(out, document := document_of(e, wanted) | {"complete": True})
+    _write(out, document := document_of(e, wanted, complete=True))
     return document
 
 
-def _begin(made: Path, out: Path, document: dict) -> None:
+def _begin(made: Path, out: Path, document: EvaluationDocument) -> None:
     """`out` with the first row; an older `out` goes only now."""
     made.mkdir()
     _write(made, document)
@@ -172,15 +173,13 @@ def _attempt(e: Evaluation, name: str, step: Callable, *arguments) -> None:
             if isinstance(error, OSError)
             else "internal"
         )
-        e.failed.append({"name": name, "class": kind, "error": f"{type(error).__name__}: {error}"})
+        e.failed.append(Failure(name, kind, f"{type(error).__name__}: {error}"))
 
 
 def _figure_9(e: Evaluation) -> None:
     """How many splats of a random sample have how many atoms, by target quality, with the largest dictionary here of
     the published coder: the default one's atoms are no patches, and it has a price in place of a cut-off."""
-    of_paper = [
-        (name, coded) for name, coded in e.coded.items() if coded.quantized and e.rows[name]["coder"] == "paper"
-    ]
+    of_paper = [(name, coded) for name, coded in e.coded.items() if coded.quantized and e.rows[name].coder == "paper"]
     if not of_paper:
         return
     name, coded = max(of_paper, key=lambda pair: pair[1].n_dictionary)
@@ -192,16 +191,11 @@ def _figure_9(e: Evaluation) -> None:
         ).summary.histogram
         for target in FIGURE_9_TARGETS_DB
     ]
-    e.figures["atoms"] = {
-        "row": name,
-        "n_splats": sample.summary.n_splats,
-        "targets_db": list(FIGURE_9_TARGETS_DB),
-        "histograms": shares,
-    }
+    e.atoms = AtomsByTarget(name, sample.summary.n_splats, FIGURE_9_TARGETS_DB, tuple(shares))
 
 
-def _write(out: Path, document: dict) -> None:
-    """evaluate.json and its page in `out`; `document` as `document_of` gives it."""
+def _write(out: Path, document: EvaluationDocument) -> None:
+    """evaluate.json and its page in `out`."""
     from renderer.report.evaluation_page import write_evaluation  # bokeh takes half a second to import
 
     write_evaluation(out, document)
@@ -211,8 +205,8 @@ def _variants(e: Evaluation) -> list[Variant]:
     """What the close-ups show and the passes are timed with: photographs as textures, then ours."""
     shown = []
     for key, folder in e.photos.items():
-        shown.append(Variant(e.rows[key]["name"], e.packed["average"], folder, _pages_of(e, folder), e.pool_bytes))
-    return shown + [Variant(f"{e.rows[key]['name']} {e.rows[key]['coder']}", path) for key, path in e.packed.items()]
+        shown.append(Variant(e.rows[key].name, e.packed["average"], folder, _pages_of(e, folder), e.pool_bytes))
+    return shown + [Variant(f"{e.rows[key].name} {e.rows[key].coder}", path) for key, path in e.packed.items()]
 
 
 def _pages_of(e: Evaluation, folder: Path) -> Path | None:
@@ -233,7 +227,7 @@ def _pictures(e: Evaluation, out: Path) -> None:
         time_passes, [v for v in variants if v.photos is None or v.name in ("photos LOD 0", "photos LOD 1")]
     )
     e.run.progress.end(StageRecord("pictures", out, None, time.perf_counter() - begun, 0, 2, 0, False))
-    e.figures |= {"close_ups": close_ups, "passes": passes, "close_ups_of": chosen}
+    e.close_ups, e.passes, e.close_ups_of = tuple(close_ups), tuple(passes), chosen
 
 
 def _held_out_photos(scan: Path, prepared: Prepared, every: int) -> tuple[int, ...]:
@@ -263,9 +257,5 @@ def _held_out(e: Evaluation, out: Path, every: int, chosen: tuple[int, ...]) -> 
     path = e.out / f"held-out{SUFFIX}"
     pack(e.run, prepared, coded, e.settings, e.scan.stem, path)
     views = compare_held_out(HeldOut(path, prepared.photos, chosen), out)
-    e.figures["held_out"] = {
-        "every": every,
-        "n_photos": len(e.prepared.scan.summary.cameras),
-        "n_uncoloured": prepared.splats.summary.n_without_camera,
-        "views": views,
-    }
+    n_photos = len(e.prepared.scan.summary.cameras)
+    e.held_out = HeldOutPhotos(every, n_photos, prepared.splats.summary.n_without_camera, tuple(views))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from msgspec import UNSET, UnsetType, structs
+
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
 from pipeline.planning.knobs import BY_NAME
@@ -13,6 +15,16 @@ from pipeline.stages.texture.photo_codecs import CODECS, texture_bytes
 from pipeline.stages.texture.photo_variants import PhotoVariant, VariantErrors, VariantMeasured
 from pipeline.summaries import CodesMade
 from renderer.evaluate.compare import not_measured
+from renderer.report.evaluation_document import (
+    AtomsByTarget,
+    CloseUp,
+    EvaluatedRow,
+    EvaluatedScan,
+    EvaluationDocument,
+    Failure,
+    HeldOutPhotos,
+    PassTimes,
+)
 from renderer.report.report import sizes_of
 from renderer.splats.baseline import PHOTO_BUDGET_BYTES
 from services.flow.code import code_prepared
@@ -48,12 +60,16 @@ class Evaluation:
     settings: Settings
     prepared: Prepared
     patches: StageRecord
-    rows: dict[str, dict] = field(default_factory=dict)
+    rows: dict[str, EvaluatedRow] = field(default_factory=dict)
     coded: dict[str, Coded] = field(default_factory=dict)
     packed: dict[str, Path] = field(default_factory=dict)
     photos: dict[str, Path] = field(default_factory=dict)  # folders of PhotoVariant
-    figures: dict = field(default_factory=lambda: {"atoms": None, "close_ups": [], "passes": [], "held_out": None})
-    failed: list[dict] = field(default_factory=list)
+    atoms: AtomsByTarget | None = None
+    close_ups: tuple[CloseUp, ...] = ()
+    close_ups_of: str | UnsetType = UNSET
+    passes: tuple[PassTimes, ...] = ()
+    held_out: HeldOutPhotos | None = None
+    failed: list[Failure] = field(default_factory=list)
     pool_bytes: int = PHOTO_BUDGET_BYTES  # of photographs on the GPU: those that exceed it are drawn by pages
 
     @property
@@ -69,7 +85,7 @@ def coders() -> tuple[str, ...]:
 def average_row(e: Evaluation) -> None:
     """Splats of one colour; the geometry of all rows is this one's."""
     coded_row(e, "average", "", max_atoms=0)
-    e.rows["average"] |= {"name": "average colour", "coder": "none"}
+    e.rows["average"] = structs.replace(e.rows["average"], name="average colour", coder="none")
 
 
 def coded_row(e: Evaluation, key: str, coder: str, **changes) -> None:
@@ -86,21 +102,24 @@ def coded_row(e: Evaluation, key: str, coder: str, **changes) -> None:
     with PackedFile(path) as packed:
         sizes = sizes_of(packed.load(), path.stat().st_size)
     quality = coded.codes.summary
-    e.rows[name] = _row(
+    row = _row(
         e,
+        name,
         key.upper(),
         coder or "k-SVD",
-        sizes["gpu_bytes"] - sizes["geometry_bytes"],
+        "ours",
+        sizes.gpu_bytes - sizes.geometry_bytes,
         quality,
         seconds,
-        sizes["geometry_bytes"],
-    ) | {
-        "kind": "ours",
-        "n_dictionary": coded.n_dictionary,
-        "mean_atoms": quality.mean_atoms,
-        "file_bytes": sizes["file_bytes"],
-        "learning": coded.learning,
-    }
+        sizes.geometry_bytes,
+    )
+    e.rows[name] = structs.replace(
+        row,
+        n_dictionary=coded.n_dictionary,
+        mean_atoms=quality.mean_atoms,
+        file_bytes=sizes.file_bytes,
+        learning=coded.learning,
+    )
     e.coded[name], e.packed[name] = coded, path
 
 
@@ -124,87 +143,94 @@ def photo_row(e: Evaluation, key: str, lod: int, codec: str, bytes_per_pixel: fl
     )
     kind = CODECS[codec]
     name = kind.title if not kind.renderable else f"photos LOD {lod}" + (f" {kind.title}" if codec != "raw" else "")
-    e.rows[key] = _row(e, name, kind.encoder, variant.summary.bytes, errors.summary, variant.made_seconds) | {
-        "kind": "photos" if kind.renderable else "pictures"
-    }
+    shown = "photos" if kind.renderable else "pictures"
+    e.rows[key] = _row(e, key, name, kind.encoder, shown, variant.summary.bytes, errors.summary, variant.made_seconds)
     if kind.renderable:
         e.photos[key] = variant.folder
 
 
 def picture_row(e: Evaluation, codec: str) -> None:
     """At the bytes of our textures: of the first coded row, or of BC1 at LOD 1 where there is none."""
-    coded = next((row for row in e.rows.values() if row["kind"] == "ours" and row.get("n_dictionary")), None)
+    coded = next((row for row in e.rows.values() if row.kind == "ours" and row.n_dictionary), None)
     cameras = e.prepared.scan.summary.cameras
     n_pixels = sum(c.width_px * c.height_px for c in cameras)
-    photo_row(e, codec, 0, codec, coded["texture_bytes"] / n_pixels if coded else 1 / 6)
+    photo_row(e, codec, 0, codec, coded.texture_bytes / n_pixels if coded else 1 / 6)
 
 
 def per_splat_row(e: Evaluation) -> None:
     """One texture a splat, as in an atlas: what our patches are before they are coded."""
     n_bytes = e.n_splats * texture_bytes(PATCH_SIZE, PATCH_SIZE, lambda w, h: 3 * w * h)
+    nothing_lost = VariantMeasured(None, None)
     e.rows["per-splat"] = _row(
-        e,
-        "one texture a splat",
-        "none",
-        n_bytes,
-        VariantMeasured(None, None),
-        e.patches.made_seconds,
-    ) | {"kind": "atlas"}
+        e, "per-splat", "one texture a splat", "none", "atlas", n_bytes, nothing_lost, e.patches.made_seconds
+    )
 
 
 def _row(
     e: Evaluation,
+    key: str,
     name: str,
     coder: str,
+    kind: str,
     n_bytes: int,
     quality: CodesMade | VariantMeasured,
     seconds: float,
     geometry: int | None = None,
-) -> dict:
-    geometry = geometry or e.rows["average"]["geometry_bytes"]
-    return {
-        "name": name,
-        "coder": coder,
-        "texture_bytes": int(n_bytes),
-        "geometry_bytes": int(geometry),
-        "bytes_per_splat": (n_bytes + geometry) / e.n_splats,
-        "texture_psnr_db": quality.texture_psnr_db,
-        "visible_psnr_db": quality.visible_psnr_db,
-        "seconds": seconds,
-        "n_dictionary": None,
-        "mean_atoms": None,
-        "file_bytes": None,
-        "learning": [],
-    }
+) -> EvaluatedRow:
+    geometry = geometry or e.rows["average"].geometry_bytes
+    return EvaluatedRow(
+        key=key,
+        name=name,
+        coder=coder,
+        kind=kind,
+        texture_bytes=int(n_bytes),
+        geometry_bytes=int(geometry),
+        bytes_per_splat=(n_bytes + geometry) / e.n_splats,
+        texture_psnr_db=quality.texture_psnr_db,
+        visible_psnr_db=quality.visible_psnr_db,
+        seconds=seconds,
+        n_dictionary=None,
+        mean_atoms=None,
+        file_bytes=None,
+        learning=(),
+        factor_total=None,
+        factor_texture=None,
+    )
 
 
-def document_of(e: Evaluation, wanted: list[str]) -> dict:
+def document_of(e: Evaluation, wanted: list[str], complete: bool = False) -> EvaluationDocument:
     """The rows in the paper's order, with their factors against the photographs as they are."""
     raw, shown = e.rows.get("lod0"), []
     for key in ROWS:
         for name, row in e.rows.items():
             if key in wanted and (name == key or name.startswith(key + "-") and key in CODED_ROWS):
-                shown.append({"key": name} | row | _factors(raw, row))
+                shown.append(_with_factors(raw, row))
     summary = e.prepared.scan.summary
-    return {
-        "scan": {"name": e.scan.resolve().name, "format": summary.format, "n_cameras": len(summary.cameras)},
-        "splats": e.n_splats,
-        "radius": e.prepared.radius,
-        "resampling_psnr_db": e.patches.summary.resampling_psnr_db,
-        "rows": shown,
-        "target_psnr_db": e.settings.target_psnr_db,
-        "n_workers": e.run.executor.n_workers,
-        "failed": e.failed,
-        "not_measured": not_measured(),
-        "complete": False,
-    } | e.figures
+    return EvaluationDocument(
+        scan=EvaluatedScan(e.scan.resolve().name, summary.format, len(summary.cameras)),
+        splats=e.n_splats,
+        radius=e.prepared.radius,
+        resampling_psnr_db=e.patches.summary.resampling_psnr_db,
+        rows=tuple(shown),
+        target_psnr_db=e.settings.target_psnr_db,
+        n_workers=e.run.executor.n_workers,
+        failed=tuple(e.failed),
+        not_measured=not_measured(),
+        complete=complete,
+        atoms=e.atoms,
+        close_ups=e.close_ups,
+        passes=e.passes,
+        held_out=e.held_out,
+        close_ups_of=e.close_ups_of,
+    )
 
 
-def _factors(raw: dict | None, row: dict) -> dict:
+def _with_factors(raw: EvaluatedRow | None, row: EvaluatedRow) -> EvaluatedRow:
     """Against the photographs as they are; None where that row failed."""
     if raw is None:
-        return {"factor_total": None, "factor_texture": None}
-    return {
-        "factor_total": (raw["texture_bytes"] + raw["geometry_bytes"]) / (row["texture_bytes"] + row["geometry_bytes"]),
-        "factor_texture": raw["texture_bytes"] / row["texture_bytes"],
-    }
+        return row
+    return structs.replace(
+        row,
+        factor_total=(raw.texture_bytes + raw.geometry_bytes) / (row.texture_bytes + row.geometry_bytes),
+        factor_texture=raw.texture_bytes / row.texture_bytes,
+    )

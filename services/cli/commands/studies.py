@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from services.cli.arguments import WrongArgument, add_settings, settings_of
@@ -37,6 +38,9 @@ def add_evaluate(commands) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> int:
+    from msgspec import to_builtins
+
+    from renderer.files import strict
     from services.processes.evaluate import ROWS, evaluate
 
     settings, out = settings_of(options), Path(options.out)
@@ -60,27 +64,24 @@ def _evaluate(options: argparse.Namespace) -> int:
             pool_bytes=options.pool_mib << 20,
         )
     if options.json:
-        print(json.dumps({**made, "out": str(out)}))
+        print(json.dumps({**strict(to_builtins(made)), "out": str(out)}))
     else:
-        print(_table_1(made["rows"]))
+        print(_table_1(made.rows))
         print(f"page  {out / 'evaluate.html'}")
-    for failure in made["failed"]:
-        print(
-            f"splatpress: {failure['class']} error: {failure['name']}: {failure['error']}; all else is there",
-            file=sys.stderr,
-        )
-    return BY_KIND[made["failed"][0]["class"]] if made["failed"] else OK
+    for failure in made.failed:
+        print(f"splatpress: {failure.kind} error: {failure.name}: {failure.error}; all else is there", file=sys.stderr)
+    return BY_KIND[made.failed[0].kind] if made.failed else OK
 
 
-def _table_1(rows: list[dict]) -> str:
+def _table_1(rows: Sequence) -> str:
     lines = [f"{'textures':<28}{'texture bytes':>15}{'B a splat':>11}{'PSNR dB':>9}{'visible':>9}{'seconds':>9}"]
     for row in rows:
         psnr = [
-            f"{row[k]:9.2f}" if row[k] is not None else f"{'exact':>9}" for k in ("texture_psnr_db", "visible_psnr_db")
+            f"{db:9.2f}" if db is not None else f"{'exact':>9}" for db in (row.texture_psnr_db, row.visible_psnr_db)
         ]
-        name = f"{row['name']}, {row['coder']}" if row["kind"] == "ours" else row["name"]
+        name = f"{row.name}, {row.coder}" if row.kind == "ours" else row.name
         lines.append(
-            f"{name:<28}{row['texture_bytes']:>15,}{row['bytes_per_splat']:>11.2f}{psnr[0]}{psnr[1]}{row['seconds']:>9.1f}"
+            f"{name:<28}{row.texture_bytes:>15,}{row.bytes_per_splat:>11.2f}{psnr[0]}{psnr[1]}{row.seconds:>9.1f}"
         )
     return "\n".join(lines)
 

@@ -54,15 +54,15 @@ def wall(names=NAMES, camera=None, n=600, textured=False):
 
 def test_previews__of_photographed_scans_show_packed_baseline_and_photo(renderer, tmp_path):
     rows = make_previews(wall(), tmp_path, photo_of, renderer)
-    assert [row["camera"] for row in rows] == list(NAMES)
+    assert [row.camera for row in rows] == list(NAMES)
     for row in rows:
-        assert set(row["pictures"]) == {"packed", "baseline", "photo"}
-        for path in row["pictures"].values():
-            assert decode_photo(str(tmp_path / path), path).shape == (row["height_px"], row["width_px"], 3)
-        assert all(np.isfinite(row[key]) for key in FIGURES)
-        assert list(row["seconds"]) == list(row["baseline_seconds"]) == ["cull", "visibility", "attribute", "resolve"]
-        assert 0.1 < row["coverage"] < 0.9
-    assert len({path for row in rows for path in row["pictures"].values()}) == 9
+        assert set(row.pictures) == {"packed", "baseline", "photo"}
+        for path in row.pictures.values():
+            assert decode_photo(str(tmp_path / path), path).shape == (row.height_px, row.width_px, 3)
+        assert all(np.isfinite(getattr(row, key)) for key in FIGURES)
+        assert list(row.seconds) == list(row.baseline_seconds) == ["cull", "visibility", "attribute", "resolve"]
+        assert 0.1 < row.coverage < 0.9
+    assert len({path for row in rows for path in row.pictures.values()}) == 9
     assert not list(tmp_path.rglob("*.partial"))
 
 
@@ -75,52 +75,52 @@ def test_previews__sums_are_as_wide_as_the_views_call_for(renderer, tmp_path):
     gpu_scene = GpuScene(scene, renderer.context)
     small = renderer.render(gpu_scene, view_of(camera, WARM_UP_PX)).accumulation
     gpu_scene.release()
-    assert (small, make_previews(scene, tmp_path, renderer=renderer)[0]["accumulation"]) == (WIDE, NARROW)
+    assert (small, make_previews(scene, tmp_path, renderer=renderer)[0].accumulation) == (WIDE, NARROW)
 
 
 def test_previews__write_the_pictures_that_they_measure(renderer, tmp_path):
     row = make_previews(wall(), tmp_path, photo_of, renderer)[1]
-    paths = [tmp_path / row["pictures"][kind] for kind in ("packed", "baseline")]
+    paths = [tmp_path / row.pictures[kind] for kind in ("packed", "baseline")]
     packed, baseline = (decode_photo(str(path), path.name).astype(float) for path in paths)
     covered = packed.any(axis=-1) & baseline.any(axis=-1)  # no splat of the wall is black
     error = ((packed - baseline)[covered] ** 2).mean()
-    assert row["psnr_vs_baseline_db"] == pytest.approx(10 * np.log10(255**2 / error), abs=1e-6)
-    assert row["coverage"] == pytest.approx(covered.mean())
+    assert row.psnr_vs_baseline_db == pytest.approx(10 * np.log10(255**2 / error), abs=1e-6)
+    assert row.coverage == pytest.approx(covered.mean())
 
 
 def test_previews__baseline_is_the_photo_where_its_own_camera_looks(renderer, tmp_path):
     row = make_previews(wall(camera=1), tmp_path, photo_of, renderer)[1]
-    assert row["baseline_psnr_vs_photo_db"] > 40  # and not at all from where another camera's photo is seen
-    assert row["psnr_vs_photo_db"] < 20
+    assert row.baseline_psnr_vs_photo_db > 40  # and not at all from where another camera's photo is seen
+    assert row.psnr_vs_photo_db < 20
 
 
 def test_previews__without_photographs_show_the_packed_scene_alone(renderer, tmp_path):
     rows = make_previews(wall(), tmp_path, None, renderer)
     assert len(rows) == 3
     for row in rows:
-        assert set(row["pictures"]) == {"packed"} and row["baseline_seconds"] is None
-        assert all(row[key] is None for key in FIGURES)
+        assert set(row.pictures) == {"packed"} and row.baseline_seconds is None
+        assert all(getattr(row, key) is None for key in FIGURES)
 
 
 def test_previews__without_cameras_orbit_the_scan(renderer, tmp_path):
     options = PreviewOptions(n_orbits=3, orbit_size_px=(64, 48))
     rows = make_previews(wall(names=(), textured=True), tmp_path, photo_of, renderer, options)
-    assert [(row["width_px"], row["height_px"]) for row in rows] == [(64, 48)] * 3
-    assert all(row[key] is None for row in rows for key in FIGURES)
-    assert any(row["coverage"] > 0.1 for row in rows)
+    assert [(row.width_px, row.height_px) for row in rows] == [(64, 48)] * 3
+    assert all(getattr(row, key) is None for row in rows for key in FIGURES)
+    assert any(row.coverage > 0.1 for row in rows)
     assert len(list((tmp_path / "previews").iterdir())) == 3
 
 
 def test_previews__take_at_most_so_many_cameras_evenly(renderer, tmp_path):
     scene = wall(names=tuple(f"{i}.jpg" for i in range(7)))
     rows = make_previews(scene, tmp_path, photo_of, renderer, PreviewOptions(n_cameras=3))
-    assert [row["camera"] for row in rows] == ["0.jpg", "3.jpg", "6.jpg"]
+    assert [row.camera for row in rows] == ["0.jpg", "3.jpg", "6.jpg"]
 
 
 def test_previews__compare_large_photographs_at_a_smaller_size(renderer, tmp_path):
     row = make_previews(wall(camera=0), tmp_path, photo_of, renderer, PreviewOptions(max_side_px=60))[0]
-    assert (row["width_px"], row["height_px"]) == (60, 45)
-    assert row["baseline_psnr_vs_photo_db"] > 30
+    assert (row.width_px, row.height_px) == (60, 45)
+    assert row.baseline_psnr_vs_photo_db > 30
 
 
 def test_previews__of_a_camera_that_sees_no_splat_have_no_figures(renderer, tmp_path):
@@ -128,7 +128,7 @@ def test_previews__of_a_camera_that_sees_no_splat_have_no_figures(renderer, tmp_
     away = replace(scene.header.cameras[0], centre=(0.0, 2.5, 0.0))
     scene = replace(scene, header=replace(scene.header, cameras=(away,)))
     row = make_previews(scene, tmp_path, photo_of, renderer)[0]
-    assert row["coverage"] == 0 and all(row[key] is None for key in FIGURES)
+    assert row.coverage == 0 and all(getattr(row, key) is None for key in FIGURES)
 
 
 def test_previews__tell_their_progress(renderer, tmp_path):

@@ -12,7 +12,7 @@ import pytest
 from renderer.files import strict
 from renderer.pictures import jpeg_within, save_picture
 from renderer.report.dictionary_picture import GAP_PX, atom_uses, dictionary_picture
-from renderer.report.document import RunRecord
+from renderer.report.document import RunRecord, ViewMeasured
 from renderer.report.report import as_json, build_report, write_report
 from renderer.report.report_page import ALL_PICTURES_BYTES, page_of, write_page
 from storage.packed.schema import PATCH_SIZE
@@ -85,7 +85,8 @@ def full_record():
 
 def built(scene, file_bytes, record=None, views=()) -> dict:
     """The report as report.json has it, of a record in JSON."""
-    return as_json(build_report(scene, file_bytes, msgspec.convert(strict(record or {}), RunRecord), views))
+    shown = msgspec.convert(strict(list(views)), tuple[ViewMeasured, ...])
+    return as_json(build_report(scene, file_bytes, msgspec.convert(strict(record or {}), RunRecord), shown))
 
 
 def full_views(folder):
