@@ -92,7 +92,7 @@ def _stages(found: dict, report: dict, kept: Path) -> list[dict]:
                 "estimated": of["seconds"],
                 "happened": of["seconds"] if stage["reused"] else stage["seconds"],
                 "cpu_estimated": of.get("processor_seconds", 0.0),
-                "cpu_happened": sum(t["processor_seconds"] for t in tasks),
+                "cpu_happened": sum(t.processor_seconds for t in tasks),
             }
         )
     return rows

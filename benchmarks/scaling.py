@@ -70,11 +70,11 @@ def _tasks_of(folder: Path, name: str) -> dict:
     ]
     files = [p for stage in folder.glob(f"{name}-????????????????") for p in stage.rglob("*") if p.is_file()]
     return {
-        "seconds": [r["seconds"] for r in found],
-        "processor_seconds": [r["processor_seconds"] for r in found],
-        "compile_seconds": [r["compile_seconds"] for r in found],
-        "splats": [r.get("n_splats", 0) for r in found],
-        "peak_rss_bytes": [r["peak_rss_bytes"] for r in found],
+        "seconds": [r.seconds for r in found],
+        "processor_seconds": [r.processor_seconds for r in found],
+        "compile_seconds": [r.compile_seconds for r in found],
+        "splats": [r.n_splats for r in found],
+        "peak_rss_bytes": [r.peak_rss_bytes for r in found],
         "passes": len(list(folder.glob(f"{name}-????????????????"))),
         "written_bytes": int(np.sum([p.stat().st_size for p in files])),
     }

@@ -17,6 +17,7 @@ from pipeline.execution.calls import run_call
 from pipeline.execution.stage import Stage
 from pipeline.execution.task import run_task, run_tasks
 from storage.errors import ResourceExhausted
+from storage.work.work import TaskRecord
 
 WATCH_S = 0.5  # how often a waiting executor asks whether it is still wanted
 MOST_A_CALL = 8  # tasks: one of 0.3 s each, as coding takes, stays below 3 s
@@ -50,7 +51,7 @@ class SerialExecutor:
     def __exit__(self, *_) -> None:
         pass
 
-    def run(self, stage: Stage, folder: Path, indices: list[int], on_done: Callable[[int, dict], None]) -> None:
+    def run(self, stage: Stage, folder: Path, indices: list[int], on_done: Callable[[int, TaskRecord], None]) -> None:
         for index in indices:
             on_done(index, run_task(stage, folder, index))
 
@@ -119,15 +120,15 @@ class DaskExecutor:
         if self._cluster is not None:
             self._cluster.close()
 
-    def run(self, stage: Stage, folder: Path, indices: list[int], on_done: Callable[[int, dict], None]) -> None:
+    def run(self, stage: Stage, folder: Path, indices: list[int], on_done: Callable[[int, TaskRecord], None]) -> None:
         ends = list(accumulate(calls_of(len(indices), self.n_workers)))
         parts = [indices[begin:end] for begin, end in pairwise([0, *ends])]
 
-        def on_call(arguments: tuple, results: list[dict]) -> list[tuple]:
+        def on_call(arguments: tuple, records: list[TaskRecord]) -> list[tuple]:
             part = arguments[-1]
-            for index, result in zip(part, results):
-                on_done(index, result)
-            size = len(results)
+            for index, record in zip(part, records):
+                on_done(index, record)
+            size = len(records)
             return [(stage, folder, part[at : at + size]) for at in range(size, len(part), size)]
 
         self._gather(stage.name, run_tasks, [(stage, folder, part) for part in parts], self._resources, on_call)

@@ -1,7 +1,7 @@
 """What a stage is, and how one is run: init, then run each task, then finalise. Names no executor.
 
 A stage is a frozen dataclass of plain values and folders of earlier stages. Its output goes to a folder of its own,
-named by the hash of those fields; a task writes only what it owns there and returns a small JSON-able result.
+named by the hash of those fields; a task writes only what it owns there and returns a small frozen dataclass, kept as JSON.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from typing import Any, Generic, Protocol, TypeVar, get_type_hints
 from pipeline.execution.calls import run_call
 from storage import place
 from storage.work import work
+from storage.work.work import TaskRecord
 
 S = TypeVar("S")
 S_co = TypeVar("S_co", covariant=True)
 
 
 class Stage(Protocol[S_co]):
-    """The three steps. `n_splats` of a result is what the progress counts.
+    """The three steps.
 
     `init` runs in the process that calls `run_stage`, the other two wherever the executor says, perhaps more than once
     and side by side (a worker that was given up may still be at it): equal calls make equal bytes.
@@ -32,22 +33,25 @@ class Stage(Protocol[S_co]):
     def init(self, folder: Path) -> int:
         """Create the arrays; returns the number of tasks."""
 
-    def run(self, folder: Path, index: int) -> dict:
-        """Do task `index`: write the chunks it owns, return what finalise needs."""
+    def run(self, folder: Path, index: int) -> Any:
+        """Do task `index`: write the chunks it owns, return what finalise needs, a frozen dataclass; `n_splats` of it
+        is what the progress counts."""
 
-    def finalise(self, folder: Path, results: list[dict]) -> S_co:
+    def finalise(self, folder: Path, results: list) -> S_co:
         """Make one summary of the results, in the order of the tasks: a frozen dataclass (`pipeline.summaries`)."""
 
 
 class Executor(Protocol):
-    """Runs the tasks of a stage anywhere, in any order; `on_done(index, result)` is called once for each.
+    """Runs the tasks of a stage anywhere, in any order; `on_done(index, record)` is called once for each.
 
     `call` runs `finalise` where tasks run: it too may take long, must be stoppable, and takes memory.
     """
 
     n_workers: int
 
-    def run(self, stage: Stage, folder: Path, indices: list[int], on_done: Callable[[int, dict], None]) -> None: ...
+    def run(
+        self, stage: Stage, folder: Path, indices: list[int], on_done: Callable[[int, TaskRecord], None]
+    ) -> None: ...
 
     def call(self, name: str, function: Callable, *arguments): ...
 
@@ -87,15 +91,15 @@ def run_stage(stage: Stage[S], work_folder: Path, executor: Executor, progress: 
     reused = work.is_complete(folder)
     if not reused:
         _bring_into_being(stage, folder, executor, progress)
-    results = [r for _, r in sorted(work.finished_tasks(folder).items())]
+    tasks = work.finished_tasks(folder).values()
     record = StageRecord(
         stage.name,
         folder,
         work.summary(folder, summary_type(stage)),
         time.perf_counter() - begun,
-        max((r["peak_rss_bytes"] for r in results), default=0),
-        len(results),
-        sum(r.get("n_splats", 0) for r in results),
+        max((task.peak_rss_bytes for task in tasks), default=0),
+        len(tasks),
+        sum(task.n_splats for task in tasks),
         reused,
         work.made_seconds(folder),
     )
@@ -109,6 +113,11 @@ def summary_type(stage: Stage) -> Any:
     return getattr(stage, "summary_type", None) or get_type_hints(type(stage).finalise)["return"]
 
 
+def result_type(stage: Stage) -> Any:
+    """What `run` of a stage returns, by its annotation."""
+    return get_type_hints(type(stage).run)["return"]
+
+
 def _bring_into_being(stage: Stage, folder: Path, executor: Executor, progress: Progress) -> None:
     begun, plan = time.perf_counter(), folder / "plan.json"
     if place.is_file(plan):
@@ -117,17 +126,17 @@ def _bring_into_being(stage: Stage, folder: Path, executor: Executor, progress: 
         work.begin(folder)
         run_call(stage.name, lambda: work.write_json(plan, {"n_tasks": stage.init(folder)}))
     n_tasks = work.read_json(plan)["n_tasks"]
-    results = work.finished_tasks(folder)
+    tasks = work.finished_tasks(folder, result_type(stage))
     progress.begin(stage.name, n_tasks)
-    progress.advance(stage.name, len(results), sum(r.get("n_splats", 0) for r in results.values()))
+    progress.advance(stage.name, len(tasks), sum(task.n_splats for task in tasks.values()))
 
-    def on_done(index: int, result: dict) -> None:
-        results[index] = result
-        progress.advance(stage.name, 1, result.get("n_splats", 0))
+    def on_done(index: int, task: TaskRecord) -> None:
+        tasks[index] = task
+        progress.advance(stage.name, 1, task.n_splats)
 
     try:
-        executor.run(stage, folder, [i for i in range(n_tasks) if i not in results], on_done)
-        summary = executor.call(stage.name, stage.finalise, folder, [results[i] for i in range(n_tasks)])
+        executor.run(stage, folder, [i for i in range(n_tasks) if i not in tasks], on_done)
+        summary = executor.call(stage.name, stage.finalise, folder, [tasks[i].result for i in range(n_tasks)])
         run_call(stage.name, work.complete, folder, summary, time.perf_counter() - begun)
     except BaseException:
         work.sweep(folder)

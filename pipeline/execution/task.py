@@ -9,16 +9,15 @@ import psutil
 from numba.core import event
 
 from pipeline.execution.calls import under_the_rules
-from pipeline.execution.stage import Stage
+from pipeline.execution.stage import Stage, result_type
 from storage.work import work
+from storage.work.work import TaskRecord
 
 CALL_S = 2.0  # then a call hands back what it has not begun: it can be stopped, and progress is heard, within a task and this
 
 
-def run_task(stage: Stage, folder: Path, index: int) -> dict:
-    """Run task `index`; returns its result with `seconds`, `processor_seconds` and `peak_rss_bytes`, which
-    is recorded in the folder. `compile_seconds`, part of the seconds, went into kernels that a process compiles or
-    loads once."""
+def run_task(stage: Stage, folder: Path, index: int) -> TaskRecord:
+    """Run task `index`; what it returned and took, which is recorded in the folder."""
     begun, begun_processor = time.perf_counter(), time.process_time()
     _forget_peak()
     with (
@@ -26,27 +25,29 @@ def run_task(stage: Stage, folder: Path, index: int) -> dict:
         event.install_listener("numba:compiler_lock", event.TimingListener()) as compiling,
     ):
         result = stage.run(folder, index)
-        result = {
-            **result,
-            "seconds": time.perf_counter() - begun,
-            "peak_rss_bytes": peak_rss_bytes(),
-            "processor_seconds": time.process_time() - begun_processor,
-            "compile_seconds": compiling.duration if compiling.done else 0.0,
-        }
-        work.record_task(folder, index, result)
-    return result
+        record = TaskRecord(
+            result,
+            getattr(result, "n_splats", 0),
+            seconds=time.perf_counter() - begun,
+            processor_seconds=time.process_time() - begun_processor,
+            compile_seconds=compiling.duration if compiling.done else 0.0,
+            peak_rss_bytes=peak_rss_bytes(),
+        )
+        work.record_task(folder, index, record)
+    return record
 
 
-def run_tasks(stage: Stage, folder: Path, indices: list[int]) -> list[dict]:
-    """Several tasks as one: the results of the first, and of as many others as begin within CALL_S. Those that were
+def run_tasks(stage: Stage, folder: Path, indices: list[int]) -> list[TaskRecord]:
+    """Several tasks as one: the records of the first, and of as many others as begin within CALL_S. Those that were
     done before a worker died are not done again."""
     begun = time.perf_counter()
-    results: list[dict] = []
+    kind = result_type(stage)
+    records: list[TaskRecord] = []
     for index in indices:
-        if results and time.perf_counter() - begun > CALL_S:
+        if records and time.perf_counter() - begun > CALL_S:
             break
-        results.append(work.finished_task(folder, index) or run_task(stage, folder, index))
-    return results
+        records.append(work.finished_task(folder, index, kind) or run_task(stage, folder, index))
+    return records
 
 
 def _forget_peak() -> None:

@@ -16,6 +16,7 @@ from pipeline.execution.stage import Stage
 from services.jobs.cluster import CPU, begin_report, end_report
 from services.store.store import Store
 from storage.errors import ResourceExhausted
+from storage.work.work import TaskRecord
 
 RECONNECT_S = 120.0  # how long a job waits for a scheduler that is gone
 RETRY_S = 1.0
@@ -52,12 +53,12 @@ class SchedulerLink:
             end_report(self._executor.client, self._report, REPORT_S if error is None else REPORT_OF_FAILURE_S)
         self._close()
 
-    def run(self, stage: Stage, folder: Path, indices: list[int], on_done: Callable[[int, dict], None]) -> None:
+    def run(self, stage: Stage, folder: Path, indices: list[int], on_done: Callable[[int, TaskRecord], None]) -> None:
         missing = set(indices)
 
-        def note(index: int, result: dict) -> None:
+        def note(index: int, record: TaskRecord) -> None:
             missing.discard(index)
-            on_done(index, result)
+            on_done(index, record)
 
         if missing:
             self._use(lambda executor: executor.run(stage, folder, sorted(missing), note))

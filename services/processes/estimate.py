@@ -238,7 +238,7 @@ def _row(record: StageRecord, seconds: float, processor_seconds: float) -> dict:
 
 def _processor_seconds(record: StageRecord) -> float:
     """Of a stage's tasks."""
-    return sum(task["processor_seconds"] for task in work.finished_tasks(record.folder).values())
+    return sum(task.processor_seconds for task in work.finished_tasks(record.folder).values())
 
 
 def _banded(name: str, value: float | None) -> dict | None:
@@ -280,13 +280,13 @@ def _stage_seconds(
     fastest task counts, as the others met a worker without pages of memory.
     """
     tasks = work.finished_tasks(record.folder).values()
-    busy = sum(task["seconds"] for task in tasks)
+    busy = sum(task.seconds for task in tasks)
     once = (
         max(0.0, record.made_seconds - busy / len(tasks) * -(-len(tasks) // pilot.n_workers))
         if tasks
         else record.made_seconds
     )
-    used = sum(task["processor_seconds"] for task in tasks)
+    used = sum(task.processor_seconds for task in tasks)
     if record.n_splats:
         busy, used = (
             record.n_splats * _rate(tasks, clock, cold=stage.name == Resample.name)
@@ -306,11 +306,9 @@ def _stage_seconds(
     ), used * atoms / pilot.share
 
 
-def _rate(tasks: Iterable[dict], clock: str, cold: bool) -> float:
+def _rate(tasks: Iterable[work.TaskRecord], clock: str, cold: bool) -> float:
     """Seconds a splat."""
-    taken = [
-        (t[clock] * max(0.0, 1 - t["compile_seconds"] / t["seconds"]), t["n_splats"]) for t in tasks if t["n_splats"]
-    ]
+    taken = [(getattr(t, clock) * max(0.0, 1 - t.compile_seconds / t.seconds), t.n_splats) for t in tasks if t.n_splats]
     return min(s / n for s, n in taken) if cold else sum(s for s, _ in taken) / sum(n for _, n in taken)
 
 

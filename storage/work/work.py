@@ -27,9 +27,22 @@ import numpy as np
 from storage import place
 from storage.whole import whole
 
-LAYOUT_VERSION = 14  # raised when a stage's output changes for equal inputs
+LAYOUT_VERSION = 15  # raised when a stage's output changes for equal inputs
 
 T = TypeVar("T")
+
+
+@dataclasses.dataclass(frozen=True)
+class TaskRecord(Generic[T]):
+    """A task that has finished: what it returned, and what it took. `compile_seconds`, part of the seconds, went into
+    kernels that a process compiles or loads once."""
+
+    result: T
+    n_splats: int  # of the result; 0 where it is of none
+    seconds: float
+    processor_seconds: float
+    compile_seconds: float
+    peak_rss_bytes: int
 
 
 class _Kept(msgspec.Struct, Generic[T]):
@@ -125,21 +138,25 @@ def sweep(folder: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def finished_tasks(folder: Path) -> dict[int, dict]:
-    """The results of the tasks that have finished, by index."""
+def finished_tasks(folder: Path, kind: Any = Any) -> dict[int, TaskRecord]:
+    """The tasks that have finished, by index; their results as `kind`.
+
+    Raises: msgspec.ValidationError, a mistake of ours, where a result lacks a field of `kind`.
+    """
     done = [folder / "results" / name for name in place.names(folder / "results") if name.endswith(".json")]
-    return {int(p.stem): json.loads(file.read_text()) for p, file in zip(done, place.all_here(done))}
+    decoder = _decoder(TaskRecord[kind])
+    return {int(p.stem): decoder.decode(file.read_bytes()) for p, file in zip(done, place.all_here(done))}
 
 
-def finished_task(folder: Path, index: int) -> dict | None:
-    """The result of one task, if it has finished."""
+def finished_task(folder: Path, index: int, kind: Any = Any) -> TaskRecord | None:
+    """One task, if it has finished."""
     path = _result_path(folder, index)
-    return read_json(path) if place.is_file(path) else None
+    return _decoder(TaskRecord[kind]).decode(place.here(path).read_bytes()) if place.is_file(path) else None
 
 
-def record_task(folder: Path, index: int, result: dict) -> None:
-    """Keep the result of a task: it is not run again."""
-    write_json(_result_path(folder, index), result)
+def record_task(folder: Path, index: int, record: TaskRecord) -> None:
+    """Keep the record of a task: it is not run again."""
+    write_json(_result_path(folder, index), record)
 
 
 def _result_path(folder: Path, index: int) -> Path:
@@ -157,12 +174,12 @@ def summary(folder: Path, kind: type[T]) -> T:
 
     Raises: msgspec.ValidationError, a mistake of ours, where it has not.
     """
-    return _decoder(kind).decode(place.here(folder / "summary.json").read_bytes()).summary  # type: ignore[arg-type]
+    return _decoder(_Kept[kind]).decode(place.here(folder / "summary.json").read_bytes()).summary  # type: ignore[valid-type]
 
 
 @functools.cache
-def _decoder(kind: type) -> msgspec.json.Decoder:
-    return msgspec.json.Decoder(_Kept[kind])  # type: ignore[valid-type]
+def _decoder(kind: Any) -> msgspec.json.Decoder:
+    return msgspec.json.Decoder(kind)
 
 
 def made_seconds(folder: Path) -> float:

@@ -30,6 +30,13 @@ class Scales:
 
 
 @dataclass(frozen=True)
+class EyeScaled:
+    """What a task tells of its eye."""
+
+    scale: float
+
+
+@dataclass(frozen=True)
 class NearestPoints:
     """A task an eye; it streams the blocks that may lie in its picture. Array nearest_<i> (h, w, 3) float32: the
     position, against the scan's origin, of the point nearest to each cell of eye i, or NaN throughout where it sees
@@ -41,7 +48,7 @@ class NearestPoints:
     def init(self, folder: Path) -> int:
         return len(eyes_of(self.sources))
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> EyeScaled:
         s = self.sources
         eye = eyes_of(s)[index]
         scale = eye.scale_for(self._median_distance(index), s.radius, CELLS_A_RADIUS)
@@ -57,10 +64,10 @@ class NearestPoints:
             row, column = distance_transform_edt(~np.isfinite(distance), return_distances=False, return_indices=True)
             position = position[row, column]
         arrays.store(folder, f"nearest_{index}", position, position.shape)
-        return {"scale": scale}
+        return EyeScaled(scale=scale)
 
-    def finalise(self, folder: Path, results: list[dict]) -> Scales:
-        return Scales(tuple(r["scale"] for r in results))
+    def finalise(self, folder: Path, results: list[EyeScaled]) -> Scales:
+        return Scales(tuple(r.scale for r in results))
 
     def _median_distance(self, index: int) -> float:
         """Of the middles of the blocks that lie in the eye's picture; 1 where none does."""

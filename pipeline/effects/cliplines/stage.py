@@ -25,6 +25,14 @@ LEAST_GAIN = 0.12
 
 
 @dataclass(frozen=True)
+class ClippedBlock:
+    """What a task tells of its block."""
+
+    n_splats: int
+    n_clipped: int
+
+
+@dataclass(frozen=True)
 class Cliplines:
     """A task a block. Arrays: has_clipline (n,) bool, clipline (n,) uint32."""
 
@@ -40,15 +48,15 @@ class Cliplines:
         arrays.create(folder, "clipline", (n,), "uint32")
         return arrays.n_blocks(n)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> ClippedBlock:
         block = self.sources.block(index)
         code, has = cliplines_of(block, self.nearest, self.foreign_radii, self.least_gain)
         arrays.write(folder, "has_clipline", block.rows[0], has)
         arrays.write(folder, "clipline", block.rows[0], code)
-        return {"n_splats": len(has), "n_clipped": int(has.sum())}
+        return ClippedBlock(n_splats=len(has), n_clipped=int(has.sum()))
 
-    def finalise(self, folder: Path, results: list[dict]) -> Clipped:
-        return Clipped(sum(r["n_clipped"] for r in results))
+    def finalise(self, folder: Path, results: list[ClippedBlock]) -> Clipped:
+        return Clipped(sum(r.n_clipped for r in results))
 
 
 def cliplines_of(

@@ -29,6 +29,14 @@ class EllipsoidsMade:
 
 
 @dataclass(frozen=True)
+class EllipsoidBlock:
+    """What a task tells of its block."""
+
+    n_splats: int
+    n_ellipsoids: int
+
+
+@dataclass(frozen=True)
 class Ellipsoids:
     """A task a block. Arrays: has_ellipsoid (n,) bool; centre (n, 3) float64, against the origin, and axes (n, 3, 3)
     float32, half axes as rows, longest first; both zeros for discs."""
@@ -49,7 +57,7 @@ class Ellipsoids:
             arrays.create(folder, name, shape, dtype)
         return arrays.n_blocks(n)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> EllipsoidBlock:
         start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
         position = arrays.read(self.partition, "position", start, stop)
         thin, centre = np.zeros(stop - start, bool), np.zeros((stop - start, 3))
@@ -70,11 +78,11 @@ class Ellipsoids:
                 thin[rows] = True
         for name, rows in (("has_ellipsoid", thin), ("centre", centre), ("axes", axes)):
             arrays.write(folder, name, start, rows)
-        return {"n_splats": stop - start, "n_ellipsoids": int(thin.sum())}
+        return EllipsoidBlock(n_splats=stop - start, n_ellipsoids=int(thin.sum()))
 
-    def finalise(self, folder: Path, results: list[dict]) -> EllipsoidsMade:
-        n = sum(r["n_splats"] for r in results)
-        n_ellipsoids = sum(r["n_ellipsoids"] for r in results)
+    def finalise(self, folder: Path, results: list[EllipsoidBlock]) -> EllipsoidsMade:
+        n = sum(r.n_splats for r in results)
+        n_ellipsoids = sum(r.n_ellipsoids for r in results)
         return EllipsoidsMade(n, n_ellipsoids, n_ellipsoids / n)
 
     def _first_finest(self) -> int:

@@ -28,10 +28,9 @@ class Exposed:
             arrays.create(folder, f"photo_{i}", (camera.height_px, camera.width_px, 3), "uint8", (TILE, TILE, 3))
         return len(self.log_gain)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> None:
         photo = arrays.read(self.ingest, f"photo_{index}")
         arrays.write_picture(folder, f"photo_{index}", relit(photo, np.array(self.log_gain[index])))
-        return {}
 
-    def finalise(self, folder: Path, results: list[dict]) -> Photographs:
+    def finalise(self, folder: Path, results: list[None]) -> Photographs:
         return work.summary(self.ingest, Photographs)

@@ -40,6 +40,16 @@ class StationGains:
 
 
 @dataclass(frozen=True)
+class LightSeen:
+    """What a task tells of its block: splats, each with a station and what that saw of it, three values."""
+
+    n_splats: int
+    splat: list[int]
+    station: list[int]
+    light: list[float]
+
+
+@dataclass(frozen=True)
 class StationLight:
     """A task a block, of at most MOST_BLOCKS blocks. The summary has `log_gain` (n_stations, 3): zeros where gains solved
     from half of the splats do not bring the other half together by LEAST_FALL."""
@@ -55,29 +65,29 @@ class StationLight:
     def init(self, folder: Path) -> int:
         return min(MOST_BLOCKS, arrays.n_blocks(work.summary(self.splats, Counted).n_splats))
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> LightSeen:
         n = work.summary(self.splats, Counted).n_splats
         n_blocks = arrays.n_blocks(n)
         chosen = index * n_blocks // min(MOST_BLOCKS, n_blocks)
         start, stop = arrays.block_range(chosen, n)
         block = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
         rows = np.arange(0, stop - start, EVERY)
-        seen: dict[str, list] = {"splat": [], "station": [], "light": []}
+        seen = LightSeen(stop - start, [], [], [])
         for station in range(block.n_stations):
             station_map = block.map_of(station)
             if station_map is None:
                 continue
             found, light = _light_of(station_map, block.squares(station_map).only(rows))
-            seen["splat"] += found.tolist()
-            seen["station"] += [station] * len(found)
-            seen["light"] += light.round(6).ravel().tolist()
-        return seen | {"n_splats": stop - start}
+            seen.splat.extend(found.tolist())
+            seen.station.extend([station] * len(found))
+            seen.light.extend(light.round(6).ravel().tolist())
+        return seen
 
-    def finalise(self, folder: Path, results: list[dict]) -> StationGains:
+    def finalise(self, folder: Path, results: list[LightSeen]) -> StationGains:
         n_stations = len(work.summary(self.maps, MapsDrawn).frames)
-        splat = np.concatenate([np.array(r["splat"], np.int64) + (i << 20) for i, r in enumerate(results)])
-        station = np.concatenate([np.array(r["station"], np.int64) for r in results])
-        light = np.concatenate([np.array(r["light"], float).reshape(-1, 3) for r in results])
+        splat = np.concatenate([np.array(r.splat, np.int64) + (i << 20) for i, r in enumerate(results)])
+        station = np.concatenate([np.array(r.station, np.int64) for r in results])
+        light = np.concatenate([np.array(r.light, float).reshape(-1, 3) for r in results])
         several = _several(splat)
         nowhere = np.zeros(int(several.sum()))  # a station's light is the same all around
         seen = Observations(splat[several], station[several], nowhere, nowhere, light[several])

@@ -13,6 +13,13 @@ from storage.work import arrays, work
 
 
 @dataclass(frozen=True)
+class MapEdited:
+    """What a task tells of its station."""
+
+    edited: bool
+
+
+@dataclass(frozen=True)
 class EditedMaps:
     """A task a station. Arrays and summary as those of `Panoramas`; a station without a picture in `edited` keeps its map.
 
@@ -32,16 +39,16 @@ class EditedMaps:
             raise InvalidScan(self.edited, "no map of any station", wanted, "`splatpress map` writes them")
         return n_stations
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> MapEdited:
         made = read_map(self.maps, index)
         is_edited = made is not None and has_map(Path(self.edited), index)
         if made is None:
-            return {"edited": False}
+            return MapEdited(edited=False)
         if is_edited:
             made = read_edited(Path(self.edited), made)
         arrays.store(folder, f"color_{index}", made.color, made.color.shape)
         arrays.store(folder, f"depth_{index}", made.depth, made.depth.shape)
-        return {"edited": is_edited}
+        return MapEdited(edited=is_edited)
 
-    def finalise(self, folder: Path, results: list[dict]) -> MapsDrawn:
-        return replace(work.summary(self.maps, MapsDrawn), n_edited=sum(r["edited"] for r in results))
+    def finalise(self, folder: Path, results: list[MapEdited]) -> MapsDrawn:
+        return replace(work.summary(self.maps, MapsDrawn), n_edited=sum(r.edited for r in results))

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.effects.cliplines.lines import best_lines, disc_points
-from pipeline.effects.cliplines.stage import LEAST_GAIN
+from pipeline.effects.cliplines.stage import LEAST_GAIN, ClippedBlock
 from pipeline.geometry.frame import Direction
 from pipeline.maps.choice import NO_STATION, best_stations
 from pipeline.maps.sample import Squares, foreign_points
@@ -42,7 +42,7 @@ class MapCliplines:
         arrays.create(folder, "clipline", (n,), "uint32")
         return arrays.n_blocks(n)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> ClippedBlock:
         start, stop = arrays.block_range(index, work.summary(self.splats, Counted).n_splats)
         splats = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
         best = best_stations(splats.map_of, splats.n_stations, splats.squares, splats.own)
@@ -55,10 +55,10 @@ class MapCliplines:
                 code[some], has[some] = _lines(station_map, squares.only(some))
         arrays.write(folder, "has_clipline", start, has)
         arrays.write(folder, "clipline", start, code)
-        return {"n_splats": len(has), "n_clipped": int(has.sum())}
+        return ClippedBlock(n_splats=len(has), n_clipped=int(has.sum()))
 
-    def finalise(self, folder: Path, results: list[dict]) -> Clipped:
-        return Clipped(sum(r["n_clipped"] for r in results))
+    def finalise(self, folder: Path, results: list[ClippedBlock]) -> Clipped:
+        return Clipped(sum(r.n_clipped for r in results))
 
 
 def _lines(station_map: StationMap, squares: Squares) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.maps.light import levels_with
@@ -30,6 +30,17 @@ class PicturesMade:
 
 
 @dataclass(frozen=True)
+class PictureMade:
+    """What a task tells of its station; nothing stored where it saw nothing."""
+
+    stored: StoredMap | None
+    depth_bytes: int
+    error: float  # squared, of all values
+    n_values: int
+    quality: int | None
+
+
+@dataclass(frozen=True)
 class MapPictures:
     """A task a station. Arrays map_colors_<i> (bytes of a WebP), map_depth_low_<i>, map_depth_high_<i> (h, 6 h) uint8; the
     summary has each one's `StoredMap` (None for a station that saw nothing), and of all the bytes of colours, about those that
@@ -43,29 +54,29 @@ class MapPictures:
     def init(self, folder: Path) -> int:
         return len(work.summary(self.maps, MapsDrawn).frames)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> PictureMade:
         station_map = read_map(self.maps, index)
         if station_map is None:
-            return {"stored": None, "depth_bytes": 0, "error": 0.0, "n_values": 0, "quality": None}
+            return PictureMade(stored=None, depth_bytes=0, error=0.0, n_values=0, quality=None)
         made = encode_map(station_map, levels_with(self.log_gain[index]), self.target_psnr_db)
         for name, values in zip(NAMES, (made.color, made.depth_low, made.depth_high), strict=True):
             arrays.store(folder, f"{name}_{index}", values, values.shape)
-        return {
-            "stored": asdict(made.stored),
-            "depth_bytes": sum(len(zlib.compress(d.tobytes(), 6)) for d in (made.depth_low, made.depth_high)),
-            "error": made.squared_error,
-            "n_values": made.n_values,
-            "quality": made.quality,
-        }
+        return PictureMade(
+            stored=made.stored,
+            depth_bytes=sum(len(zlib.compress(d.tobytes(), 6)) for d in (made.depth_low, made.depth_high)),
+            error=made.squared_error,
+            n_values=made.n_values,
+            quality=made.quality,
+        )
 
-    def finalise(self, folder: Path, results: list[dict]) -> PicturesMade:
-        stored = tuple(StoredMap.from_json(r["stored"]) if r["stored"] else None for r in results)
+    def finalise(self, folder: Path, results: list[PictureMade]) -> PicturesMade:
+        stored = tuple(r.stored for r in results)
         return PicturesMade(
             stored=stored,
-            qualities=tuple(r["quality"] for r in results),
+            qualities=tuple(r.quality for r in results),
             color_bytes=sum(s.color_bytes for s in stored if s),
-            depth_bytes=sum(r["depth_bytes"] for r in results),
-            texture_psnr_db=psnr_db(sum(r["error"] for r in results), sum(r["n_values"] for r in results)),
+            depth_bytes=sum(r.depth_bytes for r in results),
+            texture_psnr_db=psnr_db(sum(r.error for r in results), sum(r.n_values for r in results)),
         )
 
 

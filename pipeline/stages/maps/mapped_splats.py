@@ -29,6 +29,14 @@ class StationsChosen:
 
 
 @dataclass(frozen=True)
+class StationsBlock:
+    """What a task tells of its block."""
+
+    n_splats: int
+    n_blind: int
+
+
+@dataclass(frozen=True)
 class StationOfSplats:
     """A task a block. Arrays: station (n,) uint8, numbers of stations with maps in their order, NO_MAP where no map shows the
     splat; average (n, 3) uint8."""
@@ -48,7 +56,7 @@ class StationOfSplats:
         arrays.create(folder, "average", (n, 3), "uint8")
         return arrays.n_blocks(n)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> StationsBlock:
         start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
         splats = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
         average = arrays.read(self.splats, "color", start, stop).astype(np.uint8)
@@ -66,10 +74,10 @@ class StationOfSplats:
                 average[some[seen]] = _means(patches[seen])
         arrays.write(folder, "station", start, station)
         arrays.write(folder, "average", start, average)
-        return {"n_splats": stop - start, "n_blind": int((station == NO_MAP).sum())}
+        return StationsBlock(n_splats=stop - start, n_blind=int((station == NO_MAP).sum()))
 
-    def finalise(self, folder: Path, results: list[dict]) -> StationsChosen:
-        return StationsChosen(sum(r["n_blind"] for r in results))
+    def finalise(self, folder: Path, results: list[StationsBlock]) -> StationsChosen:
+        return StationsChosen(sum(r.n_blind for r in results))
 
 
 def _means(patches: np.ndarray) -> np.ndarray:

@@ -26,6 +26,17 @@ HIGHEST = int((MOST_TEXELS / COLUMNS) ** 0.5) // MAP_ROWS * MAP_ROWS
 
 
 @dataclass(frozen=True)
+class StationDrawn:
+    """What a task tells of its station; no frame where it saw nothing."""
+
+    frame: MapFrame | None
+    n_splats: int
+    n_left_out: int
+    height_wanted: int
+    covered: float = 0.0
+
+
+@dataclass(frozen=True)
 class Panoramas:
     """A task a station; it streams all points three times, and draws those that the station saw. Arrays: color_<i>
     (h, 6 h, 4) uint8 and depth_<i> (h, 6 h) uint16, as `StationMap`. The summary has each one's `MapFrame`, or None for
@@ -39,11 +50,11 @@ class Panoramas:
     def init(self, folder: Path) -> int:
         return len(work.summary(self.ingest, ScanRead).stations)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> StationDrawn:
         station = _Station(self, index)
         wanted, n_points = station.step_and_count()
         if wanted is None:
-            return {"frame": None, "n_splats": 0, "n_left_out": n_points, "height_wanted": 0}
+            return StationDrawn(frame=None, n_splats=0, n_left_out=n_points, height_wanted=0)
         height = min(-(-height_for(wanted) // MAP_ROWS) * MAP_ROWS, HIGHEST)
         canvas = empty_canvas(height)
         n_left_out = sum(draw_depth(canvas, *splats[:3]) for splats in station.splats(height))
@@ -52,19 +63,19 @@ class Panoramas:
         made = finish(canvas, index, tuple(station.centre.tolist()))
         arrays.store(folder, f"color_{index}", made.color, made.color.shape)
         arrays.store(folder, f"depth_{index}", made.depth, made.depth.shape)
-        return {
-            "frame": made.frame.to_json(),
-            "n_splats": n_points,
-            "n_left_out": n_left_out,
-            "height_wanted": height_for(wanted),
-            "covered": float((made.color[..., 3] > 0).mean()),
-        }
+        return StationDrawn(
+            frame=made.frame,
+            n_splats=n_points,
+            n_left_out=n_left_out,
+            height_wanted=height_for(wanted),
+            covered=float((made.color[..., 3] > 0).mean()),
+        )
 
-    def finalise(self, folder: Path, results: list[dict]) -> MapsDrawn:
+    def finalise(self, folder: Path, results: list[StationDrawn]) -> MapsDrawn:
         return MapsDrawn(
-            frames=tuple(None if r["frame"] is None else MapFrame.from_json(r["frame"]) for r in results),
-            n_left_out=sum(r["n_left_out"] for r in results),
-            height_wanted=tuple(r["height_wanted"] for r in results),
+            frames=tuple(r.frame for r in results),
+            n_left_out=sum(r.n_left_out for r in results),
+            height_wanted=tuple(r.height_wanted for r in results),
         )
 
 

@@ -26,6 +26,17 @@ Gains = tuple[tuple[float, float, float], ...]
 
 
 @dataclass(frozen=True)
+class BlockFromMaps:
+    """What a task tells of its block."""
+
+    n_splats: int
+    n_flagged: int
+    n_blind: int
+    n_other_station: int
+    energy: float
+
+
+@dataclass(frozen=True)
 class ResampleMaps:
     """A task a block. Arrays as those of `Resample`: texel, average, energy, point."""
 
@@ -46,7 +57,7 @@ class ResampleMaps:
         arrays.create(folder, "point", (n,), "uint32")
         return arrays.n_blocks(n)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> BlockFromMaps:
         start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
         splats = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
         texel = np.empty((stop - start, PATCH_DIM), np.uint8)
@@ -64,16 +75,16 @@ class ResampleMaps:
         for name, rows in (("texel", texel), ("average", average), ("energy", energy)):  # type: ignore[assignment]
             arrays.write(folder, name, start, rows)
         arrays.write(folder, "point", start, arrays.read(self.partition, "point", start, stop))
-        return {
-            "n_splats": stop - start,
-            "n_flagged": int((shown < 1).sum()),
-            "n_blind": int(blind.sum()),
-            "n_other_station": int(((best != splats.own) & ~blind).sum()),
-            "energy": float(energy.sum(dtype=np.float64)),
-        }
+        return BlockFromMaps(
+            n_splats=stop - start,
+            n_flagged=int((shown < 1).sum()),
+            n_blind=int(blind.sum()),
+            n_other_station=int(((best != splats.own) & ~blind).sum()),
+            energy=float(energy.sum(dtype=np.float64)),
+        )
 
-    def finalise(self, folder: Path, results: list[dict]) -> PatchesMade:
-        sums = {k: sum(r[k] for r in results) for k in ("energy", "n_flagged", "n_blind", "n_other_station")}
+    def finalise(self, folder: Path, results: list[BlockFromMaps]) -> PatchesMade:
+        sums = {k: sum(getattr(r, k) for r in results) for k in ("energy", "n_flagged", "n_blind", "n_other_station")}
         return PatchesMade(**sums)
 
 

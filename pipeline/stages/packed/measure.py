@@ -15,7 +15,7 @@ from pipeline.geometry.ellipsoids import decode_ellipsoids, squares_of
 from pipeline.geometry.frame import tangent_frames
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.splats.decoded import scene_normal_codes, scene_positions, scene_radii
-from pipeline.stages.texture.encode import ROWS, coding_quality
+from pipeline.stages.texture.encode import ROWS, BlockCoded, coding_quality
 from pipeline.summaries import Photographs
 from pipeline.texture.colors import ColorBoxes, decode_colors
 from pipeline.texture.patches import Block, Patches, make_patches, patch_errors
@@ -38,6 +38,17 @@ class FileMeasured:
 
 
 @dataclass(frozen=True)
+class GroupMeasured:
+    """What a task tells of its group: errors of coding, and of resampling by probes."""
+
+    n_splats: int
+    coded: BlockCoded
+    resampling_error: float
+    n_probes: int
+    n_flagged: int
+
+
+@dataclass(frozen=True)
 class Measure:
     """A task a group: its patches are resampled from the photographs and compared with what the file decodes to; splats
     without a camera count as exact, for the file has all that is known of their colour."""
@@ -52,7 +63,7 @@ class Measure:
         with PackedFile(self.packed) as packed:
             return packed.header.n_groups
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> GroupMeasured:
         with PackedFile(self.packed, verify=False) as packed:
             scene, coarser = packed.group(index), index * GROUP < packed.header.first_finest
             atoms, levels = decoded_atoms(packed)
@@ -66,23 +77,26 @@ class Measure:
             rows = slice(at, min(at + ROWS, len(texel)))
             lost = patch_errors(texel[rows], color[rows], decode_patches(scene, rows, atoms, levels))
             squared, weighted = squared + lost[0], weighted + lost[1]
-        return {
-            "n_splats": len(texel),
-            "n_measured": 0 if coarser else len(texel),
-            "squared_error": squared,
-            "weighted_error": weighted,
-            "histogram": np.bincount(scene.n_atoms, minlength=scene.header.n_ranks + 1).tolist(),
-            "resampling_error": patches.resampling_error,
-            "n_probes": patches.n_probes,
-            "n_flagged": patches.n_flagged,
-        }
+        return GroupMeasured(
+            n_splats=len(texel),
+            coded=BlockCoded(
+                n_splats=len(texel),
+                n_measured=0 if coarser else len(texel),
+                squared_error=squared,
+                weighted_error=weighted,
+                histogram=np.bincount(scene.n_atoms, minlength=scene.header.n_ranks + 1).tolist(),
+            ),
+            resampling_error=patches.resampling_error,
+            n_probes=patches.n_probes,
+            n_flagged=patches.n_flagged,
+        )
 
-    def finalise(self, folder: Path, results: list[dict]) -> FileMeasured:
-        error, n_probes = (sum(r[k] for r in results) for k in ("resampling_error", "n_probes"))
+    def finalise(self, folder: Path, results: list[GroupMeasured]) -> FileMeasured:
+        error, n_probes = (sum(getattr(r, k) for r in results) for k in ("resampling_error", "n_probes"))
         return FileMeasured(
-            **vars(coding_quality(results)),
+            **vars(coding_quality([r.coded for r in results])),
             resampling_psnr_db=psnr_db(error, n_probes),
-            n_flagged=sum(r["n_flagged"] for r in results),
+            n_flagged=sum(r.n_flagged for r in results),
         )
 
     def _resample(self, scene: PackedScene, first_splat: int) -> Patches:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +40,14 @@ KIND_DIGITS = 2 ** np.arange(
 
 
 @dataclass(frozen=True)
+class PackedGroups:
+    """What a task tells of its groups: what the table says of them."""
+
+    n_splats: int
+    groups: list[WrittenGroup]
+
+
+@dataclass(frozen=True)
 class Pack:
     """A task TASK_GROUPS groups. Output: the folder packed/, sealed by `write_packed`."""
 
@@ -60,7 +68,7 @@ class Pack:
         begin_packed(folder / "packed", self.header)
         return -(-self.header.n_splats // TASK_SPLATS)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> PackedGroups:
         start, stop = index * TASK_SPLATS, min((index + 1) * TASK_SPLATS, self.header.n_splats)
         n_atoms = self._codes("n_atoms", start, stop)
         batch = self._batches(n_atoms, start, stop)
@@ -81,9 +89,9 @@ class Pack:
                 at = start + place * GROUP
                 part |= runs_of_group(*self.runs, at, min(at + GROUP, stop)) | {"run_codebook": self._codebook()}
             groups.append(write_group(folder / "packed", self.header, index * TASK_GROUPS + place, part))
-        return {"n_splats": stop - start, "groups": [asdict(group) for group in groups]}
+        return PackedGroups(n_splats=stop - start, groups=groups)
 
-    def finalise(self, folder: Path, results: list[dict]) -> Packed:
+    def finalise(self, folder: Path, results: list[PackedGroups]) -> Packed:
         for array in arrays_of(self.header):
             if array.part == "dictionary":
                 rows = arrays.read(self.quantized, array.name)[: shape_of(self.header, array)[0]]
@@ -94,7 +102,7 @@ class Pack:
                 write_pieces(folder / "packed", name, (arrays.read(self.maps, f"{name}_{i}").ravel() for i in stations))
         if self.runs:
             write_array(folder / "packed", "run_codebook", self._codebook())
-        groups = [WrittenGroup(**group) for r in results for group in r["groups"]]
+        groups = [group for r in results for group in r.groups]
         write_table(folder / "packed", self.header, groups)
         return Packed(array_bytes(self.header, groups))
 

@@ -45,8 +45,18 @@ class PagesMade:
     border_px: int
 
 
-def code_picture(folder: Path, index: int, rgb: np.ndarray, form: PageForm) -> dict:
-    """Code the pages of picture `index` (h, w, 3) uint8, one after the other. Returns their number, bytes, squared error and texels."""
+@dataclass(frozen=True)
+class PictureCoded:
+    """What a task tells of its picture; the error is of `n` values."""
+
+    n_pages: int
+    bytes: int
+    squared_error: float
+    n: int
+
+
+def code_picture(folder: Path, index: int, rgb: np.ndarray, form: PageForm) -> PictureCoded:
+    """Code the pages of picture `index` (h, w, 3) uint8, one after the other."""
     codec, side = CODECS[form.codec], form.page_px + 2 * form.border_px
     size = rgb.shape[1], rgb.shape[0]
     layout = PageLayout((size,), form.page_px)
@@ -63,10 +73,10 @@ def code_picture(folder: Path, index: int, rgb: np.ndarray, form: PageForm) -> d
             lost = page[inner].astype(np.float64) - codec.decode(data, side)[inner]
             squared, n_texels = squared + float(np.sum(lost * lost)), n_texels + lost.size
     work.write_part(_lengths(folder, index), np.array(lengths, np.uint32))
-    return {"n_pages": layout.n_pages, "bytes": sum(lengths), "squared_error": squared / 255**2, "n": n_texels}
+    return PictureCoded(layout.n_pages, sum(lengths), squared / 255**2, n_texels)
 
 
-def join_pages(folder: Path, header: PageHeader, results: list[dict]) -> PagesMade:
+def join_pages(folder: Path, header: PageHeader, results: list[PictureCoded]) -> PagesMade:
     """All pictures' pages in one file, FILE; one page at a time is held. `results` are those of `code_picture`."""
     layout = header.layout
     n_bytes = write_pages(folder / FILE, header, _joined(folder, len(header.names)))
@@ -75,7 +85,7 @@ def join_pages(folder: Path, header: PageHeader, results: list[dict]) -> PagesMa
         n_pages=layout.n_pages,
         bytes=n_bytes,
         raw_bytes=3 * sum(w * h for w, h in layout.sizes_px),
-        psnr_db=psnr_db(sum(r["squared_error"] for r in results), sum(r["n"] for r in results)),
+        psnr_db=psnr_db(sum(r.squared_error for r in results), sum(r.n for r in results)),
         codec=header.codec,
         page_px=layout.page_px,
         border_px=header.border_px,

@@ -12,7 +12,7 @@ from pipeline.maps.station_map import NOTHING, MapFrame
 from pipeline.maps.stored import filled
 from pipeline.stages.maps.panoramas import read_map
 from pipeline.stages.maps.resample_maps import Gains
-from pipeline.stages.pages.coded import PageForm, PagesMade, code_picture, join_pages
+from pipeline.stages.pages.coded import PageForm, PagesMade, PictureCoded, code_picture, join_pages
 from pipeline.summaries import MapsDrawn
 from storage.pages.file import PageHeader, stations_digest
 from storage.pages.layout import PageLayout
@@ -33,7 +33,7 @@ class MapPages:
         work.parts(folder).mkdir(exist_ok=True)
         return len(self._frames())
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> PictureCoded:
         station = self._frames()[index][0]
         seen = read_map(self.maps, station)
         assert seen is not None
@@ -41,7 +41,7 @@ class MapPages:
         rgb = np.stack([np.rint(levels[:, k])[seen.color[..., k]] for k in range(3)], axis=-1).astype(np.uint8)
         return code_picture(folder, index, filled(rgb, seen.depth != NOTHING), self.form)
 
-    def finalise(self, folder: Path, results: list[dict]) -> PagesMade:
+    def finalise(self, folder: Path, results: list[PictureCoded]) -> PagesMade:
         frames = self._frames()
         layout = PageLayout(tuple((6 * f.height_px, f.height_px) for _, f in frames), self.form.page_px)
         names = tuple(f"station {station}" for station, _ in frames)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.stages.pages.coded import PageForm, PagesMade, code_picture, join_pages
+from pipeline.stages.pages.coded import PageForm, PagesMade, PictureCoded, code_picture, join_pages
 from pipeline.summaries import Photographs
 from storage.packed.schema import Camera
 from storage.pages.file import PageHeader, scan_digest
@@ -28,11 +28,11 @@ class PhotoPages:
         work.parts(folder).mkdir(exist_ok=True)
         return len(self._chosen())
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> PictureCoded:
         photo = self._chosen()[index]
         return code_picture(folder, index, arrays.read(self.photos, f"photo_{photo}"), self.form)
 
-    def finalise(self, folder: Path, results: list[dict]) -> PagesMade:
+    def finalise(self, folder: Path, results: list[PictureCoded]) -> PagesMade:
         cameras = [self._cameras()[photo] for photo in self._chosen()]
         layout = PageLayout(tuple((c.width_px, c.height_px) for c in cameras), self.form.page_px)
         names = tuple(camera.name for camera in cameras)

@@ -27,7 +27,7 @@ class DepthMaps:
     def init(self, folder: Path) -> int:
         return len(work.summary(self.ingest, ScanRead).cameras)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> None:
         points = work.summary(self.partition, Points)
         camera = work.summary(self.ingest, ScanRead).cameras[index]
         depth_map = empty_map(camera, map_scale(camera, self._median_depth(points, camera), self.radius))
@@ -36,9 +36,8 @@ class DepthMaps:
             position = arrays.read(self.partition, "position", *rows)
             draw_points(depth_map, camera, position + points.origin, splat_radii(self.sizes, self.radius, *rows))
         arrays.store(folder, f"depth_{index}", depth_map.astype(np.float32, copy=False), depth_map.shape)
-        return {}
 
-    def finalise(self, folder: Path, results: list[dict]) -> None:
+    def finalise(self, folder: Path, results: list[None]) -> None:
         """Nothing is told but the arrays."""
 
     def _median_depth(self, points: Points, camera: Camera) -> float:

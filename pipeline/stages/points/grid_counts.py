@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.geometry.cells import CellCounts, Grid, bits_for, count_cells, grid_of, merge_counts
 from pipeline.geometry.leaves import Leaves, grow_leaves
 from pipeline.stages.points.kept import finite_pieces, n_kept, n_parts, origin_of, part_range
-from pipeline.summaries import LeavesGrown, ScanRead
+from pipeline.summaries import Counted, LeavesGrown, ScanRead
 from storage.work import arrays, work
 
 IN_MEMORY = 1 << 20  # points: 60 MB of records, and as much again twice while they are put in order
@@ -33,16 +33,16 @@ class GridCounts:
         arrays.store(folder, "edges", grid_of(sample, bits_for(n_kept(self.ingest, self.thinned) / IN_MEMORY)).edges)
         return n_parts(self.ingest)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> Counted:
         grid, rows = Grid(arrays.read(folder, "edges")), part_range(self.ingest, index)
         pieces = finite_pieces(self.ingest, *rows, ("position",), self.thinned)
         cell = np.concatenate([grid.cells_of(piece["position"]) for piece in pieces])
         counts = count_cells(cell)
         work.write_parts(_counts_of(folder, index), cell=counts.cell, count=counts.count)
-        return {"n_splats": len(cell)}
+        return Counted(len(cell))
 
-    def finalise(self, folder: Path, results: list[dict]) -> LeavesGrown:
-        n = sum(r["n_splats"] for r in results)
+    def finalise(self, folder: Path, results: list[Counted]) -> LeavesGrown:
+        n = sum(r.n_splats for r in results)
         points, grid = work.summary(self.ingest, ScanRead), Grid(arrays.read(folder, "edges"))
         parts = [_counts_of(folder, i) for i in range(len(results))]
         low, high = np.array(points.low) - origin_of(points), np.array(points.high) - origin_of(points)

@@ -29,6 +29,17 @@ PHOTO_TILE = 512
 
 
 @dataclass(frozen=True)
+class SlicesRead:
+    """What there is to know of slices: what `PointCounts` and `Looks` have seen, as their texts; and what black and white
+    stand for, the widest 1 % and 99 % of any slice's intensities, None where no point has one that is finite."""
+
+    n_splats: int
+    counts: list
+    looks: str
+    intensity_range: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
 class Ingest:
     """Task i stores slice i of the points, the tasks after them decode a photograph each. Of a file that can be read from its
     start only, one task stores all slices. A row of the arrays is a point of the file, so that no task needs to know of others;
@@ -59,11 +70,11 @@ class Ingest:
             arrays.create(folder, f"photo_{i}", shape, "uint8", (PHOTO_TILE, PHOTO_TILE, 3))
         return _n_point_tasks(source) + len(source.cameras)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> SlicesRead | None:
         source = self._source()
         if index >= (n := _n_point_tasks(source)):
             arrays.write_picture(folder, f"photo_{index - n}", source.read_photo(index - n))
-            return {}
+            return None
         if source.read_slice is None:
             slices = _regrouped(source.pieces(PIECE), _slice_ends(source))
         else:
@@ -71,10 +82,10 @@ class Ingest:
             slices = iter([list(source.read_slice(first, stop, PIECE))])
         return _merged([_store_slice(source, folder, index + i, pieces) for i, pieces in enumerate(slices)])
 
-    def finalise(self, folder: Path, results: list[dict]) -> ScanRead:
+    def finalise(self, folder: Path, results: list[SlicesRead | None]) -> ScanRead:
         source = self._source()
         points = _merged(results[: _n_point_tasks(source)])
-        counts, looks = PointCounts.from_json(points["counts"]), Looks.from_text(points["looks"])
+        counts, looks = PointCounts.from_json(points.counts), Looks.from_text(points.looks)
         n_kept, n_read = counts.n_kept, counts.n_points
         if n_read != source.n_points:
             raise InvalidScan(source.path, f"{n_read} points read", f"{source.n_points}, as its header promises")
@@ -91,14 +102,14 @@ class Ingest:
             n_dropped=n_read - n_kept,
             low=tuple(counts.low.tolist()),
             high=tuple(counts.high.tolist()),
-            intensity_range=points["intensity_range"],
+            intensity_range=points.intensity_range,
             cameras=tuple(source.cameras),
             stations=tuple(source.stations),
             has_visibility=source.has_visibility,
             has_colors=source.has_colors or source.has_intensity,
             warnings=(*source.warnings, *counts.warnings(source)),
             unused=tuple(source.unused),
-            seen=points["looks"] if otherwise else "",
+            seen=points.looks if otherwise else "",
         )
 
     def _source(self) -> ScanSource:
@@ -179,7 +190,7 @@ def _cut(piece: Piece, n: int) -> tuple[Piece, Piece]:
     return Piece(**first, look=piece.look), Piece(**others)
 
 
-def _store_slice(source: ScanSource, folder: Path, index: int, pieces: list[Piece]) -> dict:
+def _store_slice(source: ScanSource, folder: Path, index: int, pieces: list[Piece]) -> SlicesRead:
     """Write the points of slice `index`; what there is to know of them."""
     start, stop = arrays.block_range(index, source.n_points, slice_rows(source))
     rows = {name: np.empty((stop - start, *dtype.shape), dtype.base) for name, dtype in _columns_of(source).items()}
@@ -205,12 +216,8 @@ def _store_slice(source: ScanSource, folder: Path, index: int, pieces: list[Piec
     _store_sample(source, folder, index, position)
     intensity = rows["intensity"][finite].astype(np.float64) if "intensity" in rows else np.empty(0)
     known = intensity[np.isfinite(intensity)]
-    return {
-        "n_splats": int(finite.sum()),
-        "counts": counts.to_json(),
-        "looks": looks.to_text(),
-        "intensity_range": np.quantile(known, (0.01, 0.99)).tolist() if len(known) else None,
-    }
+    low_to_high = tuple(np.quantile(known, (0.01, 0.99)).tolist()) if len(known) else None
+    return SlicesRead(int(finite.sum()), counts.to_json(), looks.to_text(), low_to_high)
 
 
 def _store_sample(source: ScanSource, folder: Path, index: int, position: np.ndarray) -> None:
@@ -238,17 +245,12 @@ def _columns(piece: Piece, source: ScanSource) -> dict[str, np.ndarray]:
     return columns
 
 
-def _merged(slices: list[dict]) -> dict:
+def _merged(slices: list[SlicesRead]) -> SlicesRead:
     """What there is to know of several slices."""
-    ranges = [s["intensity_range"] for s in slices if s["intensity_range"] is not None]
+    ranges = [s.intensity_range for s in slices if s.intensity_range is not None]
     counts, looks = PointCounts(), Looks()
     for s in slices:
-        counts.merge(PointCounts.from_json(s["counts"]))
-        looks.merge(Looks.from_text(s["looks"]))
-    return {
-        "n_splats": counts.n_kept,
-        "counts": counts.to_json(),
-        "looks": looks.to_text(),
-        # What black and white stand for: the widest 1 % and 99 % of any slice; None where no point has one that is finite.
-        "intensity_range": [min(low for low, _ in ranges), max(high for _, high in ranges)] if ranges else None,
-    }
+        counts.merge(PointCounts.from_json(s.counts))
+        looks.merge(Looks.from_text(s.looks))
+    widest = (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
+    return SlicesRead(counts.n_kept, counts.to_json(), looks.to_text(), widest)

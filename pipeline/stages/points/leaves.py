@@ -33,7 +33,7 @@ class DealtLeaves:
     def init(self, folder: Path) -> int:
         return n_parts(self.ingest)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> Counted:
         start, stop = part_range(self.ingest, index)
         leaves, grid = leaves_of(self.counts), Grid(arrays.read(self.counts, "edges"))
         records, cell, n = np.empty(stop - start, record_of(self.ingest)), np.empty(stop - start, np.int32), 0
@@ -52,9 +52,9 @@ class DealtLeaves:
         here = np.flatnonzero(count)
         begin = np.cumsum(count[here]) - count[here]
         work.write_parts(_runs_of(folder, index), leaf=here, begin=begin, count=count[here])
-        return {"n_splats": n}
+        return Counted(n)
 
-    def finalise(self, folder: Path, results: list[dict]) -> Counted:
+    def finalise(self, folder: Path, results: list[Counted]) -> Counted:
         found = []
         for index in range(len(results)):
             with work.open_parts(_runs_of(folder, index)) as part:
@@ -66,7 +66,7 @@ class DealtLeaves:
         first = np.searchsorted(runs[:, 0], np.arange(n_leaves + 1))
         arrays.store(folder, "run", np.ascontiguousarray(runs[:, 1:]))
         arrays.store(folder, "first", first, first.shape)
-        return Counted(sum(r["n_splats"] for r in results))
+        return Counted(sum(r.n_splats for r in results))
 
 
 def records_of_leaf(dealt: Path, leaf: int, most: int) -> Iterator[np.ndarray]:

@@ -56,7 +56,7 @@ class CoarserLevel:
         arrays.create(folder, "degenerate", (n,), "bool", (GROUP,))
         return n // GROUP
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> Counted:
         start, stop = rows_of_group(index, work.summary(self.points, Counted).n_splats)
         columns = {name: arrays.read(self.points, name, start, stop) for name in columns_of(self.points)}
         if self.level == 1:
@@ -76,10 +76,19 @@ class CoarserLevel:
         made["degenerate"] = arrays.read(self.neighbours, "degenerate", start, stop)[found.middle]
         for name, rows in made.items():
             arrays.write(folder, name, index * GROUP, rows)
-        return {"n_splats": GROUP}
+        return Counted(GROUP)
 
-    def finalise(self, folder: Path, results: list[dict]) -> Counted:
-        return Counted(sum(r["n_splats"] for r in results))
+    def finalise(self, folder: Path, results: list[Counted]) -> Counted:
+        return Counted(sum(r.n_splats for r in results))
+
+
+@dataclass(frozen=True)
+class LevelsBlock:
+    """What a task tells of its block; its box, of points alone."""
+
+    n_splats: int
+    block_low: tuple[float, ...] = ()
+    block_high: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -104,7 +113,7 @@ class Levels:
             arrays.create(folder, name, (n, *dtype.shape), str(dtype.base))
         return arrays.n_blocks(n)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> LevelsBlock:
         counts = self._counts()
         start, stop = arrays.block_range(index, sum(counts))
         firsts = np.cumsum([0, *counts[:-1]])
@@ -117,25 +126,25 @@ class Levels:
             found = [self._sizes(*piece) for piece in pieces]
             arrays.write(folder, "size_code", start, np.concatenate([code for code, _ in found]))
             arrays.write(folder, "size_scale", start // CHUNK, np.concatenate([scale for _, scale in found]))
-            return {"n_splats": stop - start}
+            return LevelsBlock(n_splats=stop - start)
         columns = {name: np.concatenate([self._read(name, *piece) for piece in pieces]) for name in self._columns()}
         for name, rows in columns.items():
             arrays.write(folder, name, start, rows)
         if self.part == NEIGHBOURS:
-            return {"n_splats": stop - start}
+            return LevelsBlock(n_splats=stop - start)
         low, high = bounds(columns["position"])
-        return {"n_splats": stop - start, "block_low": low.tolist(), "block_high": high.tolist()}
+        return LevelsBlock(n_splats=stop - start, block_low=tuple(low.tolist()), block_high=tuple(high.tolist()))
 
-    def finalise(self, folder: Path, results: list[dict]) -> Points | Spacings | SizesNeeded:
+    def finalise(self, folder: Path, results: list[LevelsBlock]) -> Points | Spacings | SizesNeeded:
         if self.part == SIZES and not arrays.exists(self.finest, "size_code"):
-            return SizesNeeded(sum(r["n_splats"] for r in results))  # nothing told any
+            return SizesNeeded(sum(r.n_splats for r in results))  # nothing told any
         known: Any = work.summary(self.finest, self.summary_type)
         if self.part == NEIGHBOURS:
             return known
-        known = replace(known, n_splats=sum(r["n_splats"] for r in results))
+        known = replace(known, n_splats=sum(r.n_splats for r in results))
         if self.part == SIZES:
             return known
-        low, high = (tuple(tuple(r[name]) for r in results) for name in ("block_low", "block_high"))
+        low, high = (tuple(tuple(getattr(r, name)) for r in results) for name in ("block_low", "block_high"))
         return replace(known, block_low=low, block_high=high, levels=tuple(self._counts()))
 
     @property

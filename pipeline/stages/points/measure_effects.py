@@ -15,6 +15,14 @@ MOST_BLOCKS = 16  # 262,144 splats, evenly among all: a share of 1 % is then kno
 
 
 @dataclass(frozen=True)
+class BlockMeasured:
+    """What a task tells of its block: what each effect has summed over it, in the effect's own words."""
+
+    n_splats: int
+    sums: dict[str, dict]
+
+
+@dataclass(frozen=True)
 class MeasureEffects:
     """A task a block, of at most MOST_BLOCKS blocks. The summary has a `Measured` by effect."""
 
@@ -27,19 +35,21 @@ class MeasureEffects:
     def init(self, folder: Path) -> int:
         return min(MOST_BLOCKS, len(self._blocks()))
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> BlockMeasured:
         blocks = self._blocks()
         chosen = index * len(blocks) // min(MOST_BLOCKS, len(blocks))
         block = self.sources.block(blocks[chosen], dict(self.surveys))
         start, stop = block.rows
-        return {"n_splats": stop - start, "sums": {name: effects()[name].measure_block(block) for name in self.names}}
+        return BlockMeasured(
+            n_splats=stop - start, sums={name: effects()[name].measure_block(block) for name in self.names}
+        )
 
     def _blocks(self) -> range:
         """Those of the finest level; the first may begin with a group of a coarser one."""
         return range(self.sources.first_finest // arrays.BLOCK, arrays.n_blocks(self.sources.n_splats))
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict[str, Measured]:
-        return {name: effects()[name].conclude([r["sums"][name] for r in results], self.sources) for name in self.names}
+    def finalise(self, folder: Path, results: list[BlockMeasured]) -> dict[str, Measured]:
+        return {name: effects()[name].conclude([r.sums[name] for r in results], self.sources) for name in self.names}
 
 
 def known_rows(work_folder: Path) -> list[dict] | None:
@@ -48,5 +58,5 @@ def known_rows(work_folder: Path) -> list[dict] | None:
     last = work.last_complete(work_folder, MeasureEffects.name)
     if last is None:
         return None
-    results = work.finished_tasks(last).values()
-    return plan_effects(work.summary(last, dict[str, Measured]), {}, sum(r["n_splats"] for r in results)).to_json()
+    n_splats = sum(task.n_splats for task in work.finished_tasks(last).values())
+    return plan_effects(work.summary(last, dict[str, Measured]), {}, n_splats).to_json()

@@ -20,6 +20,14 @@ MOST_SPACINGS = 1 << 22  # for the median; of a larger scan every n-th counts
 
 
 @dataclass(frozen=True)
+class SpacingBlock:
+    """What a task tells of its block."""
+
+    n_splats: int
+    n_degenerate: int
+
+
+@dataclass(frozen=True)
 class Neighbourhoods:
     """A task a block. Arrays: spacing (n,) float32, the distance to the 4th nearest neighbour; normal (n, 3) float32,
     unit length and not yet turned; degenerate (n,) bool where no normal could be told.
@@ -37,7 +45,7 @@ class Neighbourhoods:
         arrays.create(folder, "degenerate", (n,), "bool")
         return arrays.n_blocks(n)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> SpacingBlock:
         points = work.summary(self.partition, Points)
         n = points.n_splats
         start, stop = arrays.block_range(index, n)
@@ -59,9 +67,9 @@ class Neighbourhoods:
         arrays.write(folder, "spacing", start, found.distance[:, SPACING_RANK - 1].astype(np.float32))
         arrays.write(folder, "normal", start, normal.astype(np.float32))
         arrays.write(folder, "degenerate", start, degenerate)
-        return {"n_splats": stop - start, "n_degenerate": int(degenerate.sum())}
+        return SpacingBlock(n_splats=stop - start, n_degenerate=int(degenerate.sum()))
 
-    def finalise(self, folder: Path, results: list[dict]) -> Spacings:
+    def finalise(self, folder: Path, results: list[SpacingBlock]) -> Spacings:
         n = arrays.layout_of(folder, "spacing").shape[0]
         stride = -(-n // MOST_SPACINGS)
         values = np.concatenate(
@@ -71,7 +79,7 @@ class Neighbourhoods:
         if self.settle:
             self._settle(folder, n)
         median = float(np.median(finite)) if len(finite) else None
-        return Spacings(median, sum(r["n_degenerate"] for r in results), self.settle)
+        return Spacings(median, sum(r.n_degenerate for r in results), self.settle)
 
     def _settle(self, folder: Path, n: int) -> None:
         normal = arrays.read(folder, "normal", 0, n)

@@ -26,6 +26,15 @@ from storage.work import arrays, work
 
 
 @dataclass(frozen=True)
+class OrderedPart:
+    """What a task tells of its points: the box of each of their blocks."""
+
+    n_splats: int
+    block_low: list[list[float]]
+    block_high: list[list[float]]
+
+
+@dataclass(frozen=True)
 class Partition:
     """A task a leaf; without leaves the whole scan is one. Arrays as the ingest's, in chunk order, position against `origin`;
     and point (n,) int64, each one's place in the ingest, which unlike its place here does not turn with the scan."""
@@ -42,7 +51,7 @@ class Partition:
             arrays.create(folder, name, (starts[-1], *dtype.shape), str(dtype.base))
         return len(starts) - 1
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> OrderedPart:
         start, stop = self._starts()[index : index + 2]
         boxes: list[np.ndarray] = []
 
@@ -60,11 +69,13 @@ class Partition:
         else:
             split_on_disk(self._records(index, record), record, n, IN_MEMORY, place.scratch(work.parts(folder)), write)
         low, high = np.concatenate(boxes, axis=1)
-        return {"n_splats": n, "block_low": low.tolist(), "block_high": high.tolist()}
+        return OrderedPart(n_splats=n, block_low=low.tolist(), block_high=high.tolist())
 
-    def finalise(self, folder: Path, results: list[dict]) -> Points:
-        low, high = (tuple(tuple(box) for r in results for box in r[name]) for name in ("block_low", "block_high"))
-        n = sum(r["n_splats"] for r in results)
+    def finalise(self, folder: Path, results: list[OrderedPart]) -> Points:
+        low, high = (
+            tuple(tuple(box) for r in results for box in getattr(r, name)) for name in ("block_low", "block_high")
+        )
+        n = sum(r.n_splats for r in results)
         return Points(n, origin_of(work.summary(self.ingest, ScanRead)), low, high, (n,))
 
     def _starts(self) -> list[int]:

@@ -29,7 +29,7 @@ class Sampled:
     def init(self, folder: Path) -> int:
         return 1
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> Counted:
         n = work.summary(self.partition, Points).n_splats
         chunks = chosen_chunks(n, self.n_wanted)
         rows = (chunks[:, None] * CHUNK + np.arange(CHUNK)).ravel()
@@ -39,10 +39,10 @@ class Sampled:
             taken = {n: rows, -(-n // CHUNK): chunks}.get(layout.shape[0])
             if taken is not None:
                 arrays.store(folder, array, arrays.read_rows(self.source, array, taken), layout.chunks)
-        return {"n_splats": len(rows)}
+        return Counted(len(rows))
 
-    def finalise(self, folder: Path, results: list[dict]) -> Points | SplatsMade | Counted:
-        n = results[0]["n_splats"]
+    def finalise(self, folder: Path, results: list[Counted]) -> Points | SplatsMade | Counted:
+        n = results[0].n_splats
         found = work.summary(self.source, self.summary_type) if self.summary_type is not Counted else Counted(n)
         levels = {"levels": (n,)} if self.summary_type is Points else {}
         return replace(found, n_splats=n, **levels)

@@ -17,6 +17,17 @@ from storage.work import arrays, work
 
 
 @dataclass(frozen=True)
+class SizesBlock:
+    """What a task tells of its block: the area that splats need, that of large ones, and what their codes come to."""
+
+    n_splats: int
+    area: float
+    large_area: float
+    made_area: float
+    n_too_small: int
+
+
+@dataclass(frozen=True)
 class Sizes:
     """A task a block. Arrays: size_code (n,) uint8 and, by chunk, size_scale (c, 2) uint8. The summary has the share of the
     surface whose splats need to be LARGE, before any is made to close a gap."""
@@ -32,7 +43,7 @@ class Sizes:
         create_sizes(folder, n)
         return arrays.n_blocks(n)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> SizesBlock:
         start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
         position = arrays.read(self.partition, "position", start, stop)
         size = needed_sizes(position, arrays.read(self.neighbours, "spacing", start, stop), self.radius)
@@ -43,13 +54,13 @@ class Sizes:
         arrays.write(folder, "size_scale", start // CHUNK, scales.step)
         area, large = areas(size, self.radius)
         made = decode_sizes(code, scales)
-        return {
-            "n_splats": stop - start,
-            "area": area,
-            "large_area": large,
-            "made_area": areas(made, self.radius)[0],
-            "n_too_small": int((made < closing * (1 - 1e-6)).sum()),
-        }
+        return SizesBlock(
+            n_splats=stop - start,
+            area=area,
+            large_area=large,
+            made_area=areas(made, self.radius)[0],
+            n_too_small=int((made < closing * (1 - 1e-6)).sum()),
+        )
 
     def _gaps(self, index: int, position: np.ndarray, size: np.ndarray) -> np.ndarray:
         points = work.summary(self.partition, Points)
@@ -64,9 +75,9 @@ class Sizes:
         normal = arrays.read(self.neighbours, "normal", start, stop).astype(np.float64)
         return gap_radii(*neighbours_in_reach(position, around), normal, size, self.closed)
 
-    def finalise(self, folder: Path, results: list[dict]) -> SizesNeeded:
+    def finalise(self, folder: Path, results: list[SizesBlock]) -> SizesNeeded:
         n, area, large, made, n_too_small = (
-            sum(r[k] for r in results) for k in ("n_splats", "area", "large_area", "made_area", "n_too_small")
+            sum(getattr(r, k) for r in results) for k in ("n_splats", "area", "large_area", "made_area", "n_too_small")
         )
         return SizesNeeded(n, large / area, made / area, n_too_small)
 

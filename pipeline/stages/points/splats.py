@@ -26,6 +26,18 @@ BOX_ARRAYS = ("box_low", "box_size", "box_bits")
 
 
 @dataclass(frozen=True)
+class SplatsBlock:
+    """What a task tells of its block; errors are sums."""
+
+    n_splats: int
+    n_without_camera: int
+    position_error: float
+    normal_error: float  # degrees
+    error_in_radii: float
+    number_bits: float
+
+
+@dataclass(frozen=True)
 class Splats:
     """A task a block. Arrays by splat: position_code (n,) uint32, normal_code (n, 2) int8, camera (n,) uint16, color
     (n, 3) uint8; by chunk: box_low, box_size (c, 3) float32, box_bits (c, 3) uint8; of quadrics in the place of codes and boxes
@@ -65,7 +77,7 @@ class Splats:
     def _coded(self, n: int) -> tuple[str, tuple[int, ...], str]:
         return ("position_code", (n,), "uint32") if self.quadric_error is None else ("number", (n,), "uint64")
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> SplatsBlock:
         scan, points = work.summary(self.ingest, ScanRead), work.summary(self.partition, Points)
         start, stop = arrays.block_range(index, points.n_splats)
         position = arrays.read(self.partition, "position", start, stop)
@@ -100,24 +112,24 @@ class Splats:
         # What is drawn against what was scanned: an ellipsoid's centre lies away from its point.
         off = np.linalg.norm(centre - scanned, axis=1)
         cosine = np.clip((decode_normals(normal_code) * normal).sum(axis=1), -1, 1)
-        return {
-            "n_splats": stop - start,
-            "n_without_camera": int((camera == NO_CAMERA).sum()),
-            "position_error": float(off.sum()),
-            "normal_error": float(np.degrees(np.arccos(cosine)).sum()),
-            "error_in_radii": float((off / self._radii(start, stop)).sum()),
-            "number_bits": bits,
-        }
+        return SplatsBlock(
+            n_splats=stop - start,
+            n_without_camera=int((camera == NO_CAMERA).sum()),
+            position_error=float(off.sum()),
+            normal_error=float(np.degrees(np.arccos(cosine)).sum()),
+            error_in_radii=float((off / self._radii(start, stop)).sum()),
+            number_bits=bits,
+        )
 
-    def finalise(self, folder: Path, results: list[dict]) -> SplatsMade:
-        n = sum(r["n_splats"] for r in results)
+    def finalise(self, folder: Path, results: list[SplatsBlock]) -> SplatsMade:
+        n = sum(r.n_splats for r in results)
         return SplatsMade(
             n_splats=n,
-            n_without_camera=sum(r["n_without_camera"] for r in results),
-            mean_position_error=sum(r["position_error"] for r in results) / n,
-            mean_normal_error_degrees=sum(r["normal_error"] for r in results) / n,
-            mean_error_in_radii=sum(r["error_in_radii"] for r in results) / n,
-            number_bits=sum(r["number_bits"] for r in results) / n,
+            n_without_camera=sum(r.n_without_camera for r in results),
+            mean_position_error=sum(r.position_error for r in results) / n,
+            mean_normal_error_degrees=sum(r.normal_error for r in results) / n,
+            mean_error_in_radii=sum(r.error_in_radii for r in results) / n,
+            number_bits=sum(r.number_bits for r in results) / n,
         )
 
     def _write_geometry(

@@ -30,7 +30,7 @@ class Thin:
         arrays.create(folder, KEPT, (n_rows(self.ingest),), "bool", (part_rows(self.ingest),))
         return n_parts(self.ingest)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> Counted:
         start, stop = part_range(self.ingest, index)
         pieces = list(finite_pieces(self.ingest, start, stop, ("position",)))
         place = np.concatenate([piece["point"] for piece in pieces])
@@ -38,10 +38,10 @@ class Thin:
         kept = np.zeros(stop - start, bool)
         kept[place[keep] - start] = True
         arrays.write(folder, KEPT, start, kept)
-        return {"n_splats": int(np.count_nonzero(keep))}
+        return Counted(int(np.count_nonzero(keep)))
 
-    def finalise(self, folder: Path, results: list[dict]) -> Counted:
-        n = sum(r["n_splats"] for r in results)
+    def finalise(self, folder: Path, results: list[Counted]) -> Counted:
+        n = sum(r.n_splats for r in results)
         if not n:
             n_points = work.summary(self.ingest, ScanRead).n_points
             found = f"{self.density:g} keeps none of {n_points:,} points"

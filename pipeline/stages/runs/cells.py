@@ -23,6 +23,18 @@ LEAST_SAMPLE = 4096  # cells of each brick that steps are learned from, if it ha
 
 
 @dataclass(frozen=True)
+class BrickFilled:
+    """What a task tells of its brick; errors in the scan's unit."""
+
+    n_splats: int
+    n_cells: int
+    n_added: int
+    n_decoded: int
+    max_error: float
+    error: float  # summed
+
+
+@dataclass(frozen=True)
 class RunCells:
     """A task a brick. Arrays by brick i: key_i (n,) int64; normal_i (n, 3) float32; point_i (n,) int64, the row of the nearest point;
     cell_i (m,) int32 and start_i (r + 1,) int64, the runs; of all codebook (32, 2) int8."""
@@ -37,10 +49,10 @@ class RunCells:
     def init(self, folder: Path) -> int:
         return len(arrays.read(self.grid, "bricks"))
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> BrickFilled:
         found = self._points_of(arrays.read(self.grid, "bricks")[index])
         if not len(found.key):
-            return {"n_splats": 0, "n_cells": 0, "n_added": 0, "n_decoded": 0, "max_error": 0.0, "error": 0.0}
+            return BrickFilled(n_splats=0, n_cells=0, n_added=0, n_decoded=0, max_error=0.0, error=0.0)
         key, begin = np.unique(found.key, return_index=True)
         normal = _mean_normals(found.normal, begin)
         closed = close_gaps(key, self.run_length) if self.closing else close_gaps(key, self.run_length, enough=0.0)
@@ -55,32 +67,32 @@ class RunCells:
         for name, values in rows.items():
             arrays.store(folder, f"{name}_{index}", values)
         self._store_sample(folder, index, normal[closed.runs.cells], closed.runs.start)
-        return {
-            "n_splats": len(found.key),
-            "n_cells": len(key),
-            "n_added": int(closed.is_added.sum()),
-            "n_decoded": len(closed.runs.cells),
-            "max_error": float(np.sqrt(found.off.max())),
-            "error": float(np.sqrt(found.off).sum()),
-        }
+        return BrickFilled(
+            n_splats=len(found.key),
+            n_cells=len(key),
+            n_added=int(closed.is_added.sum()),
+            n_decoded=len(closed.runs.cells),
+            max_error=float(np.sqrt(found.off.max())),
+            error=float(np.sqrt(found.off).sum()),
+        )
 
-    def finalise(self, folder: Path, results: list[dict]) -> CellsFilled:
-        some = [i for i, r in enumerate(results) if r["n_decoded"]]
+    def finalise(self, folder: Path, results: list[BrickFilled]) -> CellsFilled:
+        some = [i for i, r in enumerate(results) if r.n_decoded]
         target = np.concatenate([arrays.read(folder, f"sample_{i}") for i in some])
         lengths = np.concatenate([np.diff(arrays.read(folder, f"sample_start_{i}")) for i in some])
         start = np.concatenate([[0], np.cumsum(lengths)])
         arrays.store(folder, "codebook", learn_steps(target.astype(np.float64), encode_normals(target), start))
         n_cells, n_points, n_decoded, n_added = (
-            sum(r[name] for r in results) for name in ("n_cells", "n_splats", "n_decoded", "n_added")
+            sum(getattr(r, name) for r in results) for name in ("n_cells", "n_splats", "n_decoded", "n_added")
         )
         return CellsFilled(
             n_splats=n_points,
             n_cells=n_cells,
             n_added=n_added,
             n_decoded=n_decoded,
-            first_cell=tuple(np.cumsum([0, *(r["n_decoded"] for r in results)]).tolist()),
-            max_error=max(r["max_error"] for r in results),
-            mean_error=sum(r["error"] for r in results) / n_points,
+            first_cell=tuple(np.cumsum([0, *(r.n_decoded for r in results)]).tolist()),
+            max_error=max(r.max_error for r in results),
+            mean_error=sum(r.error for r in results) / n_points,
             hit_rate=n_points / n_cells,
         )
 

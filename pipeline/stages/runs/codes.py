@@ -16,6 +16,16 @@ from storage.work import arrays, work
 
 
 @dataclass(frozen=True)
+class BrickCoded:
+    """What a task tells of its brick."""
+
+    n_splats: int
+    n_runs: int
+    n_sections: int
+    normal_error: float  # degrees, summed
+
+
+@dataclass(frozen=True)
 class RunCoding:
     """A task a brick. Arrays by brick i: run_base_i, run_first_i, run_start_i, run_normal_i and run_step_i as the packed file has them, counted from the brick; by cell in
     the order of the file position_i (m, 3) float32, normal_code_i (m, 2) int8, point_i (m,) int64."""
@@ -27,10 +37,10 @@ class RunCoding:
     def init(self, folder: Path) -> int:
         return len(work.summary(self.cells, CellsFilled).first_cell) - 1
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> BrickCoded:
         first, end = work.summary(self.cells, CellsFilled).first_cell[index : index + 2]
         if first == end:
-            return {"n_splats": 0, "n_runs": 0, "n_sections": 0, "normal_error": 0.0}
+            return BrickCoded(n_splats=0, n_runs=0, n_sections=0, normal_error=0.0)
         key, normal, point, cells, start = (
             arrays.read(self.cells, f"{name}_{index}") for name in ("key", "normal", "point", "cell", "start")
         )
@@ -52,15 +62,17 @@ class RunCoding:
         for name, values in rows.items():
             arrays.store(folder, f"{name}_{index}", values)
         cosine = np.clip((decode_normals(normal_code) * normal[place]).sum(axis=1), -1, 1)
-        return {
-            "n_splats": len(place),
-            "n_runs": len(codes.start),
-            "n_sections": len(codes.base),
-            "normal_error": float(np.degrees(np.arccos(cosine)).sum()),
-        }
+        return BrickCoded(
+            n_splats=len(place),
+            n_runs=len(codes.start),
+            n_sections=len(codes.base),
+            normal_error=float(np.degrees(np.arccos(cosine)).sum()),
+        )
 
-    def finalise(self, folder: Path, results: list[dict]) -> RunsCoded:
-        n_cells, n_runs, n_sections = (sum(r[k] for r in results) for k in ("n_splats", "n_runs", "n_sections"))
+    def finalise(self, folder: Path, results: list[BrickCoded]) -> RunsCoded:
+        n_cells, n_runs, n_sections = (
+            sum(getattr(r, k) for r in results) for k in ("n_splats", "n_runs", "n_sections")
+        )
         tables = 128 * n_sections + 32 * -(-n_cells // GROUP) + 512
         return RunsCoded(
             n_splats=n_cells,
@@ -69,7 +81,7 @@ class RunCoding:
             start_bits=(32 * n_runs + tables) / n_cells,
             steps_bits=3 * (n_cells - n_runs) / n_cells,
             normals_bits=(16 * n_runs + 5 * (n_cells - n_runs)) / n_cells,
-            mean_normal_error_degrees=sum(r["normal_error"] for r in results) / n_cells,
+            mean_normal_error_degrees=sum(r.normal_error for r in results) / n_cells,
             mean_length=n_cells / n_runs,
         )
 

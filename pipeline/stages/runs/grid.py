@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +37,7 @@ class RunGridChoice:
     def init(self, folder: Path) -> int:
         return 1
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> GridFound:
         points = work.summary(self.points, Points)
         position = _sample(self.points, points.n_splats)
         sampled = [(turn, self._cells(position, turn)) for turn in self._turns()]
@@ -47,19 +47,18 @@ class RunGridChoice:
         low, high = boxes_in_grid(points, turn)
         count = np.diff([*range(0, points.n_splats, arrays.BLOCK), points.n_splats])
         arrays.store(folder, "bricks", split((low + high) / 2, count, cells.size))
-        return {
-            "cell": cells.size,
-            "turn": list(turn),
-            "hit_rate": cells.hit_rate,
-            "efficiency": runs.mean_length / self.run_length,
-            "spacing": mean_spacing(position),
-            "gpu_bits_a_point": sum(codes.bits().values()) * codes.n_cells / len(position),
-            "n_splats": points.n_splats,
-        }
+        return GridFound(
+            cell=cells.size,
+            turn=turn,
+            hit_rate=cells.hit_rate,
+            efficiency=runs.mean_length / self.run_length,
+            spacing=mean_spacing(position),
+            gpu_bits_a_point=sum(codes.bits().values()) * codes.n_cells / len(position),
+            n_splats=points.n_splats,
+        )
 
-    def finalise(self, folder: Path, results: list[dict]) -> GridFound:
-        found = {field.name: results[0][field.name] for field in fields(GridFound)}
-        return GridFound(**found | {"turn": tuple(found["turn"])})
+    def finalise(self, folder: Path, results: list[GridFound]) -> GridFound:
+        return results[0]
 
     def _turns(self) -> list[tuple[float, ...]]:
         return [turn_across(axis) for axis in (2, 1, 0)] if self.turn is None else [self.turn]

@@ -12,10 +12,21 @@ from pipeline.geometry.normals import decode_normals
 from pipeline.stages.points.kept import columns_of
 from pipeline.stages.runs.codes import brick_rows
 from pipeline.stages.runs.found import CellsAsPoints
-from pipeline.summaries import Counted, Points
+from pipeline.summaries import Counted, Points, Vector
 from storage.work import arrays, work
 
 SPREAD = 1.2  # cells, at least, of a splat's radius: those of a surface lie off it by up to half of one, and show gaps from the side
+
+
+@dataclass(frozen=True)
+class CellsBlock:
+    """What a task tells of its block."""
+
+    n_splats: int
+    block_low: Vector
+    block_high: Vector
+    n_degenerate: int
+    median_spacing: float
 
 
 @dataclass(frozen=True)
@@ -40,7 +51,7 @@ class RunPoints:
         arrays.create(folder, "degenerate", (n,), "bool")
         return arrays.n_blocks(n)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> CellsBlock:
         start, stop = arrays.block_range(index, work.summary(self.codes, Counted).n_splats)
         position, normal_code, point = (
             brick_rows(self.codes, self.cells, name, start, stop) for name in ("position", "normal_code", "point")
@@ -57,24 +68,24 @@ class RunPoints:
         for name, values in made.items():
             arrays.write(folder, name, start, values)
         low, high = bounds(made["position"])
-        return {
-            "n_splats": stop - start,
-            "block_low": low.tolist(),
-            "block_high": high.tolist(),
-            "n_degenerate": int(made["degenerate"].sum()),
-            "median_spacing": float(np.median(made["spacing"])),
-        }
+        return CellsBlock(
+            n_splats=stop - start,
+            block_low=tuple(low.tolist()),
+            block_high=tuple(high.tolist()),
+            n_degenerate=int(made["degenerate"].sum()),
+            median_spacing=float(np.median(made["spacing"])),
+        )
 
-    def finalise(self, folder: Path, results: list[dict]) -> CellsAsPoints:
-        n = sum(r["n_splats"] for r in results)
+    def finalise(self, folder: Path, results: list[CellsBlock]) -> CellsAsPoints:
+        n = sum(r.n_splats for r in results)
         return CellsAsPoints(
             n_splats=n,
             origin=work.summary(self.points, Points).origin,
-            block_low=tuple(tuple(r["block_low"]) for r in results),
-            block_high=tuple(tuple(r["block_high"]) for r in results),
+            block_low=tuple(r.block_low for r in results),
+            block_high=tuple(r.block_high for r in results),
             levels=(n,),
             median_spacing=float(
-                np.median([r["median_spacing"] for r in results])
+                np.median([r.median_spacing for r in results])
             ),  # of medians of blocks: all much alike
-            n_degenerate=sum(r["n_degenerate"] for r in results),
+            n_degenerate=sum(r.n_degenerate for r in results),
         )

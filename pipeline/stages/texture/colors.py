@@ -18,6 +18,15 @@ from storage.work import arrays
 
 
 @dataclass(frozen=True)
+class ColorsBlock:
+    """What a task tells of its block: what colours lose, and splats by octave of what these leave."""
+
+    n_splats: int
+    lost: float
+    census: list[int]
+
+
+@dataclass(frozen=True)
 class Colors:
     """A task a block. Arrays by splat: average (n, 3) float32 in 255ths, as it is decoded, and energy (n,) float32,
     squared norm of the patch less that; the census, of octaves of it, is of the finest level; with boxes color_code (n,) uint32, and by chunk color_low (c, 3) int16,
@@ -37,7 +46,7 @@ class Colors:
                 arrays.create(folder, name, (-(-n // CHUNK), 3), dtype, (arrays.BLOCK // CHUNK, 3))
         return arrays.n_blocks(n)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> ColorsBlock:
         start, stop = arrays.block_range(index, arrays.layout_of(self.patches, "energy").shape[0])
         exact = arrays.read(self.patches, "average", start, stop).astype(np.float64)
         average = self._in_boxes(folder, start, exact) if self.step else np.floor(exact + 0.5).astype(np.float32)
@@ -46,12 +55,12 @@ class Colors:
         finest = max(0, n_coarser_of(self.patches) - start)
         arrays.write(folder, "average", start, average)
         arrays.write(folder, "energy", start, energy)
-        return {"n_splats": stop - start, "lost": float(lost.sum()), "census": census(energy[finest:]).tolist()}
+        return ColorsBlock(n_splats=stop - start, lost=float(lost.sum()), census=census(energy[finest:]).tolist())
 
-    def finalise(self, folder: Path, results: list[dict]) -> AverageColors:
-        n = sum(r["n_splats"] for r in results)
-        census = np.sum([r["census"] for r in results], axis=0).tolist()
-        return AverageColors(n, psnr_db(sum(r["lost"] for r in results), n * PATCH_DIM), tuple(census))
+    def finalise(self, folder: Path, results: list[ColorsBlock]) -> AverageColors:
+        n = sum(r.n_splats for r in results)
+        census = np.sum([r.census for r in results], axis=0).tolist()
+        return AverageColors(n, psnr_db(sum(r.lost for r in results), n * PATCH_DIM), tuple(census))
 
     def _in_boxes(self, folder: Path, start: int, exact: np.ndarray) -> np.ndarray:
         boxes = fit_color_boxes(exact, self.step)

@@ -38,7 +38,7 @@ class DictionarySeed:
     def init(self, folder: Path) -> int:
         return 1
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> Seeded:
         n_tasks = work.summary(self.training, InParts).n_tasks
         share = -(-2 * self.n_atoms // n_tasks)  # twice as many as needed: twins are passed over
         pool = []
@@ -46,10 +46,18 @@ class DictionarySeed:
             pool.append(training_part(self.training, task).coefficients[:share])  # which lie in an order by chance
         dictionary = initial_dictionary(np.concatenate(pool), self.n_atoms, self.seed)
         store_atoms(folder, dictionary, self.form)
-        return {"n_atoms": len(dictionary)}
+        return Seeded(n_atoms=len(dictionary))
 
-    def finalise(self, folder: Path, results: list[dict]) -> Seeded:
-        return Seeded(results[0]["n_atoms"])
+    def finalise(self, folder: Path, results: list[Seeded]) -> Seeded:
+        return Seeded(results[0].n_atoms)
+
+
+@dataclass(frozen=True)
+class PartPursued:
+    """What a task tells of its patches."""
+
+    n_splats: int
+    n_atoms_used: int
 
 
 @dataclass(frozen=True)
@@ -72,16 +80,16 @@ class KsvdUpdate:
     def init(self, folder: Path) -> int:
         return work.summary(self.training, InParts).n_tasks
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> PartPursued:
         atoms = load_atoms(self.previous)
         patches, rest = training_part(self.training, index)
         found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0), price=self.price)
         pursuit = found.beside(rest)  # errors are those of whole patches
         sums = _of_atoms(block_sums(patches, atoms.dictionary, pursuit), self.form)
         _store_sums(work.parts(folder), f"sums-{index}", sums)
-        return {"n_splats": len(patches), "n_atoms_used": int(pursuit.codes.n_atoms.sum())}
+        return PartPursued(n_splats=len(patches), n_atoms_used=int(pursuit.codes.n_atoms.sum()))
 
-    def finalise(self, folder: Path, results: list[dict]) -> Updated:
+    def finalise(self, folder: Path, results: list[PartPursued]) -> Updated:
         measured = arrays.read(self.previous, "dictionary")
         sums = _merged(work.parts(folder), len(results), measured.shape)
         best, accepted = judge(_best_of(self.previous), measured, sums)
@@ -98,7 +106,7 @@ class KsvdUpdate:
             step=best.step,
             n_patches=sums.n_patches,
             n_replaced=n_replaced,
-            n_atoms_used=sum(r["n_atoms_used"] for r in results),
+            n_atoms_used=sum(r.n_atoms_used for r in results),
         )
 
 

@@ -26,6 +26,17 @@ ROWS = 1024  # patches in float32 at a time: 12 MiB
 
 
 @dataclass(frozen=True)
+class BlockCoded:
+    """What a task tells of its block: squared errors, those weighted by what is visible, and splats by their atoms."""
+
+    n_splats: int
+    n_measured: int  # of the finest level
+    squared_error: float
+    weighted_error: float
+    histogram: list[int]
+
+
+@dataclass(frozen=True)
 class Encode:
     """A task a block. Arrays: n_atoms (n,) uint8, atom (n, r) uint16, weight_code (n, r) uint8, error (n,) float32: the
     squared norm that is left of each patch, before its texels are clamped. Atoms of coarser levels have COARSER_PRICE; what
@@ -50,7 +61,7 @@ class Encode:
         arrays.create(folder, "error", (n,), "float32")
         return arrays.n_blocks(n)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> BlockCoded:
         start, stop = arrays.block_range(index, arrays.layout_of(self.patches, "energy").shape[0])
         encode = self._encoder()
         average = arrays.read(self.colors, "average", start, stop)
@@ -74,15 +85,15 @@ class Encode:
             squared, weighted = squared + lost[0], weighted + lost[1]
         for name, values in (("n_atoms", n_atoms), ("atom", atom), ("weight_code", weight_code), ("error", error)):
             arrays.write(folder, name, start, values)
-        return {
-            "n_splats": stop - start,
-            "n_measured": max(0, stop - max(start, n_coarser)),
-            "squared_error": squared,
-            "weighted_error": weighted,
-            "histogram": np.bincount(n_atoms, minlength=self._n_ranks + 1).tolist(),
-        }
+        return BlockCoded(
+            n_splats=stop - start,
+            n_measured=max(0, stop - max(start, n_coarser)),
+            squared_error=squared,
+            weighted_error=weighted,
+            histogram=np.bincount(n_atoms, minlength=self._n_ranks + 1).tolist(),
+        )
 
-    def finalise(self, folder: Path, results: list[dict]) -> CodesMade:
+    def finalise(self, folder: Path, results: list[BlockCoded]) -> CodesMade:
         return coding_quality(results)
 
     @property
@@ -110,11 +121,11 @@ class Encode:
         return encode
 
 
-def coding_quality(results: list[dict]) -> CodesMade:
+def coding_quality(blocks: list[BlockCoded]) -> CodesMade:
     """Texture PSNR and visible PSNR of all blocks, and how many splats have how many atoms."""
-    n, n_measured = (sum(r[k] for r in results) for k in ("n_splats", "n_measured"))
-    squared, weighted = (sum(r[k] for r in results) for k in ("squared_error", "weighted_error"))
-    histogram = np.sum([r["histogram"] for r in results], axis=0)
+    n, n_measured = sum(b.n_splats for b in blocks), sum(b.n_measured for b in blocks)
+    squared, weighted = sum(b.squared_error for b in blocks), sum(b.weighted_error for b in blocks)
+    histogram = np.sum([b.histogram for b in blocks], axis=0)
     return CodesMade(
         texture_psnr_db=psnr_db(squared, n_measured * PATCH_DIM),
         visible_psnr_db=psnr_db(weighted, n_measured * disc_weights().sum()),

@@ -27,7 +27,7 @@ class PatchSample:
     def init(self, folder: Path) -> int:
         return 1
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> Counted:
         n = arrays.layout_of(self.patches, "energy").shape[0]
         sources = {"texel": self.patches, "average": self.colors, "energy": self.colors, "point": self.patches}
         kept: dict[str, list[np.ndarray]] = {name: [] for name in sources}
@@ -39,7 +39,7 @@ class PatchSample:
         for name, rows in kept.items():
             joined = np.concatenate(rows)
             arrays.store(folder, name, joined)
-        return {"n_splats": sum(map(len, kept["energy"]))}
+        return Counted(sum(map(len, kept["energy"])))
 
-    def finalise(self, folder: Path, results: list[dict]) -> Counted:
-        return Counted(results[0]["n_splats"])
+    def finalise(self, folder: Path, results: list[Counted]) -> Counted:
+        return Counted(results[0].n_splats)

@@ -38,6 +38,13 @@ class VariantMeasured:
 
 
 @dataclass(frozen=True)
+class PhotoCoded:
+    """What a task tells of its photograph."""
+
+    bytes: int
+
+
+@dataclass(frozen=True)
 class PhotoVariant:
     """A task a photograph: `lod` times halved, encoded and decoded. Arrays photo_<i> (h, w, 3) uint8; its summary has
     the cameras at that size, so that its folder can stand for the ingest's where photographs are looked at."""
@@ -54,15 +61,15 @@ class PhotoVariant:
             arrays.create(folder, f"photo_{i}", shape, "uint8", (TILE, TILE, 3))
         return len(self._cameras())
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> PhotoCoded:
         rgb = halved(arrays.read(self.ingest, f"photo_{index}"), self.lod)
         budget = None if self.bytes_per_pixel is None else self.bytes_per_pixel * rgb.shape[0] * rgb.shape[1]
         decoded, n_bytes = CODECS[self.codec].coded(rgb, budget)
         arrays.write_picture(folder, f"photo_{index}", decoded)
-        return {"bytes": n_bytes}
+        return PhotoCoded(bytes=n_bytes)
 
-    def finalise(self, folder: Path, results: list[dict]) -> VariantMade:
-        return VariantMade(sum(r["bytes"] for r in results), tuple(self._cameras()))
+    def finalise(self, folder: Path, results: list[PhotoCoded]) -> VariantMade:
+        return VariantMade(sum(r.bytes for r in results), tuple(self._cameras()))
 
     def _cameras(self) -> list[Camera]:
         return [camera_at(c, self.lod) for c in work.summary(self.ingest, Photographs).cameras]
@@ -74,6 +81,15 @@ def camera_at(camera: Camera, lod: int) -> Camera:
     for _ in range(lod):
         width, height = max(1, width // 2), max(1, height // 2)
     return resized(camera, width, height)
+
+
+@dataclass(frozen=True)
+class BlockCompared:
+    """What a task tells of its block: squared errors, and those weighted by what is visible."""
+
+    n_splats: int
+    squared_error: float
+    weighted_error: float
 
 
 @dataclass(frozen=True)
@@ -92,14 +108,16 @@ class VariantErrors:
     def init(self, folder: Path) -> int:
         return arrays.n_blocks(arrays.layout_of(self.patches, "energy").shape[0])
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> BlockCompared:
         start, stop = arrays.block_range(index, arrays.layout_of(self.patches, "energy").shape[0])
         found = resampled_block(self.variant, self.partition, self.splats, self.radius, self.up, self.ahead, index)
         squared, weighted = texel_errors(arrays.read(self.patches, "texel", start, stop), found.texel)
-        return {"n_splats": stop - start, "squared_error": squared, "weighted_error": weighted}
+        return BlockCompared(n_splats=stop - start, squared_error=squared, weighted_error=weighted)
 
-    def finalise(self, folder: Path, results: list[dict]) -> VariantMeasured:
-        n, squared, weighted = (sum(r[k] for r in results) for k in ("n_splats", "squared_error", "weighted_error"))
+    def finalise(self, folder: Path, results: list[BlockCompared]) -> VariantMeasured:
+        n, squared, weighted = (
+            sum(getattr(r, k) for r in results) for k in ("n_splats", "squared_error", "weighted_error")
+        )
         if not squared:  # the photographs as they are: there is nothing to state
             return VariantMeasured(None, None)
         visible = psnr_db(weighted, n * float(np.sum(disc_weights())))

@@ -35,6 +35,16 @@ SAMPLE = 4096  # patches: their mean error is known to about 2 %, which is 0.1 d
 
 
 @dataclass(frozen=True)
+class PartPriced:
+    """What a task tells of its patches: error and atoms at each multiplier, weighted, and the weight."""
+
+    n_splats: int
+    weight: float
+    error: list[float]
+    n_atoms: list[float]
+
+
+@dataclass(frozen=True)
 class Prices:
     """A task a part of the training set: some of it, by hash, so that it is the same splats however the scan is turned,
     is coded at every price of the ladder.
@@ -56,7 +66,7 @@ class Prices:
     def init(self, folder: Path) -> int:
         return work.summary(self.training, InParts).n_tasks
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> PartPriced:
         patches, rest = training_part(self.training, index)
         # Those of the highest hashes, for the first atoms are patches of the lowest: on these fountain_p11 lost 0.3 dB
         # more.
@@ -74,11 +84,11 @@ class Prices:
             taken = found.atoms_at(rung * self.tolerance)
             error.append(float(weight @ (found.path[np.arange(len(taken)), taken] + rest)))
             n_atoms.append(float(weight @ taken))
-        return {"n_splats": len(patches), "weight": float(weight.sum()), "error": error, "n_atoms": n_atoms}
+        return PartPriced(n_splats=len(patches), weight=float(weight.sum()), error=error, n_atoms=n_atoms)
 
-    def finalise(self, folder: Path, results: list[dict]) -> Ladder:
-        weight = sum(r["weight"] for r in results) or 1.0
-        error, n_atoms = (np.sum([r[k] for r in results], axis=0) / weight for k in ("error", "n_atoms"))
+    def finalise(self, folder: Path, results: list[PartPriced]) -> Ladder:
+        weight = sum(r.weight for r in results) or 1.0
+        error, n_atoms = (np.sum([getattr(r, k) for r in results], axis=0) / weight for k in ("error", "n_atoms"))
         price = tuple(share * self.tolerance for share in LADDER)
         return Ladder(price, tuple(error.tolist()), tuple(n_atoms.tolist()))
 

@@ -26,6 +26,14 @@ IN_COMPONENTS = "in-components"
 
 
 @dataclass(frozen=True)
+class PartQuantised:
+    """What a task tells of its patches."""
+
+    n_splats: int
+    squared_error: float
+
+
+@dataclass(frozen=True)
 class Quantization:
     """A task a part of the training set: it is coded with exact weights by the atoms as they will be decoded, less what
     of them lies outside the components.
@@ -74,15 +82,15 @@ class Quantization:
         store_atoms(folder, (decoded * scale[:, None]).astype(np.float32), self.form)
         return texels, scale
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> PartQuantised:
         patches, rest = training_part(self.training, index)
         atoms = load_atoms(folder / IN_COMPONENTS if self.form is None else folder)
         found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0), price=self.price)
         codes = found.codes
         work.write_parts(work.parts(folder) / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
-        return {"n_splats": len(codes.n_atoms), "squared_error": float((found.residual + rest).sum())}
+        return PartQuantised(n_splats=len(codes.n_atoms), squared_error=float((found.residual + rest).sum()))
 
-    def finalise(self, folder: Path, results: list[dict]) -> Quantised:
+    def finalise(self, folder: Path, results: list[PartQuantised]) -> Quantised:
         samples: list[list[np.ndarray]] = [[] for _ in range(self.max_atoms)]
         for i in range(len(results)):
             with work.open_parts(work.parts(folder) / f"weights-{i}.npz") as stored:
@@ -96,5 +104,5 @@ class Quantization:
             n_atoms=arrays.layout_of(folder, "atom_scale").shape[0],
             atom_size=self.form.size if self.form else PATCH_SIZE,
             n_turns=self.form.n_turns if self.form else 1,
-            squared_error=sum(r["squared_error"] for r in results),
+            squared_error=sum(r.squared_error for r in results),
         )

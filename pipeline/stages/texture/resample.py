@@ -22,6 +22,17 @@ _thread = threading.local()
 
 
 @dataclass(frozen=True)
+class BlockResampled:
+    """What a task tells of its block."""
+
+    n_splats: int
+    resampling_error: float
+    n_probes: int
+    n_flagged: int
+    energy: float
+
+
+@dataclass(frozen=True)
 class Resample:
     """A task a block. Arrays: texel (n, PATCH_DIM) uint8, average (n, 3) float32 in 255ths, energy (n,) float32, point
     (n,) int64 as the partition's.
@@ -50,7 +61,7 @@ class Resample:
         arrays.create(folder, "point", (n,), "int64")
         return arrays.n_blocks(n)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> BlockResampled:
         start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
         sources = (self.ingest, self.partition, self.splats, self.radius, self.up, self.ahead, index)
         patches = resampled_block(*sources, self.antialiased, None if self.kept else block_memory())
@@ -59,19 +70,19 @@ class Resample:
         arrays.write(folder, "average", start, patches.average)
         arrays.write(folder, "energy", start, patches.energy)
         arrays.write(folder, "point", start, arrays.read(self.partition, "point", start, stop))
-        return {
-            "n_splats": stop - start,
-            "resampling_error": patches.resampling_error,
-            "n_probes": patches.n_probes,
-            "n_flagged": patches.n_flagged,
-            "energy": float(patches.energy.sum(dtype=np.float64)),
-        }
+        return BlockResampled(
+            n_splats=stop - start,
+            resampling_error=patches.resampling_error,
+            n_probes=patches.n_probes,
+            n_flagged=patches.n_flagged,
+            energy=float(patches.energy.sum(dtype=np.float64)),
+        )
 
-    def finalise(self, folder: Path, results: list[dict]) -> PatchesMade:
-        error, n_probes = (sum(r[k] for r in results) for k in ("resampling_error", "n_probes"))
+    def finalise(self, folder: Path, results: list[BlockResampled]) -> PatchesMade:
+        error, n_probes = (sum(getattr(r, k) for r in results) for k in ("resampling_error", "n_probes"))
         return PatchesMade(
-            energy=sum(r["energy"] for r in results),
-            n_flagged=sum(r["n_flagged"] for r in results),
+            energy=sum(r.energy for r in results),
+            n_flagged=sum(r.n_flagged for r in results),
             resampling_psnr_db=psnr_db(error, n_probes),
             n_coarser=first_finest(work.summary(self.partition, Points)),
         )

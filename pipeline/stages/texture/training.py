@@ -35,6 +35,18 @@ class TrainingPart(NamedTuple):
 
 
 @dataclass(frozen=True)
+class PatchesChosen:
+    """What a task tells of its patches: squared norms are sums."""
+
+    n_splats: int
+    n_active: int
+    cutoff_error: float
+    n_shown: int
+    beyond: list[float]  # by size of atoms
+    settled_energy: float
+
+
+@dataclass(frozen=True)
 class TrainingSet:
     """A task a range of blocks, about TASK_SPLATS patches each. Arrays of task t: texel_<t>, average_<t>, luck_<t> (m,)
     float64, the hash as a share of what its octave is taken below: who is below a half is a half of the set, of each
@@ -58,7 +70,7 @@ class TrainingSet:
         work.write_json(folder / "share.json", {"n_splats": int(counts.sum()), "share": share.tolist()})
         return max(1, min(arrays.n_blocks(int(counts.sum())), -(-int(counts @ share) // TASK_SPLATS)))
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> PatchesChosen:
         plan, n_tasks = work.read_json(folder / "share.json"), work.read_json(folder / "plan.json")["n_tasks"]
         n, share = plan["n_splats"], np.array(plan["share"])
         rows = [min(n, arrays.n_blocks(n) * i // n_tasks * arrays.BLOCK) for i in (index, index + 1)]
@@ -83,32 +95,40 @@ class TrainingSet:
             for s in ATOM_SIZES
         ]
         cut = float(np.minimum(energy, self.cutoff).sum(dtype=np.float64))
-        return {
-            "n_splats": len(chosen),
-            "n_active": int(active.sum()),
-            "cutoff_error": cut,
-            "n_shown": len(shown),
-            "beyond": beyond,
-            "settled_energy": float(energy[~active].sum(dtype=np.float64)),
-        }
+        return PatchesChosen(
+            n_splats=len(chosen),
+            n_active=int(active.sum()),
+            cutoff_error=cut,
+            n_shown=len(shown),
+            beyond=beyond,
+            settled_energy=float(energy[~active].sum(dtype=np.float64)),
+        )
 
-    def finalise(self, folder: Path, results: list[dict]) -> Training:
+    def finalise(self, folder: Path, results: list[PatchesChosen]) -> Training:
         return Training(
             n_tasks=len(results),
-            n_patches=sum(r["n_splats"] for r in results),
+            n_patches=sum(r.n_splats for r in results),
             n_splats=work.read_json(folder / "share.json")["n_splats"],
-            n_active=sum(r["n_active"] for r in results),
-            cutoff_error=sum(r["cutoff_error"] for r in results),
-            settled_energy=sum(r["settled_energy"] for r in results),
+            n_active=sum(r.n_active for r in results),
+            cutoff_error=sum(r.cutoff_error for r in results),
+            settled_energy=sum(r.settled_energy for r in results),
             beyond=self._beyond(results),
         )
 
     @staticmethod
-    def _beyond(results: list[dict]) -> dict[str, float]:
+    def _beyond(results: list[PatchesChosen]) -> dict[str, float]:
         """By size of atoms, the squared norm that they leave of a patch of this set on average, whatever their
         number."""
-        n = max(1, sum(r["n_shown"] for r in results))
-        return {str(size): max(0.0, sum(r["beyond"][i] for r in results) / n) for i, size in enumerate(ATOM_SIZES)}
+        n = max(1, sum(r.n_shown for r in results))
+        return {str(size): max(0.0, sum(r.beyond[i] for r in results) / n) for i, size in enumerate(ATOM_SIZES)}
+
+
+@dataclass(frozen=True)
+class PartProjected:
+    """What a task tells of its patches: the squared norm that is left beyond the space."""
+
+    n_splats: int
+    rest: float
 
 
 @dataclass(frozen=True)
@@ -133,7 +153,7 @@ class Components:
         work.write_json(folder / "components.json", {"n_components": basis.shape[1], "dtype": dtype, "left": left})
         return n_tasks
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> PartProjected:
         basis, dtype = arrays.read(folder, "basis"), work.read_json(folder / "components.json")["dtype"]
         n = arrays.layout_of(self.training, f"average_{index}").shape[0]
         coefficients, rest = np.empty((n, basis.shape[1]), np.float32), np.empty(n)
@@ -142,12 +162,12 @@ class Components:
             coefficients[rows], rest[rows] = project(self._patches(index, rows), basis)
         for name, values in (("coefficient", coefficients.astype(dtype)), ("rest", rest.astype(np.float32))):
             arrays.store(folder, f"{name}_{index}", values, values.shape)
-        return {"n_splats": n, "rest": float(rest.sum())}
+        return PartProjected(n_splats=n, rest=float(rest.sum()))
 
-    def finalise(self, folder: Path, results: list[dict]) -> SubspaceFound:
+    def finalise(self, folder: Path, results: list[PartProjected]) -> SubspaceFound:
         found = work.read_json(folder / "components.json")
-        n = sum(r["n_splats"] for r in results)
-        floor = psnr_db(sum(r["rest"] for r in results), n * arrays.layout_of(folder, "basis").shape[0])
+        n = sum(r.n_splats for r in results)
+        floor = psnr_db(sum(r.rest for r in results), n * arrays.layout_of(folder, "basis").shape[0])
         return SubspaceFound(len(results), n, found["n_components"], found["dtype"], floor)
 
     def _patches(self, index: int, rows: slice) -> np.ndarray:
@@ -166,7 +186,7 @@ class Coefficients:
     def init(self, folder: Path) -> int:
         return work.summary(self.training, InParts).n_tasks
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> PartProjected:
         n = arrays.layout_of(self.training, f"average_{index}").shape[0]
         values, rest = np.empty((n, 3 * self.size**2), np.float32), np.empty(n, np.float32)
         for at in range(0, n, ROWS):
@@ -176,10 +196,10 @@ class Coefficients:
             rest[rows] = np.maximum(squared_norms(patches) - squared_norms(values[rows]), 0)
         for name, stored in (("coefficient", values), ("rest", rest)):
             arrays.store(folder, f"{name}_{index}", stored, stored.shape)
-        return {"n_splats": n, "rest": float(rest.sum(dtype=np.float64))}
+        return PartProjected(n_splats=n, rest=float(rest.sum(dtype=np.float64)))
 
-    def finalise(self, folder: Path, results: list[dict]) -> CoefficientsFound:
-        n, rest = (sum(r[k] for r in results) for k in ("n_splats", "rest"))
+    def finalise(self, folder: Path, results: list[PartProjected]) -> CoefficientsFound:
+        n, rest = (sum(getattr(r, k) for r in results) for k in ("n_splats", "rest"))
         return CoefficientsFound(len(results), n, rest)
 
 

@@ -26,6 +26,21 @@ CLOSE_CELLS = 0.01  # off a surface by more than so much of a cell: counted as l
 
 
 @dataclass(frozen=True)
+class BrickOfSurfaces:
+    """What a task tells of its slices: the box of its points, None where there are none; by iso value how many there are, were
+    added, lie off the surface, and had no direction, and by how many cells the others are off, summed."""
+
+    n_splats: int
+    low: list[float] | None
+    high: list[float] | None
+    n_points: list[int]
+    n_added: list[int]
+    n_off: list[int]
+    n_flat: list[int]
+    off: list[float]
+
+
+@dataclass(frozen=True)
 class IsoSurface:
     """A task some slices of the HCP grid, with the slices about them as halos.
 
@@ -50,7 +65,7 @@ class IsoSurface:
         _, lattice = self._lattice()
         return -(-lattice.counts[2] // self._slices(lattice))
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> BrickOfSurfaces:
         pad, lattice = self._lattice()
         n = self._slices(lattice)
         begin, end = index * n, min((index + 1) * n, lattice.counts[2])
@@ -72,21 +87,21 @@ class IsoSurface:
         work.write_parts(work.parts(folder) / f"{index:06d}.npz", **rows)
         low, high = (b.tolist() for b in bounds(position)) if len(position) else (None, None)
         off = [s.off[np.isfinite(s.off)] / lattice.size for s in found]
-        return {
-            "n_splats": len(position),
-            "low": low,
-            "high": high,
-            "n_points": [len(s.key) for s in found],
-            "n_added": [s.n_added for s in found],
-            "n_off": [int((~(s.off <= CLOSE_CELLS * lattice.size)).sum()) for s in found],
-            "n_flat": [int((~np.isfinite(s.off)).sum()) for s in found],
-            "off": [float(o[o <= CLOSE_CELLS].sum()) for o in off],
-        }
+        return BrickOfSurfaces(
+            n_splats=len(position),
+            low=low,
+            high=high,
+            n_points=[len(s.key) for s in found],
+            n_added=[s.n_added for s in found],
+            n_off=[int((~(s.off <= CLOSE_CELLS * lattice.size)).sum()) for s in found],
+            n_flat=[int((~np.isfinite(s.off)).sum()) for s in found],
+            off=[float(o[o <= CLOSE_CELLS].sum()) for o in off],
+        )
 
-    def finalise(self, folder: Path, results: list[dict]) -> ScanRead:
+    def finalise(self, folder: Path, results: list[BrickOfSurfaces]) -> ScanRead:
         volume = work.summary(self.voxels, VolumeRead)
         _, lattice = self._lattice()
-        n_points = sum(r["n_splats"] for r in results)
+        n_points = sum(r.n_splats for r in results)
         if not n_points:
             asked = ", ".join(f"{iso.value:g}" for iso in self.isos)
             raise InvalidScan(
@@ -95,8 +110,8 @@ class IsoSurface:
                 f"values pass from {volume.low:g} to {volume.high:g}",
             )
         self._gather(folder, len(results), n_points)
-        some = [r for r in results if r["n_splats"]]
-        low, high = np.min([r["low"] for r in some], axis=0), np.max([r["high"] for r in some], axis=0)
+        some = [r for r in results if r.n_splats]
+        low, high = np.min([r.low for r in some], axis=0), np.max([r.high for r in some], axis=0)
         check_bounds(volume.path, low, high)
         surfaces = [self._surface(i, results) for i in range(len(self.isos))]
         warnings = [*volume.warnings, *self._warnings(surfaces, volume)]
@@ -128,8 +143,11 @@ class IsoSurface:
             grid=grid_of(lattice, (low + high) / 2) if self.on_cells else None,
         )
 
-    def _surface(self, i: int, results: list[dict]) -> SurfaceFound:
-        total = {name: sum(r[name][i] for r in results) for name in ("n_points", "n_added", "n_off", "n_flat", "off")}
+    def _surface(self, i: int, results: list[BrickOfSurfaces]) -> SurfaceFound:
+        total = {
+            name: sum(getattr(r, name)[i] for r in results)
+            for name in ("n_points", "n_added", "n_off", "n_flat", "off")
+        }
         n_on = total["n_points"] - total["n_off"]
         mean = total.pop("off") / n_on if n_on else None
         return SurfaceFound(self.isos[i].value, self.isos[i].color, **total, mean_off_cells=mean)

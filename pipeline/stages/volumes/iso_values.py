@@ -27,6 +27,15 @@ class IsoProposed:
 
 
 @dataclass(frozen=True)
+class SpectrumPart:
+    """What a task tells of its slices: a count or sum a bin of values."""
+
+    voxels: list[float]
+    pairs: list[float]
+    steps: list[float]
+
+
+@dataclass(frozen=True)
 class IsoValues:
     """A task SLICES slices, and the first one of the next."""
 
@@ -36,15 +45,15 @@ class IsoValues:
     def init(self, folder: Path) -> int:
         return -(-work.summary(self.voxels, VolumeRead).shape[2] // SLICES)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> SpectrumPart:
         first = index * SLICES
         voxels = arrays.read(self.voxels, "voxels", first, first + SLICES + 1)
         found = spectrum_of(voxels, SLICES, self._edges())
-        return {name: getattr(found, name).tolist() for name in ("voxels", "pairs", "steps")}
+        return SpectrumPart(found.voxels.tolist(), found.pairs.tolist(), found.steps.tolist())
 
-    def finalise(self, folder: Path, results: list[dict]) -> IsoProposed:
+    def finalise(self, folder: Path, results: list[SpectrumPart]) -> IsoProposed:
         volume = work.summary(self.voxels, VolumeRead)
-        total = {name: np.sum([r[name] for r in results], axis=0) for name in ("voxels", "pairs", "steps")}
+        total = {name: np.sum([getattr(r, name) for r in results], axis=0) for name in ("voxels", "pairs", "steps")}
         spectrum = Spectrum(self._edges(), **total)
         is_whole = np.dtype(volume.dtype).kind in "ui"
         is_labels = volume.is_labels or labels_in(spectrum, is_whole) is not None

@@ -17,6 +17,16 @@ CHUNK_BYTES = 1 << 22
 
 
 @dataclass(frozen=True)
+class ValuesSeen:
+    """What the task tells of the volume."""
+
+    low: float
+    high: float
+    n_unknown: int
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Voxels:
     """One task: files are compressed as one stream, so they are read once, slice by slice.
 
@@ -38,7 +48,7 @@ class Voxels:
         arrays.create(folder, "voxels", (n_k, n_j, n_i), str(volume.dtype), (slices, n_j, n_i))
         return 1
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> ValuesSeen:
         volume = open_volume(self.volume_path, self.choice)
         warnings: list[str] = []
         n_a_chunk = arrays.layout_of(folder, "voxels").chunks[0]
@@ -62,9 +72,9 @@ class Voxels:
             warnings.append(f"{n_unknown:,} voxels are not finite; surfaces are open around them")
         if volume.dtype.kind in "ui" and max(abs(low), abs(high)) > LARGEST_EXACT:
             warnings.append(f"values reach {max(abs(low), abs(high)):,.0f} and are taken to 24 bits")
-        return {"low": low, "high": high, "n_unknown": n_unknown, "warnings": [*volume.warnings, *warnings]}
+        return ValuesSeen(low=low, high=high, n_unknown=n_unknown, warnings=(*volume.warnings, *warnings))
 
-    def finalise(self, folder: Path, results: list[dict]) -> VolumeRead:
+    def finalise(self, folder: Path, results: list[ValuesSeen]) -> VolumeRead:
         volume = open_volume(self.volume_path, self.choice)
         found = results[0]
         return VolumeRead(
@@ -78,10 +88,10 @@ class Voxels:
             frame=volume.frame,
             unit=volume.unit,
             is_labels=volume.is_labels,
-            low=found["low"],
-            high=found["high"],
-            n_unknown=found["n_unknown"],
-            warnings=tuple(found["warnings"]),
+            low=found.low,
+            high=found.high,
+            n_unknown=found.n_unknown,
+            warnings=found.warnings,
         )
 
 

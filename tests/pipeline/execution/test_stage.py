@@ -19,6 +19,14 @@ from storage.work import arrays, work
 
 
 @dataclass(frozen=True)
+class BlockSquared:
+    """What a task tells."""
+
+    n_splats: int
+    total: int
+
+
+@dataclass(frozen=True)
 class Squares:
     """Task i writes the squares of its block; it fails, or dies, where `trap` has a file to say so."""
 
@@ -31,7 +39,7 @@ class Squares:
         arrays.create(folder, "square", (self.n,), "int64", (10,))
         return arrays.n_blocks(self.n, 10)
 
-    def run(self, folder: Path, index: int) -> dict:
+    def run(self, folder: Path, index: int) -> BlockSquared:
         if self.trap and index == 2:
             if Path(self.trap, "fail").exists():
                 raise InvalidScan("squares:2", "a trap", "no trap")
@@ -43,10 +51,10 @@ class Squares:
                 log.write(f"{index}\n")
         start, stop = arrays.block_range(index, self.n, 10)
         arrays.write(folder, "square", start, np.arange(start, stop) ** 2)
-        return {"n_splats": stop - start, "total": int((np.arange(start, stop) ** 2).sum())}
+        return BlockSquared(stop - start, int((np.arange(start, stop) ** 2).sum()))
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
-        return {"total": sum(r["total"] for r in results)}
+    def finalise(self, folder: Path, results: list[BlockSquared]) -> dict:
+        return {"total": sum(r.total for r in results)}
 
 
 @dataclass
@@ -84,10 +92,10 @@ class Compiling:
         self_made[:] = [numba.njit(lambda x: x + 1)]
         return 2
 
-    def run(self, folder: Path, index: int) -> dict:
-        return {"found": self_made[0](index)}
+    def run(self, folder: Path, index: int) -> None:
+        self_made[0](index)
 
-    def finalise(self, folder: Path, results: list[dict]) -> dict:
+    def finalise(self, folder: Path, results: list[None]) -> dict:
         return {}
 
 
@@ -96,7 +104,7 @@ self_made: list = []
 
 def test_stage__a_task_tells_what_of_its_time_went_into_compiling(tmp_path):
     first, second = work.finished_tasks(run_stage(Compiling(), tmp_path, SerialExecutor(), Heard()).folder).values()
-    assert 0 < first["compile_seconds"] <= first["seconds"] and second["compile_seconds"] == 0
+    assert 0 < first.compile_seconds <= first.seconds and second.compile_seconds == 0
 
 
 def test_stage__another_parameter_is_another_folder(tmp_path):
@@ -147,10 +155,10 @@ def test_executors__many_tasks_go_to_workers_by_the_handful_and_each_counts_once
 def test_task__a_call_hands_back_what_it_has_no_time_for_and_does_nothing_twice(tmp_path, monkeypatch):
     stage = Squares(95, str(tmp_path))
     folder = run_stage(stage, tmp_path / "here", SerialExecutor(), Heard()).folder
-    assert run_tasks(stage, folder, [3, 4]) == [work.finished_task(folder, i) for i in (3, 4)]
+    assert run_tasks(stage, folder, [3, 4]) == [work.finished_task(folder, i, BlockSquared) for i in (3, 4)]
     assert len((tmp_path / "ran").read_text().split()) == 10  # what is done is not done again
     monkeypatch.setattr("pipeline.execution.task.CALL_S", 0)
-    assert run_tasks(stage, folder, [3, 4]) == [work.finished_task(folder, 3)]
+    assert run_tasks(stage, folder, [3, 4]) == [work.finished_task(folder, 3, BlockSquared)]
 
 
 def test_executors__an_error_in_a_worker_arrives_as_itself(tmp_path, dask_executor):

@@ -146,11 +146,7 @@ def seconds_of(
     """Of a scan of 2,000 splats by a pilot of 200, and of 900 training patches by 300."""
     work.begin(folder)
     for i, (seconds, n) in enumerate(tasks):
-        work.record_task(
-            folder,
-            i,
-            {"seconds": seconds, "processor_seconds": seconds / 2, "compile_seconds": compiling, "n_splats": n},
-        )
+        work.record_task(folder, i, work.TaskRecord(None, n, seconds, seconds / 2, compiling, 0))
     record = StageRecord(stage.name, folder, {}, made, 0, len(tasks), sum(n for _, n in tasks), False, made)
     prepared = SimpleNamespace(splats=SimpleNamespace(summary=Counted(2000)))
     pilot = module._Pilot(prepared, None, SETTINGS, {}, 200, [], [], n_workers)

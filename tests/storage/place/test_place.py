@@ -18,6 +18,8 @@ from tests.services.bucket import BUCKET, bucket_environment, s3_server, stumbli
 
 BOUND = 1 << 20
 
+DONE = work.TaskRecord({"n_splats": 4}, 4, 0.5, 0.25, 0.0, 1 << 20)
+
 
 @pytest.fixture(scope="module")
 def server():
@@ -63,7 +65,7 @@ def make_arrays(folder: Path) -> None:
     arrays.write(folder, "parted", 5, np.arange(20))  # less than a chunk: through zarr
     work.write_parts(work.parts(folder) / "a.npz", x=np.arange(5))
     work.write_part(folder / "b.npy", np.arange(7))
-    work.record_task(folder, 3, {"n_splats": 4})
+    work.record_task(folder, 3, DONE)
 
 
 def read_arrays(folder: Path) -> dict:
@@ -75,7 +77,7 @@ def read_arrays(folder: Path) -> dict:
         "window": arrays.read_window(folder, "picture", 20, 50, 30, 70),
         "pieces": np.concatenate([rows for _, rows in arrays.pieces(folder, "stored", 150, 420, 64)]),
         "mapped": work.map_part(folder / "b.npy"),
-        "tasks": np.array([[i, r["n_splats"]] for i, r in work.finished_tasks(folder).items()]),
+        "tasks": np.array([[i, r.n_splats] for i, r in work.finished_tasks(folder).items()]),
     }
 
 
@@ -89,7 +91,7 @@ def test_place__arrays_of_a_bucket_are_those_of_a_folder_for_another_process_too
     assert expected.keys() == found.keys()
     for name, values in expected.items():
         np.testing.assert_array_equal(values, found[name], err_msg=name)
-    assert work.finished_task(bucket, 3) == {"n_splats": 4} and work.finished_task(bucket, 4) is None
+    assert work.finished_task(bucket, 3) == DONE and work.finished_task(bucket, 4) is None
     assert not work.is_complete(bucket)
     work.complete(bucket, {"n": 1}, 2.0)
     assert work.is_complete(bucket) and work.summary(bucket, dict) == {"n": 1}

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from pipeline.execution.stage import run_stage
+from pipeline.execution.task import run_task
 from pipeline.readers import open_scan
 from pipeline.readers.ply import ply
 from pipeline.stages.points import ingest
 from pipeline.stages.points.ingest import Ingest, slice_rows
 from pipeline.summaries import ScanRead
 from storage.errors import InvalidScan
-from storage.work import arrays, work
+from storage.work import arrays
 from tests.pipeline.readers import test_ply
 from tests.pipeline.readers.workspace import write_workspace, zip_folder
 
@@ -37,10 +38,8 @@ class Backwards:
 
     def run(self, stage, folder, indices, on_done):
         for index in reversed(indices):
-            stage.run(folder, index)
-            result = stage.run(folder, index)
-            work.record_task(folder, index, result | {"peak_rss_bytes": 0})
-            on_done(index, result)
+            run_task(stage, folder, index)
+            on_done(index, run_task(stage, folder, index))
 
     def call(self, name, function, *arguments):
         return function(*arguments)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from pipeline.execution.task import run_task
 from pipeline.geometry.chunks import median_split
 from pipeline.geometry.thinning import thinned
 from pipeline.numerics.hashing import uniform_hash
@@ -16,7 +17,7 @@ from pipeline.stages.points import grid_counts, kept, partition, split_on_disk
 from pipeline.stages.points.grid_counts import GridCounts
 from pipeline.stages.points.kept import n_kept
 from pipeline.stages.points.leaves import DealtLeaves
-from pipeline.stages.points.partition import Partition
+from pipeline.stages.points.partition import OrderedPart, Partition
 from pipeline.stages.points.thin import Thin
 from pipeline.summaries import Points, ScanRead
 from storage.errors import InvalidScan
@@ -166,9 +167,11 @@ def test_partition__a_stage_cut_off_between_tasks_goes_on(tmp_path, small):
     work.begin(folder)
     n = stage.init(folder)
     for index in range(n):
-        work.record_task(folder, index, stage.run(folder, index))
+        run_task(stage, folder, index)
         work.sweep(folder)
-    work.complete(folder, stage.finalise(folder, [work.finished_task(folder, i) for i in range(n)]), 0.0)
+    work.complete(
+        folder, stage.finalise(folder, [work.finished_task(folder, i, OrderedPart).result for i in range(n)]), 0.0
+    )
     assert n > 3 and (arrays.read(folder, "point") == arrays.read(expected, "point")).all()
     shutil.rmtree(folder)
 
