@@ -42,11 +42,11 @@ def estimate_pages(run: Run, prepared: Prepared, settings: Settings, folder: Pat
         cameras = work.summary(stage.photos, Photographs).cameras
         n_tasks = len(cameras)
         scale = 3 * sum(c.width_px * c.height_px for c in cameras) / record.summary.raw_bytes
-    busy = scale * sum(task["seconds"] for task in tasks)
+    busy = scale * sum(task.seconds for task in tasks)
     rounds = -(-n_tasks // run.executor.n_workers)
     return PagesEstimated(
         record,
         scale * record.summary.bytes,
         busy / n_tasks * rounds,
-        scale * sum(task["processor_seconds"] for task in tasks),
+        scale * sum(task.processor_seconds for task in tasks),
     )

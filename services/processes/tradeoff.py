@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from msgspec import to_builtins
+
 from pipeline.catalogue import PICTURES
 from pipeline.execution.stage import Executor, Progress, StageRecord
 from pipeline.numerics.accuracy import BEST_DB
@@ -251,10 +253,10 @@ def _pictures(run: Run, points: list[dict], photographs: Path, out: Path) -> lis
         point["picture_psnr_db"] = psnr
     run.progress.advance(PICTURES, 1, 0)
     for point, timed in zip(points, run.paint(time_passes, variants), strict=True):
-        point["frame_seconds"] = sum(timed["seconds"].values())
-        point["device"], point["frame_px"] = timed["device"], [timed["width_px"], timed["height_px"]]
+        point["frame_seconds"] = sum(timed.seconds.values())
+        point["device"], point["frame_px"] = timed.device, [timed.width_px, timed.height_px]
     run.progress.end(StageRecord(PICTURES, out, None, time.perf_counter() - begun, 0, 3, 0, False))
-    return close_ups
+    return to_builtins(close_ups)
 
 
 def parsed_budget(text: str) -> float:

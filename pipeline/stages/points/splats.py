@@ -34,7 +34,7 @@ class SplatsBlock:
     position_error: float
     normal_error: float  # degrees
     error_in_radii: float
-    number_bits: float
+    number_bits: int
 
 
 @dataclass(frozen=True)
