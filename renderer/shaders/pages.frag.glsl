@@ -4,7 +4,9 @@
 layout(binding = 2) uniform sampler2DArray page_pool;
 layout(std430, binding = 12) readonly buffer PageSlots { uint page_slots[]; };  // 0 where a page is not resident, else its slot + 1; with COUNTED where BY_PART draws it now
 layout(std430, binding = 13) readonly buffer PageGrids { uvec4 grid_rows[]; };  // first page, columns, width and height in texels
+#ifdef ASKS
 layout(std430, binding = 14) buffer Feedback { uint feedback[]; };              // of each page: fragments in the view, in its margin
+#endif
 uniform uvec4 pool_shape;  // texels of a page, of its border, pages a row and rows of a layer
 uniform vec4 inner;        // the view in px of the picture: left, top, right, bottom; beyond lies its margin
 
@@ -61,7 +63,8 @@ vec4 paged_color() {
         uint page = page_of(grid, at * vec2(grid_rows[grid].zw), inside);
 #ifdef BY_PART
         if (l == finest && (page_slots[page] & COUNTED) == 0u) discard;
-#else
+#endif
+#ifdef ASKS
         if (l == finest) atomicAdd(feedback[2u * page + (in_view() ? 0u : 1u)], 1u);
 #endif
         slot = slot_of(page);

@@ -17,6 +17,8 @@ GL_VERSION = 450
 SYSTEM_PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"
 _LOWER_LEFT, _ZERO_TO_ONE, _DEPTH_COMPONENT32F = 0x8CA1, 0x935F, 0x8CAC
 
+_COMMANDS_COMPLETE, _FLUSH, _PASSED = 0x9117, 1, (0x911A, 0x911C)  # of fences: already signalled, condition satisfied
+
 
 def gl_context() -> moderngl.Context:
     """A new headless context, of the calling thread; everything done with it stands inside `with context:`.
@@ -48,10 +50,28 @@ def float_depth_buffer(context: moderngl.Context, size: tuple[int, int]) -> mode
     return buffer
 
 
-def _gl_function(name: str, *argument_types):
+class Fence:
+    """A place in the stream of commands of the current context (glFenceSync): whether the GPU has passed it can be asked without waiting.
+
+    Made, asked and deleted while its context is current."""
+
+    def __init__(self) -> None:
+        make = _gl_function("glFenceSync", ctypes.c_uint, ctypes.c_uint, result=ctypes.c_void_p)
+        self._sync = make(_COMMANDS_COMPLETE, 0)
+
+    def passed(self, wait_s: float = 0.0) -> bool:
+        """Whether all commands before it are done, waiting for them at most so long."""
+        wait = _gl_function("glClientWaitSync", ctypes.c_void_p, ctypes.c_uint, ctypes.c_uint64, result=ctypes.c_uint)
+        return wait(self._sync, _FLUSH, int(1e9 * wait_s)) in _PASSED
+
+    def delete(self) -> None:
+        _gl_function("glDeleteSync", ctypes.c_void_p)(self._sync)
+
+
+def _gl_function(name: str, *argument_types, result=None):
     egl = ctypes.CDLL("libEGL.so.1")
     egl.eglGetProcAddress.restype, egl.eglGetProcAddress.argtypes = ctypes.c_void_p, [ctypes.c_char_p]
     address = egl.eglGetProcAddress(name.encode())
     if not address:
         raise OSError(f"the driver has no {name}")
-    return ctypes.CFUNCTYPE(None, *argument_types)(address)
+    return ctypes.CFUNCTYPE(result, *argument_types)(address)

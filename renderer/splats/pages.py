@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import moderngl
 import numpy as np
 
+from renderer.splats.context import Fence
 from renderer.splats.projection import view_to_photo
 from storage.errors import ResourceExhausted
 from storage.packed.schema import Camera
@@ -22,6 +23,8 @@ from storage.pages.layout import PageLayout, level_size
 SLOTS, GRIDS, FEEDBACK, PHOTOS, SPLAT_PHOTOS, LISTED = range(12, 18)  # bindings; the shaders say the same numbers
 POOL_UNIT = 2
 MOST_LISTED = 1 << 15  # pages that a frame's list has room for
+RING = 3  # lists in turn: one is written, one is on its way, one is read
+LATE_S = 1.0
 LAYER_PX = 4096
 COUNTED = np.uint32(1 << 31)  # of a page's word in the table: it is drawn in this part (pages.frag.glsl)
 _INVOCATIONS = 64  # local size of flatten_feedback.comp.glsl
@@ -95,7 +98,9 @@ class GpuPages:
                 PHOTOS: context.buffer(reserve=80 * len(cameras)),
                 SPLAT_PHOTOS: context.buffer(words.tobytes()),
             }
-            self._lists = [context.buffer(bytes(16 * (MOST_LISTED + 1))) for _ in range(2)]
+            self._lists = [context.buffer(bytes(16 * (MOST_LISTED + 1))) for _ in range(RING)]
+        self._fences: list[Fence | None] = [None] * RING
+        self.asks = True  # whether fragments count what they ask for
         self._frame = 0
 
     @contextmanager
@@ -176,22 +181,30 @@ class GpuPages:
     def flatten(self, program: moderngl.ComputeShader) -> None:
         """List what the last frame asked for, and empty the feedback buffer."""
         with self._current():
-            listed = self._lists[self._frame % 2]
+            listed = self._lists[self._frame % RING]
             listed.write(bytes(16))
             listed.bind_to_storage_buffer(LISTED)
             self._buffers[FEEDBACK].bind_to_storage_buffer(FEEDBACK)
             program["n_pages"].value = self.layout.n_pages
             program.run(-(-self.layout.n_pages // _INVOCATIONS))
             self._context.memory_barrier()
+            if (old := self._fences[self._frame % RING]) is not None:
+                old.delete()
+            self._fences[self._frame % RING] = Fence()
         self._frame += 1
 
     def listed(self, ago: int = 1) -> tuple[np.ndarray, int]:
-        """Rows (n, 3) uint32 (page, fragments in the view, in its margin), by page, of the frame flattened last, or of the one
-        before that (`ago` 2: what a GPU has long finished, so nothing waits); and how many found no room."""
+        """Rows (n, 3) uint32 (page, fragments in the view, in its margin), by page, of the frame flattened last, or of `ago` - 1 frames
+        before that, at most RING - 1; and how many found no room. With `ago` 2 and more a fence says that the GPU is done with it,
+        so nobody waits; a list that is not there after LATE_S is none."""
+        none = np.zeros((0, 3), np.uint32), 0
         if self._frame < ago:
-            return np.zeros((0, 3), np.uint32), 0
+            return none
         with self._current():
-            buffer = self._lists[(self._frame - ago) % 2]
+            at = (self._frame - ago) % RING
+            fence, buffer = self._fences[at], self._lists[at]
+            if fence is None or not fence.passed(LATE_S):
+                return none
             (n,) = np.frombuffer(buffer.read(4), np.uint32)
             rows = np.frombuffer(buffer.read(16 * min(int(n), MOST_LISTED), offset=16), np.uint32)
         rows = rows.reshape(-1, 4)[:, :3]
@@ -200,6 +213,11 @@ class GpuPages:
     def release(self) -> None:
         for resource in (self._pool, *self._buffers.values(), *self._lists):
             resource.release()
+        with self._context:
+            for fence in self._fences:
+                if fence is not None:
+                    fence.delete()
+        self._fences = [None] * RING
 
 
 def _grid_rows(layout: PageLayout) -> np.ndarray:

@@ -204,6 +204,7 @@ class Renderer:
                 TURNED=turned,
                 PAGES=int(gpu_scene.pages is not None),
                 BY_PART=int(part is not None),
+                ASKS=int(gpu_scene.pages is not None and gpu_scene.pages.asks and part is None),
                 **gpu_scene.defines,
             )
 

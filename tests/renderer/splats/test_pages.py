@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from pipeline.execution.executors import SerialExecutor
 from pipeline.planning.settings import settings_for
@@ -39,9 +40,15 @@ STILL = Motion(np.zeros(3), np.zeros(3))
 @dataclass(frozen=True)
 class Made:
     scene: PackedScene  # of cameras that agree with their neighbours
+    with_atoms: PackedScene  # the same
     places: Places
     pages: Path
     photos: Path
+
+
+def opened_scene(path: Path) -> PackedScene:
+    with PackedFile(path) as opened:
+        return opened.load()
 
 
 @pytest.fixture(scope="module")
@@ -49,15 +56,25 @@ def made(tmp_path_factory):
     """A wall of few, wide splats in plain colours, and its photographs in pages of 32 px."""
     folder = tmp_path_factory.mktemp("pages")
     scan = wall_scan(folder / "wall", 24)
+    rng = np.random.default_rng(4)
+    for photo in sorted((scan / "images").iterdir()):  # grain, which neither atoms nor coarse levels keep
+        pixels = np.asarray(Image.open(photo).convert("RGB")).astype(int)
+        grain = np.kron(
+            rng.integers(-14, 15, (-(-pixels.shape[0] // 3), -(-pixels.shape[1] // 3), 3)), np.ones((3, 3, 1), int)
+        )
+        Image.fromarray(np.clip(pixels + grain[: pixels.shape[0], : pixels.shape[1]], 0, 255).astype(np.uint8)).save(
+            photo
+        )
     settings = settings_for("draft", texture="color")
     compress(scan, folder / "out", settings, SerialExecutor(), Heard(), render=False, work=folder / "work")
     form = PageForm("png", 32)
     make_pages(folder / "work", folder / "wall.pages", form, SerialExecutor(), Heard())
-    with PackedFile(folder / "out" / "wall.splatpress") as opened:
-        scene = opened.load()
+    few = settings_for("draft", training_splats=256, iterations=1, max_atoms=1)
+    compress(scan, folder / "atoms", few, SerialExecutor(), Heard(), render=False, work=folder / "work")
+    scene, with_atoms = (opened_scene(folder / name / "wall.splatpress") for name in ("out", "atoms"))
     places, label = scene_places(scene, 1, 32)
-    scene = replace(scene, arrays=scene.arrays | {"camera": label})
-    return Made(scene, places, folder / "wall.pages", next((folder / "work").glob("ingest-*")))
+    scene, with_atoms = (replace(s, arrays=s.arrays | {"camera": label}) for s in (scene, with_atoms))
+    return Made(scene, with_atoms, places, folder / "wall.pages", next((folder / "work").glob("ingest-*")))
 
 
 @pytest.fixture
@@ -228,3 +245,30 @@ def test_paged_photos__however_small_the_pool_the_picture_is_the_baseline_s(made
         photos.release()
     assert gpu_scene.pages is None
     gpu_scene.release()
+
+
+def test_flight__while_pages_arrive_the_picture_is_never_below_that_of_atoms(made, renderer):
+    """Two pages a frame; every picture against the photographs."""
+    scene, camera = made.with_atoms, made.scene.header.cameras[1]
+    gpu_scene = GpuScene(scene, renderer.context)
+    wanted = baseline_of(made, renderer, camera)
+
+    def off(picture) -> float:
+        return psnr_db(picture.rgb, wanted.rgb, wanted.coverage)
+
+    of_atoms, shown = off(renderer.render(gpu_scene, camera)), []
+    with PageFile(made.pages) as file:
+        label = scene.arrays["camera"]
+        gpu_scene.pages = GpuPages(renderer.context, file.layout, 4, scene.header.cameras, label, 4 << 20)
+        screen = Screen(camera.width_px, camera.height_px, camera.fx_px)
+        flight = Flight(renderer, gpu_scene, made.places, file, screen, 4.0, "nothing", n_frame=2)
+        for _ in range(80):
+            picture, record = flight.frame(pose_of(camera), STILL)
+            shown.append(off(picture))
+            if len(shown) > 10 and record.missed == 0:
+                break
+        flight.close()
+    gpu_scene.pages.release()
+    gpu_scene.release()
+    assert of_atoms < 32 and shown[-1] > 40 and len(shown) > 12
+    assert min(shown) > of_atoms - 0.05
