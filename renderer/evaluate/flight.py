@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from time import perf_counter
 
 import numpy as np
 
@@ -37,7 +40,9 @@ STALLED_FRAMES = 40  # in a row with pages that are late: then nobody waits any 
 class FrameRecord:
     """What a frame cost and missed."""
 
-    pass_ms: dict[str, float]
+    pass_ms: dict[
+        str, float
+    ]  # of the GPU's passes, the list of what they ask for, and reading, predicting, managing, uploading
     wanted: int  # pages that its pixels asked for
     missed: int  # of them not there
     missed_pixels: float  # share of fragments
@@ -65,6 +70,7 @@ class Flight:
     _due: list[tuple[int, int]] = field(default_factory=list)  # frame, page
     _waiting: set[int] = field(default_factory=set)  # read, and not mapped yet
     _frame: int = 0
+    _ms: dict[str, float] = field(default_factory=dict)  # of the frame under way
 
     def __post_init__(self) -> None:
         layout, pages = self.file.layout, self.scene.pages
@@ -119,8 +125,9 @@ class Flight:
         pages.show_all(view.width_px, view.height_px, margin)
         there = pages.slot_of > 0
         picture = self.renderer.render(self.scene, view)
-        self.renderer.flatten_feedback(self.scene)
-        rows, _ = pages.listed(1)
+        with self._timed("feedback"):
+            self.renderer.flatten_feedback(self.scene)
+            rows, _ = pages.listed(1)
         required = rows[rows[:, 1] > 0]
         missing = ~there[required[:, 0]]
         total = max(1, int(required[:, 1].sum()))
@@ -130,7 +137,7 @@ class Flight:
             picture.rgb[inside], picture.coverage[inside], picture.pass_seconds, picture.programs, picture.accumulation
         )
         return shown, FrameRecord(
-            {name: 1000 * seconds for name, seconds in picture.pass_seconds.items()},
+            {name: 1000 * seconds for name, seconds in picture.pass_seconds.items()} | self._ms,
             len(required),
             int(missing.sum()),
             float(required[missing, 1].sum() / total),
@@ -145,16 +152,21 @@ class Flight:
         pages, manager = self.scene.pages, self._manager
         assert pages is not None
         due = [page for frame, page in self._due if frame <= self._frame]
-        ready = self._loader.ready(due, STALL_S)
+        with self._timed("read"):
+            ready = self._loader.ready(due, STALL_S)
         came = set(ready)
         self._due = [(frame, page) for frame, page in self._due if page not in came]
-        orders = manager.step(self._frame, self._heard(pose, motion), np.array(ready, np.int64))
-        for page in orders.evict.tolist():
-            pages.drop(page)
-        for page in orders.map.tolist():
-            pages.put(page, self._loader.texels(page))
-            self._loader.give_back(page)
-            self._waiting.discard(page)
+        with self._timed("predict"):
+            predicted = self._predicted(pose, motion)
+        with self._timed("manage"):
+            orders = manager.step(self._frame, self._heard(predicted), np.array(ready, np.int64))
+        with self._timed("upload"):
+            for page in orders.evict.tolist():
+                pages.drop(page)
+            for page in orders.map.tolist():
+                pages.put(page, self._loader.texels(page))
+                self._loader.give_back(page)
+                self._waiting.discard(page)
         self._waiting |= came - set(orders.map.tolist())
         for page in [page for page in self._waiting if manager.state[page] != LOADED]:  # forgotten
             self._loader.give_back(page)
@@ -167,7 +179,13 @@ class Flight:
         self._frame += 1
         return len(load), len(orders.map), len(orders.evict), len(due) - len(ready)
 
-    def _heard(self, pose: Pose, motion: Motion) -> Feedback | None:
+    @contextmanager
+    def _timed(self, name: str) -> Iterator[None]:
+        begun = perf_counter()
+        yield
+        self._ms[name] = 1000 * (perf_counter() - begun)
+
+    def _heard(self, predicted: list[Feedback]) -> Feedback | None:
         pages = self.scene.pages
         assert pages is not None
         rows, _ = pages.listed(2)
@@ -181,7 +199,7 @@ class Flight:
             np.where(seen, in_view, in_margin).astype(np.float64),
             np.zeros(len(page), np.uint8),
         )
-        parts = [found, *self._predicted(pose, motion)]
+        parts = [found, *predicted]
         if self.published:
             return merged(parts)
         return merged([with_ancestors(part, self.file.layout.parents) for part in parts])

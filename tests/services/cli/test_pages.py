@@ -130,7 +130,11 @@ def test_fly__draws_a_path_and_says_what_was_missed(scan, packed, tmp_path, rend
     found = json.loads(told.out.splitlines()[-1])
     assert found == json.loads((out / "fly.json").read_text())
     assert len(found["frames"]) == 3 == len(list(out.glob("frame_*.png")))
-    assert found["loaded"] >= 0 and found["wanted_pages"] > 0 and set(found["pass_ms"]) >= {"cull", "attribute"}
+    assert (
+        found["loaded"] >= 0
+        and found["wanted_pages"] > 0
+        and set(found["pass_ms"]) >= {"cull", "attribute", "feedback", "predict", "upload"}
+    )
     data = pages.read_bytes()
     for name, harmed in (("cut", data[:-1]), ("not", b"nothing"), ("table", data[:900] + b"?" + data[901:])):
         (tmp_path / f"{name}.pages").write_bytes(harmed)
