@@ -137,6 +137,7 @@ def duration(seconds: float | None) -> str:
 ESTIMATE = (  # key, title, in words
     ("seconds", "Time", duration),
     ("peak_memory_bytes", "Peak memory of a worker", size),
+    ("file_bytes", "Bytes of the file", size),
     ("gpu_bytes", "Bytes on the GPU", size),
     ("texture_psnr_db", "Texture PSNR", decibels),
     ("pages_bytes", "Page file", size),

@@ -12,7 +12,7 @@ from storage import place
 from storage.work import work
 
 FOLDER = "estimates"
-FIGURES = ("seconds", "peak_memory_bytes", "gpu_bytes", "texture_psnr_db", "pages_bytes")
+FIGURES = ("seconds", "peak_memory_bytes", "gpu_bytes", "file_bytes", "texture_psnr_db", "pages_bytes")
 
 
 def keep_estimate(work_folder: Path, settings: Settings, estimate: dict) -> None:

@@ -158,6 +158,7 @@ def _estimate(run: Run, path: Path, textured: Texture, settings: Settings, pages
             "seconds": sum(r.made_seconds for r in run.records),
             "peak_memory_bytes": max(r.peak_rss_bytes for r in run.records),
             "gpu_bytes": n_bytes,
+            "file_bytes": packed.n_bytes,
             "texture_psnr_db": textured.psnr_db,
             "pages_bytes": pages.bytes if pages else None,
         },

@@ -49,7 +49,14 @@ SAMPLE = 2 * arrays.BLOCK  # splats: two tasks of full size
 MOST_TRAINING = 16_384  # patches that the pilot learns from
 MOST_ATOMS = MOST_TRAINING // PATCHES_AN_ATOM
 MOST_PRODUCTS = 4 * 12_288 * 4096  # of a patch and an atom in one of its turns: four passes of learning for most scans
-BANDS = {"seconds": 0.25, "gpu_bytes": 0.05, "texture_psnr_db": 0.5, "peak_memory_bytes": 0.25, "pages_bytes": 0.15}
+BANDS = {
+    "seconds": 0.25,
+    "gpu_bytes": 0.05,
+    "file_bytes": 0.05,
+    "texture_psnr_db": 0.5,
+    "peak_memory_bytes": 0.25,
+    "pages_bytes": 0.15,
+}
 
 
 @dataclass(frozen=True)
@@ -79,8 +86,8 @@ class _Pilot:
 def estimate(
     scan: Path, settings: Settings, executor: Executor, progress: Progress, work_folder: Path | None = None
 ) -> dict:
-    """Seconds up to the packed file (previews not among them), peak memory of a worker, bytes on the GPU and texture
-    PSNR, each with a band, those of a page file beside it, and what each stage adds to the seconds.
+    """Seconds up to the packed file (previews not among them), peak memory of a worker, bytes on the GPU and of the file,
+    and texture PSNR, each with a band, those of a page file beside it, and what each stage adds to the seconds.
 
     With `work_folder` the full part stays there, and so does the estimate, for the report of the job that follows.
 
@@ -145,7 +152,7 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
     path = scratch / f"pilot{SUFFIX}"
     pack(pilot, sampled, coded, own, "pilot", path, mapped)
     with PackedFile(path) as packed:
-        sizes = sizes_of(packed.load(), path.stat().st_size)
+        sizes = sizes_of(packed.load(), path.stat().st_size) | {"in_groups": int(packed.groups.bytes.sum())}
     stages = [(stage, record) for stage, record in ran.values() if stage.name != Sampled.name]
     return _Pilot(
         prepared,
@@ -206,6 +213,7 @@ def _scaled(pilot: _Pilot, settings: Settings) -> dict:
         "seconds": sum(row["seconds"] for row in rows),
         "peak_memory_bytes": memory,
         "gpu_bytes": sizes["gpu_bytes"],
+        "file_bytes": _file_bytes(pilot, sizes),
         "texture_psnr_db": _psnr_db(pilot, loss),
         "pages_bytes": pages.bytes if pages else None,
     }
@@ -352,6 +360,15 @@ def _sizes(pilot: _Pilot, learning: dict, taken: float) -> dict:
     if pilot.mapped:  # pictures are as large whatever the sample; a byte a splat names its own
         sizes["maps"] = pilot.sizes.maps_bytes + pilot.n_splats - pilot.n_sample
     return {f"{name}_bytes": int(n) for name, n in sizes.items()} | {"gpu_bytes": int(sum(sizes.values()))}
+
+
+def _file_bytes(pilot: _Pilot, sizes: dict) -> float:
+    """Groups of splats are stored in as many bytes for those on the GPU as the pilot's are, what all share likewise."""
+    splats, shared = ("geometry_bytes", "codes_bytes", "colors_bytes"), ("dictionary_bytes", "maps_bytes")
+    of_splats, of_shared = (sum(pilot.sizes.get(name, 0) for name in names) for names in (splats, shared))
+    rest = pilot.sizes["file_bytes"] - pilot.sizes["in_groups"]
+    more = sum(sizes.get(name, 0) for name in shared) / of_shared if of_shared else 1.0
+    return pilot.sizes["in_groups"] * sum(sizes.get(name, 0) for name in splats) / of_splats + rest * more
 
 
 def _psnr_db(pilot: _Pilot, loss: float) -> float | None:

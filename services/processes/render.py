@@ -7,11 +7,9 @@ from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from renderer.effects.relighting import Light
 from renderer.evaluate.coverage import surface_coverage
-from renderer.evaluate.holes import outline_holes
+from renderer.evaluate.holes import outline_holes, painted_holes
 from renderer.evaluate.previews import safe_names
 from renderer.pictures import on_background, save_animation, save_picture
 from renderer.residency.pooled import PooledFile
@@ -100,32 +98,37 @@ def _camera_named(header: Header, name: str, packed: Path) -> Camera:
     raise InvalidScan(str(packed), f"no camera {name!r}", names)
 
 
-def coverage_of(packed: Path, up: tuple[float, float, float] | None = None) -> dict:
+def coverage_of(packed: Path, up: tuple[float, float, float] | None = None, pictures: Path | None = None) -> dict:
     """`surface`: rows of three orbit views, as `renderer.evaluate.coverage` measures discs; `outline`: of four orbit views as they are drawn,
     `camera`, `coverage` and `holes`, the share of pixels without a splat inside the outline closed by 9x9 px, and what part of it the scan has no
-    points for: `unscanned`, which discs twice as large leave open too."""
+    points for: `unscanned`, which discs twice as large leave open too. Into the folder `pictures` goes each view with its holes painted."""
     with PackedFile(packed) as opened:
         scene = opened.load()
     renderer = Renderer()
     views = framed_views(scene, OUTLINE_VIEWS, SIZE_PX, up)
-    covered, twice = (
-        _covered(renderer, replace(scene, header=replace(scene.header, radius=times * scene.header.radius)), views)
+    found, twice = (
+        _pictures(renderer, replace(scene, header=replace(scene.header, radius=times * scene.header.radius)), views)
         for times in (1, 2)
     )
-    outline = [
-        {
-            "camera": view.name,
-            "coverage": float(drawn.mean()),
-            "holes": outline_holes(drawn),
-            "unscanned": outline_holes(drawn, drawn | larger),
-        }
-        for view, drawn, larger in zip(views, covered, twice)
-    ]
+    outline = []
+    for view, drawn, larger in zip(views, found, twice):
+        filled = drawn.coverage | larger.coverage
+        outline.append(
+            {
+                "camera": view.name,
+                "coverage": float(drawn.coverage.mean()),
+                "holes": outline_holes(drawn.coverage),
+                "unscanned": outline_holes(drawn.coverage, filled),
+            }
+        )
+        if pictures is not None:
+            pictures.mkdir(parents=True, exist_ok=True)
+            save_picture(pictures / f"{view.name}.png", painted_holes(drawn.rgb, drawn.coverage, filled))
     return {"surface": [asdict(row) for row in surface_coverage(scene, up=up)], "outline": outline}
 
 
-def _covered(renderer: Renderer, scene: PackedScene, views: list[Camera]) -> list[np.ndarray]:
+def _pictures(renderer: Renderer, scene: PackedScene, views: list[Camera]) -> list[Picture]:
     gpu_scene = GpuScene(scene, renderer.context)
-    covered = [renderer.render(gpu_scene, view).coverage for view in views]
+    found = [renderer.render(gpu_scene, view) for view in views]
     gpu_scene.release()
-    return covered
+    return found

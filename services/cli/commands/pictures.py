@@ -78,6 +78,9 @@ def add_coverage(commands) -> None:
     coverage = commands.add_parser("coverage", help="holes and overdraw of a packed file's splats, view by view")
     coverage.add_argument("packed", metavar="PACKED")
     _add_up(coverage)
+    coverage.add_argument(
+        "--pictures", metavar="DIR", help="the four views with their holes red, blue where the scan has no points"
+    )
     coverage.add_argument("--json", action="store_true", help="what was measured as the last line of stdout")
     coverage.set_defaults(command=_coverage)
 
@@ -85,7 +88,7 @@ def add_coverage(commands) -> None:
 def _coverage(options: argparse.Namespace) -> int:
     from services.processes.render import coverage_of
 
-    found = coverage_of(scan_path(options.packed), options.up)
+    found = coverage_of(scan_path(options.packed), options.up, Path(options.pictures) if options.pictures else None)
     if options.json:
         print(json.dumps(found))
         return OK

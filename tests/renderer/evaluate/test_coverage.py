@@ -8,7 +8,7 @@ from PIL import Image
 
 from pipeline.splats.decoded import scene_radii
 from renderer.evaluate.coverage import draw_discs, surface_coverage
-from renderer.evaluate.holes import outline_holes
+from renderer.evaluate.holes import HOLE, UNSCANNED, outline_holes, painted_holes
 from renderer.pictures import on_background, save_animation
 from tests.scenes import Settings, Splats, build_scene
 
@@ -21,6 +21,12 @@ def test_holes__are_gaps_that_nine_pixels_close_and_no_wider_ones():
     assert outline_holes(covered) == 64 / 2400
     covered[30:45, 30:45] = False  # a window
     assert outline_holes(covered) == pytest.approx(64 / (2400 - 225))
+    filled = covered.copy()
+    filled[20:24, 20:28] = True  # half of the hole
+    assert outline_holes(covered, filled) == pytest.approx(32 / (2400 - 225))
+    painted = painted_holes(np.full((60, 80, 3), 7, np.uint8), covered, filled)
+    assert tuple(painted[21, 21]) == HOLE and tuple(painted[26, 21]) == UNSCANNED
+    assert (painted[covered] == 7).all() and (painted[35, 35] == 255).all()
     assert outline_holes(np.zeros((5, 5), bool)) == 0 and outline_holes(np.ones((5, 5), bool)) == 0
 
 

@@ -309,13 +309,15 @@ def test_cli__pictures_are_transparent_unless_a_background_is_asked_for(compress
     assert code == 1 and "'white' is no colour; allowed: #RRGGBB" in err
 
 
-def test_cli__coverage_has_holes_and_overdraw_view_by_view(compressed, capsys):
+def test_cli__coverage_has_holes_and_overdraw_view_by_view(compressed, tmp_path, capsys):
     file = next(compressed.glob("*.splatpress"))
     code, out, _ = run(capsys, "coverage", str(file), "--json")
     found = json.loads(out.splitlines()[-1])
     assert code == 0 and len(found["surface"]) == 3 and len(found["outline"]) == 4
     assert all(row["holes"] < 0.1 and row["overdraw"] < 1.5 for row in found["surface"])
-    assert "overdraw" in run(capsys, "coverage", str(file))[1]
+    assert all(row["unscanned"] <= row["holes"] for row in found["outline"])
+    assert "overdraw" in run(capsys, "coverage", str(file), "--pictures", tmp_path / "p")[1]
+    assert [p.name for p in sorted((tmp_path / "p").iterdir())] == [f"orbit_{i:03d}.png" for i in range(4)]
 
 
 def test_cli__a_gate_without_a_measure_is_missed(tmp_path, capsys):

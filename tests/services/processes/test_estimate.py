@@ -50,6 +50,7 @@ def test_estimate__bytes_and_psnr_are_near_what_happens(estimated):
     found, report, _, _ = estimated
     assert found["sample"]["n_splats"] == SAMPLE and found["splats"] == 10_000
     assert found["gpu_bytes"]["value"] == pytest.approx(report["sizes"]["gpu_bytes"], rel=0.05)
+    assert found["file_bytes"]["value"] == pytest.approx(report["sizes"]["file_bytes"], rel=0.05)
     assert found["texture_psnr_db"]["value"] == pytest.approx(report["quality"]["texture_psnr_db"], abs=0.5)
     assert found["pages_bytes"]["value"] == pytest.approx(report["pages"]["bytes"], rel=0.15), (
         "from two of three photographs"
@@ -62,7 +63,14 @@ def test_estimate__the_report_sets_it_beside_what_happened(estimated):
     found, report, work, out = estimated
     assert known_estimate(work, SETTINGS) == json.loads(json.dumps(found))
     beside = report["estimate"]
-    assert set(beside) == {"seconds", "peak_memory_bytes", "gpu_bytes", "texture_psnr_db", "pages_bytes"}
+    assert set(beside) == {
+        "seconds",
+        "peak_memory_bytes",
+        "gpu_bytes",
+        "file_bytes",
+        "texture_psnr_db",
+        "pages_bytes",
+    }
     assert beside["gpu_bytes"]["happened"] == report["sizes"]["gpu_bytes"]
     assert beside["texture_psnr_db"]["happened"] == report["quality"]["texture_psnr_db"]
     assert beside["seconds"]["happened"] >= sum(s["seconds"] for s in report["stages"] if not s["reused"])
