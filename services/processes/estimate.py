@@ -67,6 +67,7 @@ class _Pilot:
     coded: Coded | None
     settings: Settings  # the pilot's own
     sizes: Sizes
+    grouped_bytes: int  # of the file, in groups of splats
     n_sample: int
     stages: list[tuple[Stage, StageRecord]]
     full: list[StageRecord]  # stages with all splats
@@ -152,13 +153,15 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
     path = scratch / f"pilot{SUFFIX}"
     pack(pilot, sampled, coded, own, "pilot", path, mapped)
     with PackedFile(path) as packed:
-        sizes = sizes_of(packed.load(), path.stat().st_size) | {"in_groups": int(packed.groups.bytes.sum())}
+        sizes = sizes_of(packed.load(), path.stat().st_size)
+        grouped_bytes = int(packed.groups.bytes.sum())
     stages = [(stage, record) for stage, record in ran.values() if stage.name != Sampled.name]
     return _Pilot(
         prepared,
         coded,
         own,
         sizes,
+        grouped_bytes,
         sampled.splats.summary.n_splats,
         stages,
         list(run.records),
@@ -365,10 +368,10 @@ def _sizes(pilot: _Pilot, learning: dict, taken: float) -> dict:
 def _file_bytes(pilot: _Pilot, sizes: dict) -> float:
     """Groups of splats are stored in as many bytes for those on the GPU as the pilot's are, what all share likewise."""
     splats, shared = ("geometry_bytes", "codes_bytes", "colors_bytes"), ("dictionary_bytes", "maps_bytes")
-    of_splats, of_shared = (sum(pilot.sizes.get(name, 0) for name in names) for names in (splats, shared))
-    rest = pilot.sizes["file_bytes"] - pilot.sizes["in_groups"]
+    of_splats, of_shared = (sum(getattr(pilot.sizes, name) for name in names) for names in (splats, shared))
     more = sum(sizes.get(name, 0) for name in shared) / of_shared if of_shared else 1.0
-    return pilot.sizes["in_groups"] * sum(sizes.get(name, 0) for name in splats) / of_splats + rest * more
+    rest = pilot.sizes.file_bytes - pilot.grouped_bytes
+    return pilot.grouped_bytes * sum(sizes[name] for name in splats) / of_splats + rest * more
 
 
 def _psnr_db(pilot: _Pilot, loss: float) -> float | None:
