@@ -14,6 +14,7 @@ from pipeline.planning.settings import settings_for
 from pipeline.stages.pages.codecs import decoded
 from pipeline.stages.pages.coded import PageForm
 from renderer.evaluate import flight as flight_module
+from renderer.evaluate import paged_photos
 from renderer.evaluate.compare import psnr_db
 from renderer.evaluate.flight import Flight
 from renderer.evaluate.paged_photos import PagedPhotos
@@ -244,6 +245,22 @@ def test_paged_photos__however_small_the_pool_the_picture_is_the_baseline_s(made
             assert photos.n_parts > 1 if n_pages == 25 else photos.n_parts <= 2
         photos.release()
     assert gpu_scene.pages is None
+    gpu_scene.release()
+
+
+def test_paged_photos__an_altered_page_and_a_disk_that_stalls_are_one_error(made, renderer, tmp_path, monkeypatch):
+    data = bytearray(made.pages.read_bytes())
+    data[-200] ^= 1  # of the last photograph's tail
+    (tmp_path / "altered.pages").write_bytes(data)
+    gpu_scene = GpuScene(made.scene, renderer.context)
+    with PageFile(tmp_path / "altered.pages") as file, pytest.raises(InvalidPackedFile, match="differs from its check"):
+        PagedPhotos(gpu_scene, file, 4 << 20)
+    monkeypatch.setattr(paged_photos, "READ_S", 0.05)
+    answers, read = threading.Event(), PageFile.read
+    monkeypatch.setattr(PageFile, "read", lambda self, page: (answers.wait(20), read(self, page))[1])
+    with PageFile(made.pages) as file, pytest.raises(ResourceExhausted, match="not read within"):
+        PagedPhotos(gpu_scene, file, 4 << 20)
+    answers.set()
     gpu_scene.release()
 
 

@@ -13,7 +13,8 @@ from services.processes.pages.fly import warnings_of
 from services.processes.pages.table import as_text
 from storage.packed.packed import PackedFile
 from storage.pages.file import PageFile, scan_digest
-from tests.effects_scans import wall_scan
+from tests.effects_scans import PARAMS, wall_scan
+from tests.pipeline.readers.workspace import DISTANCE
 from tests.services.scans import photo_scan, point_scan
 
 
@@ -60,7 +61,9 @@ def test_compress__pages_lie_beside_the_packed_file_as_pages_of_its_work_folder_
     assert run(packed.parent.parent / "work", "--out", tmp_path / "again.pages", "--codec", "webp") == 0
     assert pages.read_bytes() == (tmp_path / "again.pages").read_bytes()
     row = next(row for row in report["effects"] if row["effect"] == "pages")
-    assert row["enabled"] and row["measure"] > 0 and report["pages"]["bytes"] == pages.stat().st_size
+    assert row["enabled"] and report["pages"]["bytes"] == pages.stat().st_size
+    width_px = 2 * report["radius"] * PARAMS[0] / DISTANCE  # of splats straight ahead
+    assert row["measure"] == pytest.approx(width_px / 32, rel=0.1) and row["threshold"] == 0.5
     with PageFile(pages) as file, PackedFile(packed) as opened:
         assert (
             file.header.one_light and file.header.codec == "webp" and report["pages"]["n_pages"] == file.layout.n_pages
