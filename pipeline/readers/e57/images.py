@@ -1,4 +1,4 @@
-"""Photographs of an E57 file: `images2D` entries with a pinhole representation and a pose become cameras.
+"""Photographs of an E57 file: `images2D` entries with a pose become cameras; a pinhole one, a panorama several (`panoramas.py`).
 
 An E57 pinhole camera looks along -z of its own frame with y up, and its pose takes that frame to the file's; here
 cameras look along +z with y down. The principal point counts from the outer corner of the first pixel.
@@ -8,6 +8,7 @@ References: ASTM E2807-11, section 8.4.4.
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from collections.abc import Iterator
@@ -18,6 +19,16 @@ import numpy as np
 from pye57 import libe57
 
 from pipeline.readers.e57.nodes import Pose, child_number, open_image_file, read_pose
+from pipeline.readers.e57.panoramas import (
+    STEEPEST,
+    Panorama,
+    Part,
+    elevations,
+    is_possible,
+    look_at,
+    parts_of,
+    whole_sphere,
+)
 from pipeline.readers.photos import MAX_SIDE_PX, decode_photo, photo_size
 from pipeline.scan import Camera
 from storage.errors import InvalidScan
@@ -26,40 +37,56 @@ MAX_BLOB_BYTES = 1 << 30
 
 _HEAD_BYTES = 1 << 18
 _PINHOLE = "pinholeRepresentation"
-_OTHERS = ("sphericalRepresentation", "cylindricalRepresentation", "visualReferenceRepresentation")
+_SPHERE, _CYLINDER = "sphericalRepresentation", "cylindricalRepresentation"
+_USED = (_PINHOLE, _SPHERE, _CYLINDER)  # of an image that has several, the first
 _BLOBS = {"jpegImage": ".jpg", "pngImage": ".png"}
 _TO_Y_DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True)
+class Blob:
+    """Where a photo lies in the file, and which part it is of what panorama."""
+
+    entry: int
+    representation: str
+    key: str
+    panorama: Panorama | None = None
+    part: Part | None = None
+
+    @property
+    def path(self) -> str:
+        return f"images2D[{self.entry}].{self.representation}.{self.key}"
+
+
+@dataclass(frozen=True)
 class Images:
-    """What `images2D` yields: cameras, and for each the entry and the blob its photo lies in."""
+    """What `images2D` yields: cameras, and for each what its photo is read from."""
 
     cameras: tuple[Camera, ...] = ()
-    blobs: tuple[tuple[int, str], ...] = ()
+    blobs: tuple[Blob, ...] = ()
     warnings: tuple[str, ...] = ()
+
+
+def _representation(image: libe57.StructureNode) -> str | None:
+    return next((name for name in _USED if image.isDefined(name)), None)
 
 
 def _why_not(image: libe57.StructureNode) -> str:
     """The reason why an image cannot be a camera, or ""."""
-    if not image.isDefined(_PINHOLE):
-        found = [name.removesuffix("Representation") for name in _OTHERS if image.isDefined(name)]
-        return f"its representation is {' and '.join(found) or 'unknown'}, not pinhole"
+    used = _representation(image)
+    if used is None:
+        found = "visualReference" if image.isDefined("visualReferenceRepresentation") else "unknown"
+        return f"its representation is {found}, not pinhole, spherical or cylindrical"
     if not image.isDefined("pose"):
         return "it has no pose"
-    if not any(image[_PINHOLE].isDefined(name) for name in _BLOBS):
+    if not any(image[used].isDefined(name) for name in _BLOBS):
         return "it holds neither a JPEG nor a PNG"
     return ""
 
 
 def _camera(name: str, pinhole: libe57.StructureNode, pose: Pose, where: str) -> Camera:
-    width, height = (int(child_number(pinhole, n, where)) for n in ("imageWidth", "imageHeight"))
-    if not (0 < width <= MAX_SIDE_PX and 0 < height <= MAX_SIDE_PX):
-        raise InvalidScan(where, f"a size of {width}x{height} pixels", f"1 to {MAX_SIDE_PX} a side")
-    lengths = [child_number(pinhole, n, where) for n in ("focalLength", "pixelWidth", "pixelHeight")]
-    if min(lengths) <= 0:
-        raise InvalidScan(where, f"focalLength, pixelWidth, pixelHeight of {lengths}", "lengths above 0")
-    focal_m, pixel_width_m, pixel_height_m = lengths
+    width, height = _size(pinhole, where)
+    focal_m, pixel_width_m, pixel_height_m = _lengths(pinhole, ("focalLength", "pixelWidth", "pixelHeight"), where)
     rotation = _TO_Y_DOWN @ np.array(pose.rotation).T
     return Camera(
         name=name,
@@ -69,6 +96,61 @@ def _camera(name: str, pinhole: libe57.StructureNode, pose: Pose, where: str) ->
         fy_px=focal_m / pixel_height_m,
         cx_px=float(child_number(pinhole, "principalPointX", where)),
         cy_px=float(child_number(pinhole, "principalPointY", where)),
+        rotation=tuple(tuple(map(float, row)) for row in rotation),  # type: ignore[misc]
+        centre=pose.translation,
+    )
+
+
+def _size(node: libe57.StructureNode, where: str) -> tuple[int, int]:
+    width, height = (int(child_number(node, n, where)) for n in ("imageWidth", "imageHeight"))
+    if not (0 < width <= MAX_SIDE_PX and 0 < height <= MAX_SIDE_PX):
+        raise InvalidScan(where, f"a size of {width}x{height} pixels", f"1 to {MAX_SIDE_PX} a side")
+    return width, height
+
+
+def _lengths(node: libe57.StructureNode, names: tuple[str, ...], where: str) -> list[float]:
+    lengths = [float(child_number(node, n, where)) for n in names]
+    if min(lengths) <= 0:
+        raise InvalidScan(where, f"{', '.join(names)} of {lengths}", "lengths above 0")
+    return lengths
+
+
+def _panorama(node: libe57.StructureNode, is_sphere: bool, where: str) -> tuple[Panorama, str]:
+    """What a panorama shows, and a warning where its own numbers do not say."""
+    width, height = _size(node, where)
+    if not is_sphere:
+        pixel_width, pixel_m, radius_m = _lengths(node, ("pixelWidth", "pixelHeight", "radius"), where)
+        horizon = float(child_number(node, "principalPointY", where))
+        found = Panorama(width, height, pixel_width, horizon, pixel_m / radius_m, is_sphere=False)
+    else:
+        pixel_width, pixel_height = _lengths(node, ("pixelWidth", "pixelHeight"), where)
+        found = Panorama(width, height, pixel_width, height / 2, pixel_height)
+    if (whole := whole_sphere(found)) is not None:
+        told = f"its pixels span {found.span:.3g} radians around; as it is twice as wide as high, taken for the whole sphere"
+        return whole, told
+    if not is_possible(found):
+        raise InvalidScan(
+            where, f"pixels that span {found.span:.3g} radians around", "a turn and half a turn up at most"
+        )
+    steep = [math.degrees(e) for e in elevations(found) if STEEPEST + 0.01 < e < math.pi / 2 - found.pixel_height]
+    told = (
+        f"what it shows above {math.degrees(STEEPEST):.0f} of {max(steep):.0f} degrees off the horizon is not used"
+        if steep
+        else ""
+    )
+    return found, told
+
+
+def _part_camera(name: str, part: Part, pose: Pose) -> Camera:
+    rotation = np.array(part.rotation) @ np.array(pose.rotation).T
+    return Camera(
+        name=name,
+        width_px=part.width_px,
+        height_px=part.height_px,
+        fx_px=part.focal_px,
+        fy_px=part.focal_px,
+        cx_px=part.cx_px,
+        cy_px=part.cy_px,
         rotation=tuple(tuple(map(float, row)) for row in rotation),  # type: ignore[misc]
         centre=pose.translation,
     )
@@ -99,10 +181,10 @@ def _blob_size(blob: libe57.BlobNode, suffix: str, where: str) -> tuple[int, int
         return photo_size(path, where)
 
 
-def _check_size(blob: libe57.BlobNode, suffix: str, camera: Camera, where: str) -> None:
+def _check_size(blob: libe57.BlobNode, suffix: str, declared: tuple[int, int], where: str) -> None:
     size = _blob_size(blob, suffix, where)
-    if size != (camera.width_px, camera.height_px):
-        found = f"a photo of {size[0]}x{size[1]} pixels, declared as {camera.width_px}x{camera.height_px}"
+    if size != declared:
+        found = f"a photo of {size[0]}x{size[1]} pixels, declared as {declared[0]}x{declared[1]}"
         raise InvalidScan(where, found, "the same size")
 
 
@@ -114,34 +196,46 @@ def _name_of(image: libe57.StructureNode, i: int, taken: set[str]) -> str:
 def read_images(file: libe57.ImageFile, path: str) -> Images:
     """The cameras of an opened file; an image that cannot be one is named in a warning with the reason.
 
-    Raises: InvalidScan for a pinhole image whose numbers or photo are wrong.
+    Raises: InvalidScan for an image whose numbers or photo are wrong.
     """
     if not file.root().isDefined("images2D"):
         return Images()
     cameras: list[Camera] = []
-    blobs: list = []
+    blobs: list[Blob] = []
     warnings: list[str] = []
+    taken: set[str] = set()
     for i, image in enumerate(file.root()["images2D"]):
-        name = _name_of(image, i, {c.name for c in cameras})
+        name, where = _name_of(image, i, taken), f"{path}:images2D[{i}]"
         if reason := _why_not(image):
-            warnings.append(f"{path}:images2D[{i}] {name!r} is not used: {reason}")
+            warnings.append(f"{where} {name!r} is not used: {reason}")
             continue
-        where, pinhole = f"{path}:images2D[{i}]", image[_PINHOLE]
-        camera = _camera(name, pinhole, read_pose(image, where), f"{where}.{_PINHOLE}")
-        key = next(k for k in _BLOBS if pinhole.isDefined(k))
-        _check_size(pinhole[key], _BLOBS[key], camera, f"{where}.{_PINHOLE}.{key}")
-        cameras.append(camera)
-        blobs.append((i, key))
-        if pinhole.isDefined("imageMask"):
-            warnings.append(f"{path}:images2D[{i}] {name!r}: its mask is not used")
+        taken.add(name)
+        used = _representation(image)
+        node, pose, inside = image[used], read_pose(image, where), f"{where}.{used}"
+        key = next(k for k in _BLOBS if node.isDefined(k))
+        told = [f"{where} {name!r}: its mask is not used"] if node.isDefined("imageMask") else []
+        if used == _PINHOLE:
+            camera = _camera(name, node, pose, inside)
+            _check_size(node[key], _BLOBS[key], (camera.width_px, camera.height_px), f"{inside}.{key}")
+            cameras.append(camera)
+            blobs.append(Blob(i, used, key))
+        else:
+            panorama, doubt = _panorama(node, used == _SPHERE, inside)
+            _check_size(node[key], _BLOBS[key], (panorama.width_px, panorama.height_px), f"{inside}.{key}")
+            for k, part in enumerate(parts := parts_of(panorama)):
+                cameras.append(_part_camera(f"{name} ({k + 1} of {len(parts)})", part, pose))
+                blobs.append(Blob(i, used, key, panorama, part))
+            told += [f"{where} {name!r}: {doubt}"] if doubt else []
+        warnings += told
     return Images(tuple(cameras), tuple(blobs), tuple(warnings))
 
 
-def read_photo(path: str, blobs: tuple[tuple[int, str], ...], i: int) -> np.ndarray:  # (height, width, 3)
+def read_photo(path: str, blobs: tuple[Blob, ...], i: int) -> np.ndarray:  # (height, width, 3)
     """Photo i as uint8 sRGB."""
-    entry, key = blobs[i]
-    where = f"{path}:images2D[{entry}].{_PINHOLE}.{key}"
+    blob = blobs[i]
+    where = f"{path}:{blob.path}"
     with open_image_file(path) as file:
-        blob = file.root()["images2D"][entry][_PINHOLE][key]
-        with _on_disk(blob, _BLOBS[key], MAX_BLOB_BYTES, where) as photo:
-            return decode_photo(photo, where)
+        node = file.root()["images2D"][blob.entry][blob.representation][blob.key]
+        with _on_disk(node, _BLOBS[blob.key], MAX_BLOB_BYTES, where) as photo:
+            pixels = decode_photo(photo, where)
+    return pixels if blob.part is None else look_at(blob.panorama, blob.part, pixels)

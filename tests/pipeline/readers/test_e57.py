@@ -8,6 +8,7 @@ import pye57
 import pytest
 from pye57 import libe57
 
+from pipeline.cameras.pinhole import Pinhole
 from pipeline.readers import inspect_scan, open_scan
 from pipeline.readers.attributes.marks import NUMBER
 from pipeline.readers.e57.nodes import rotation_matrix
@@ -258,16 +259,68 @@ def test_e57__pinhole_images_become_cameras_that_see_the_points_in_their_colours
     assert np.abs(pixels - truth).max() < 16  # within half a pixel of the truth
 
 
+def hue(direction):
+    """A colour (n, 3) of each unit direction in a panorama's own frame, that no turn or mirror image of it has."""
+    return np.clip(128 + 100 * direction @ np.array([[0.9, 0.1, 0], [0, 0.8, -0.3], [0.2, 0, 0.9]]), 0, 255)
+
+
+def panorama(path, width, height, span, rise):
+    """A picture of `hue`, `span` radians around; `rise(row)` the elevation of a row. Azimuth grows to the left."""
+    azimuth = (width / 2 - np.arange(width) - 0.5) * span / width
+    azimuth, elevation = np.meshgrid(azimuth, rise(np.arange(height) + 0.5))
+    flat = np.cos(elevation)
+    direction = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
+    write_photo(path, hue(direction.reshape(-1, 3)).reshape(height, width, 3).round().astype(np.uint8))
+    return {"photo": path, "key": "pngImage", "imageWidth": width, "imageHeight": height, "pixelWidth": span / width}
+
+
+@pytest.mark.parametrize("kind", ["whole", "in metres", "a third", "cylinder"])
+def test_e57__panoramas_become_photographs_that_see_the_points_in_their_colours(tmp_path, kind):
+    path = tmp_path / "p.png"
+    if kind == "cylinder":
+        image = panorama(path, 256, 64, 2 * np.pi, lambda row: np.arctan((40 - row) * 0.02))
+        image |= {"kind": "cylindricalRepresentation", "principalPointY": 40.0, "pixelHeight": 0.01, "radius": 0.5}
+    else:
+        span, height = (2 * np.pi / 3, 100) if kind == "a third" else (2 * np.pi, 128)
+        pixel = 0.01 if kind == "a third" else np.pi / 128
+        image = panorama(path, 256, height, span, lambda row: (height / 2 - row) * pixel)
+        image |= {"kind": "sphericalRepresentation", "pixelHeight": pixel}
+        image |= {"pixelWidth": 5e-6, "pixelHeight": 5e-6} if kind == "in metres" else {}
+    rotation, centre = rotation_matrix(*TURNED), np.array([3.0, -2.0, 1.0])
+    direction = np.random.default_rng(1).normal(size=(500, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    points = dict(zip(CARTESIAN, (4 * direction @ rotation.T + centre).T, strict=True))
+    source = open_scan(write(tmp_path / "a.e57", points, images=[image | {"pose": pose_of(TURNED, centre)}]))
+    seen = np.zeros(500, int)
+    for i, camera in enumerate(source.cameras):
+        picture = source.read_photo(i).astype(int)
+        assert picture.shape == (camera.height_px, camera.width_px, 3)
+        pixel, depth = Pinhole(camera).project(gather(source)["position"])
+        inside = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < [camera.width_px, camera.height_px]).all(axis=1)
+        column, row = pixel[inside].astype(int).T
+        assert np.abs(picture[row, column] - hue(direction[inside])).max() <= 5  # half a pixel is 3
+        seen += inside
+    azimuth, elevation = np.arctan2(direction[:, 1], direction[:, 0]), np.arcsin(direction[:, 2])
+    shown = {
+        "a third": (np.abs(azimuth) < 1.02) & (np.abs(elevation) < 0.44),
+        "cylinder": np.tan(np.abs(elevation)) < 0.42,
+    }
+    assert (seen[shown.get(kind, slice(None))] > 0).all()
+    assert len(source.cameras) == {"a third": 3, "cylinder": 8}.get(kind, 6)
+    told = ["taken for the whole sphere" in w for w in source.warnings]
+    assert told == ([True] if kind == "in metres" else [])
+
+
 def test_e57__images_that_cannot_be_cameras_are_named_with_the_reason(tmp_path):
     photo, pose = photo_of_floor(tmp_path / "p.jpg"), pose_of(LOOKING_DOWN, CENTRE)
     images = [
-        {"photo": photo, "pose": pose, "kind": "sphericalRepresentation"},
+        {"photo": photo, "pose": pose, "kind": "visualReferenceRepresentation"},
         {"photo": photo},
         {"pose": pose},
         {"photo": photo, "pose": pose},
     ]
     source = open_scan(write(tmp_path / "a.e57", cartesian(), images=images))
-    reasons = ["images2D[0] 'front' is not used: its representation is spherical"]
+    reasons = ["images2D[0] 'front' is not used: its representation is visualReference"]
     reasons += ["[1] 'front' is not used: it has no pose"]
     reasons += ["holds neither a JPEG nor a PNG"]
     for reason, warning in zip(reasons, source.warnings, strict=True):
@@ -282,6 +335,8 @@ def test_e57__images_that_cannot_be_cameras_are_named_with_the_reason(tmp_path):
         ({"imageWidth": 0}, "a size of 0x48"),
         ({"focalLength": -0.03}, "focalLength"),
         ({"pixelWidth": 0.0}, "pixelWidth"),
+        ({"kind": "sphericalRepresentation", "pixelWidth": 0.2}, "pixels that span 12.8 radians around"),
+        ({"kind": "cylindricalRepresentation", "radius": 0.0}, "radius"),
     ],
 )
 def test_e57__refuses_a_wrong_pinhole_naming_image_and_value(tmp_path, wrong, message):
