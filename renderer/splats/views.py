@@ -76,7 +76,8 @@ def framed_views(scene: PackedScene, n: int, size: tuple[int, int], up: Directio
     Guarantees: every corner of every box of the bulk lies inside every picture.
     """
     views = orbit_views(scene, n, size, up)
-    corners = _corners(*bulk_of(scene, SPARED)) + scene.header.origin
+    low, high = bulk_of(scene, SPARED)  # of centres: a scan of one point is as wide as its disc
+    corners = _corners(low - scene.header.radius, high + scene.header.radius) + scene.header.origin
     result = []
     for view in views:
         rotation, tangents = np.array(view.rotation), np.array(size) / [view.fx_px, view.fy_px] / 2 / MARGIN
