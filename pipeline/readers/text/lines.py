@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import io
 from collections.abc import Iterator
 from contextlib import suppress
@@ -12,8 +13,10 @@ COMMENTS = ("#", "//", "%")
 
 
 def numbered_lines(stream: BinaryIO, skip_comments: bool = True) -> Iterator[tuple[int, str]]:
-    """Lines that are neither empty nor, perhaps, comments."""
-    text = io.TextIOWrapper(stream, "utf-8-sig", errors="replace")
+    """Lines that are neither empty nor, perhaps, comments; UTF-8, or UTF-16 where a byte order mark says so."""
+    begin = stream.peek(2)[:2] if isinstance(stream, io.BufferedReader) else b""
+    encoding = "utf-16" if begin in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
+    text = io.TextIOWrapper(stream, encoding, errors="replace")
     number = 0
     try:
         while line := text.readline(MAX_LINE_BYTES):

@@ -65,8 +65,8 @@ def _header_names(path: str) -> tuple[str, ...]:
     with open(path, "rb") as stream:
         names: tuple[str, ...] = ()
         for _, line in islice(numbered_lines(stream, skip_comments=False), 1000):
-            plain = line.strip().lstrip("/#% ")
-            words = [w.strip().strip('"') for w in re.split(r"[\s,;]+", plain) if w.strip()]
+            plain = line.replace('"', "").strip().lstrip("/#% ")
+            words = [w for w in re.split(r"[\s,;]+", plain) if w]
             if words and not line.strip().startswith(COMMENTS) and all(map(_is_number, words)):
                 return names
             if len(columns_of(words).position) == 3:
@@ -79,6 +79,7 @@ def _rows_of(path: str, n_columns: int | None, delimiter: str | None) -> Iterato
     with open(path, "rb") as stream:
         begun = False
         for number, line in numbered_lines(stream):
+            line = line.replace('"', "")
             words = _words(line, delimiter if n_columns else _delimiter_of(line))
             if len(words) == 1 and words[0].isdigit() and n_columns != 1:
                 continue
@@ -96,15 +97,7 @@ def _guess(values: np.ndarray, is_pts: bool) -> list[str]:
         three = values[:, at : at + 3]
         if left >= 3 and _are_normals(three):
             names += ["nx", "ny", "nz"]
-        elif (
-            left >= 3
-            and left != 4
-            and _are_colors(three)
-            or left == 4
-            and _are_colors(three)
-            and not is_pts
-            and not _are_colors(values[:, at + 1 : at + 4])
-        ):
+        elif left >= 3 and _are_colors(three) and (left != 4 or _come_first(values[:, at:], is_pts)):
             names += ["red", "green", "blue"]
         elif "intensity" not in names:
             names.append("intensity")
@@ -112,6 +105,16 @@ def _guess(values: np.ndarray, is_pts: bool) -> list[str]:
             names.append(f"column {at + 1}")
         at = len(names)
     return names
+
+
+def _come_first(four: np.ndarray, is_pts: bool) -> bool:
+    """Whether colours come before what else there is of four columns (n, 4), and not after it, where the first three may be
+    colours: an opacity is the same everywhere, and an intensity may be above 255."""
+    if not _are_colors(four[:, 1:]):
+        return not is_pts
+    if np.ptp(four[:, 3]) == 0 < np.ptp(four[:, 0]):
+        return True
+    return bool(four[:, 3].max() > 255 >= four[:, :3].max() and four[:, :3].max() > 1)
 
 
 def _are_normals(three: np.ndarray) -> bool:

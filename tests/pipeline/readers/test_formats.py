@@ -66,6 +66,27 @@ def test_table__pts_of_leica_has_its_number_of_points_first(tmp_path):
     np.testing.assert_array_equal(got["color"], color)
 
 
+@pytest.mark.parametrize("last", ["opacity", "intensity"])
+def test_table__colours_before_an_opacity_or_an_intensity_are_colours(tmp_path, last):
+    position, color, _ = points()
+    fourth = np.full(200, 255) if last == "opacity" else np.arange(200) * 20
+    got = read(write_text(tmp_path / "a.xyz", position, color, fourth))
+    np.testing.assert_array_equal(got["color"], color)
+    got = read(write_text(tmp_path / "a.txt", position, np.arange(200) * 20, color))
+    np.testing.assert_array_equal(got["color"], color)
+
+
+def test_table__utf_16_and_quoted_numbers_are_read(tmp_path):
+    position, color, _ = points()
+    text = write_text(tmp_path / "a.csv", position, color, delimiter=",").read_text()
+    quoted = "\n".join(",".join(f'"{w}"' for w in line.split(",")) for line in ["x,y,z,r,g,b", *text.split()])
+    for at, content in enumerate((text.encode("utf-16"), quoted.encode(), quoted.encode("utf-16"))):
+        (tmp_path / f"{at}.csv").write_bytes(content)
+        got = read(tmp_path / f"{at}.csv")
+        np.testing.assert_allclose(got["position"], position, atol=1e-6)
+        np.testing.assert_array_equal(got["color"], color)
+
+
 def test_table__decimal_commas_are_named_by_line_and_column(tmp_path):
     (tmp_path / "a.csv").write_text("1.5;2;3\n4;5,5;6\n")
     with pytest.raises(InvalidScan, match=r"a.csv:line 2, column 3: '5,5'.*3 numbers"):
