@@ -7,10 +7,10 @@
 
 const uint LEAST_BITS = 16u;  // of a number, which the lowest part has
 
-uint ones_of(uint word) {
-    word -= word >> 1 & 0x55555555u;
-    word = (word & 0x33333333u) + (word >> 2 & 0x33333333u);
-    return ((word + (word >> 4)) & 0x0F0F0F0Fu) * 0x01010101u >> 24;
+// Ones of each pair, of each four and of each eight bits of a word.
+uvec3 ones_in(uint word) {
+    uint pairs = word - (word >> 1 & 0x55555555u), fours = (pairs & 0x33333333u) + (pairs >> 2 & 0x33333333u);
+    return uvec3(pairs, fours, fours + (fours >> 4) & 0x0F0F0F0Fu);
 }
 
 // The 32 bits that begin `bit` bits after a word of the stream.
@@ -19,10 +19,13 @@ uint word_at(uint first, uint bit) {
     return splat_word(at) >> shift | splat_word(at + 1u) << (31u - shift) << 1;
 }
 
+// The position of the highest bit of a number below 2^24, plus 1; of 0 anything.
+uint bit_length(uint n) { return (floatBitsToUint(float(n)) >> 23) - 126u; }
+
 // How many bits of its numbers a batch of n splats keeps in unary.
 uint high_bits(uint n, uint bits) {
-    uint high = 0u;
-    while (high < bits - LEAST_BITS && (1u << high) < n) ++high;
+    if (n < 5u) return 0u;
+    uint high = min(bit_length(n - 1u), bits - LEAST_BITS);
     return n * high > n + (1u << high) ? high : 0u;
 }
 
@@ -42,22 +45,20 @@ uvec2 number_of(uint splat) {
     }
     uint rank = place - begin, low = bits - high, top = 0u;
     if (high > 0u) {  // the bit of its vector that is the one after `rank` others
-        uint left = rank, bit = at, word = word_at(first, bit), ones = ones_of(word);
-        for (uint i = 0u; i < 8u && ones <= left; ++i) {
-            left -= ones;
-            bit += 32u;
-            word = word_at(first, bit);
-            ones = ones_of(word);
+        uint left = rank, word_of = first + (at >> 5), word = splat_word(word_of) & 0xFFFFFFFFu << (at & 31u);
+        uvec3 ones = ones_in(word);
+        for (uint i = 0u; i < 8u && ones.z * 0x01010101u >> 24 <= left; ++i) {
+            left -= ones.z * 0x01010101u >> 24;
+            word = splat_word(++word_of);
+            ones = ones_in(word);
         }
-        for (uint width = 16u; width > 0u; width >>= 1) {
-            ones = ones_of(word & ((1u << width) - 1u));
-            if (ones <= left) {
-                left -= ones;
-                word >>= width;
-                bit += width;
-            }
-        }
-        top = bit - at - rank;
+        uint bit = 0u, here = ones.z + (ones.z >> 8) & 0xFFu;
+        if (here <= left) left -= here, bit = 16u;
+        if ((here = ones.z >> bit & 0xFFu) <= left) left -= here, bit += 8u;
+        if ((here = ones.y >> bit & 0xFu) <= left) left -= here, bit += 4u;
+        if ((here = ones.x >> bit & 3u) <= left) left -= here, bit += 2u;
+        if ((word >> bit & 1u) <= left) bit += 1u;
+        top = (word_of - first << 5) + bit - at - rank;
         at += n + (1u << high);
     }
     at += rank * low;
@@ -79,6 +80,12 @@ ivec2 wrapped(ivec2 p) {
     return p;
 }
 
+// Of a number the remainder by the first radix, and of its quotient the remainder and the quotient by the second.
+uvec3 digits_of(uint number, uvec2 radix) {
+    uint first = number / radix.x, second = first / radix.y;
+    return uvec3(number - first * radix.x, first - second * radix.y, second);
+}
+
 vec3 turned_by(vec4 q, vec3 p) { return p + 2.0 * cross(q.xyz, cross(q.xyz, p) + q.w * p); }
 
 // The octahedral normal of a splat, and its cell as one number: the quotient of its number by the steps of normals, two digits of it.
@@ -86,23 +93,23 @@ uint read_splat(uint splat, out ivec2 normal) {
     uint box = splat / CHUNK * BOX_WORDS;
     uvec2 number = number_of(splat), steps = (uvec2(boxes[box + 4u]) >> uvec2(16u, 24u) & 0xFFu) + 1u, cells = cells_of(box);
     uint states = steps.x * steps.y, above = number.x / states, rest = (number.x - above * states) << 16 | number.y;
-    uint cell = (above << 16) + rest / states, which = rest % states, low = boxes[box + 8u];
-    ivec2 across = ivec2(2u * uvec2(cell % cells.x, cell / cells.x % cells.y) + 1u) - ivec2(cells);
+    uint below = rest / states, cell = (above << 16) + below, which = rest - below * states, low = boxes[box + 8u];
+    ivec2 across = ivec2(2u * digits_of(cell, cells).xy + 1u) - ivec2(cells);
     ivec4 slope = bytes_of(boxes[box + 7u]);
     ivec2 sloped = ivec2(slope.x * across.x + slope.y * across.y, slope.z * across.x + slope.w * across.y) >> 8;
     ivec2 begin = ivec2(low & 0x1FFu, low >> 9 & 0x1FFu) - 256;
-    normal = wrapped(clamp(begin + ivec2(which % steps.x, which / steps.x) + sloped, -254, 254));
+    uint row = which / steps.x;
+    normal = wrapped(clamp(begin + ivec2(which - row * steps.x, row) + sloped, -254, 254));
     return cell;
 }
 
 // Against a place that is the sum of two floats, part by part.
 vec3 position_against(vec3 place_high, vec3 place_low, uint splat, uint code) {
-    uint box = splat / CHUNK * BOX_WORDS, longest = 1u;
+    uint box = splat / CHUNK * BOX_WORDS;
     uvec2 cells = cells_of(box);
-    while (longest <= max(cells.x, cells.y)) longest <<= 1;
-    uvec3 cell = uvec3(code % cells.x, code / cells.x % cells.y, code / cells.x / cells.y);
+    uvec3 cell = digits_of(code, cells);
     vec2 across = vec2(2u * cell.xy + 1u) - vec2(cells);
-    vec3 curve = vec3(bytes_of(boxes[box + 5u]).xyz) / float(longest << 7);
+    vec3 curve = vec3(bytes_of(boxes[box + 5u]).xyz) / float(1u << (bit_length(max(cells.x, cells.y)) + 7u));
     float height = curve.x * across.x * across.x + curve.y * across.x * across.y + curve.z * across.y * across.y;
     vec3 along = (vec3(cell) + vec3(0.5, 0.5, 0.5 + height)) * uintBitsToFloat(boxes[box + 4u] << 16);
     vec3 origin = uintBitsToFloat(uvec3(boxes[box], boxes[box + 1u], boxes[box + 2u]));
