@@ -265,7 +265,7 @@ def test_paged_photos__an_altered_page_and_a_disk_that_stalls_are_one_error(made
 
 
 def test_flight__while_pages_arrive_the_picture_is_never_below_that_of_atoms(made, renderer):
-    """Two pages a frame; every picture against the photographs."""
+    """Four pages a frame; every picture against the photographs."""
     scene, camera = made.with_atoms, made.scene.header.cameras[1]
     gpu_scene = GpuScene(scene, renderer.context)
     wanted = baseline_of(made, renderer, camera)
@@ -278,7 +278,7 @@ def test_flight__while_pages_arrive_the_picture_is_never_below_that_of_atoms(mad
         label = scene.arrays["camera"]
         gpu_scene.pages = GpuPages(renderer.context, file.layout, 4, scene.header.cameras, label, 4 << 20)
         screen = Screen(camera.width_px, camera.height_px, camera.fx_px)
-        flight = Flight(renderer, gpu_scene, made.places, file, screen, 4.0, "nothing", n_frame=2)
+        flight = Flight(renderer, gpu_scene, made.places, file, screen, 4.0, "nothing", n_frame=4)
         for _ in range(80):
             picture, record = flight.frame(pose_of(camera), STILL)
             shown.append(off(picture))

@@ -33,7 +33,9 @@ from tests.pipeline.execution.test_stage import Heard
 from tests.services.scans import point_scan
 from tests.stations import HALF, PILLAR, cast, room_color, scanned, write_e57
 
-SETTINGS = settings_for("draft", density=0.1, radius=0.25, training_splats=4000, iterations=2)
+SETTINGS = settings_for(
+    "draft", density=0.1, radius=0.25, training_splats=4000, iterations=2, effects="pages=on", page_codec="png"
+)
 THINNER = replace(SETTINGS, texture="map", density=0.03, radius=0.5)
 STATIONS = [[-1.0, -0.8, 0.2], [0.4, 1.3, -0.1]]
 MAP_STAGES = {"panoramas", "station-light", "resample-maps"}
@@ -144,15 +146,12 @@ def test_maps__bytes_do_not_depend_on_the_executor(made):
             _, path, _ = made(settings, name=name)
             _, other, _ = made(settings, executor, "dask")
             assert path.read_bytes() == other.read_bytes()
+            assert path.with_suffix(".pages").read_bytes() == other.with_suffix(".pages").read_bytes()
 
 
-def test_maps__their_pages_are_those_of_the_maps_whatever_the_executor(made):
-    settings = replace(SETTINGS, effects="pages=on", page_codec="png")
-    report, packed, folder = made(settings)
-    with DaskExecutor(2) as executor:
-        other = made(settings, executor, "dask")[1]
+def test_maps__their_pages_are_those_of_the_maps_in_one_light(made):
+    report, packed, folder = made(SETTINGS)
     path = packed.with_suffix(".pages")
-    assert path.read_bytes() == other.with_suffix(".pages").read_bytes()
     assert report["pages"]["bytes"] == path.stat().st_size and report["pages"]["psnr_db"] == 100.0
     (maps,) = folder.glob("panoramas-*")
     with PageFile(path) as file:
