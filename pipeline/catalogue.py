@@ -229,7 +229,7 @@ CATALOGUE = (
         "atoms in bytes with mip levels, weight levels", _LEARNT_FROM, share=2, when="photographs", by_atoms=True,
     ),
     StageEntry(
-        "prices", "stages/texture/prices.py", Phase.LEARNING, Task.TRAINING,
+        "multipliers", "stages/texture/multipliers.py", Phase.LEARNING, Task.TRAINING,
         "error and atoms of a sample at eight Lagrange multipliers", _LEARNT_FROM, when="photographs", by_atoms=True,
     ),
     StageEntry(

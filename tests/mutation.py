@@ -35,7 +35,7 @@ PURSUIT = [
     "tests/pipeline/coding/test_omp.py",
     "tests/pipeline/coding/search/test_certified.py",
     "tests/hard_cases/test_coding.py",
-    "tests/pipeline/stages/texture/test_prices.py",
+    "tests/pipeline/stages/texture/test_multipliers.py",
 ]
 BEAM = ["tests/pipeline/coding/test_beam.py", "tests/hard_cases/test_coding.py"]
 LEARNING = ["tests/pipeline/coding/test_ksvd.py", "tests/hard_cases/test_learning.py"]

@@ -220,7 +220,7 @@ KNOBS = (
         "2x2 0.5 dB, 4x4 0.7, 8x4 0.9; ormp alone loses, as it does not see what rounding left",
         "time of coding: 0.8 us a splat, support followed and 1,024 indices of atoms, and 1.1 us a support and atom tried: 2x2 twice "
         "omp's, 4x4 three to four times, 8x4 six to seven times; learning stays with omp, which learned the better dictionaries",
-        "prices",
+        "multipliers",
         choices=PURSUITS,
         ladder=("omp", "2x2", "4x4", "8x4"),
     ),

@@ -27,7 +27,7 @@ SPOT_PX, ENLARGED = 120, 4
 
 
 @dataclass(frozen=True)
-class Variant:
+class EffectsVariant:
     """A packed file under a name, and the folder of the photographs that it was textured from."""
 
     name: str
@@ -35,7 +35,7 @@ class Variant:
     photos: Path
 
 
-def compare_variants(variants: Sequence[Variant], folder: Path | None = None) -> list[dict]:
+def compare_variants(variants: Sequence[EffectsVariant], folder: Path | None = None) -> list[dict]:
     """A row a variant: `frame_s` (median over views of the best of ROUNDS), `frame_ratio` (median over views and rounds
     of a frame's time against the first variant's of the same round), `gpu_bytes`, `file_bytes`, `psnr_vs_photos_db`
     (mean over views, over the pixels that all variants cover; each against the photographs as it was textured from

@@ -114,9 +114,9 @@ def size(n_bytes: float | None) -> str:
     if n_bytes < 999.5:
         return f"{n_bytes:.0f} B"
     n_thousands = 1
-    while n_thousands < 3 and n_bytes / 1000**n_thousands >= 999.5:
+    while n_thousands < 4 and n_bytes / 1000**n_thousands >= 999.5:
         n_thousands += 1
-    return f"{n_bytes / 1000**n_thousands:.3g} {('kB', 'MB', 'GB')[n_thousands - 1]}"
+    return f"{n_bytes / 1000**n_thousands:.3g} {('kB', 'MB', 'GB', 'TB')[n_thousands - 1]}"
 
 
 def duration(seconds: float | None) -> str:

@@ -9,8 +9,7 @@ from fastapi import APIRouter
 
 from pipeline.planning.knobs import KNOBS, Knob
 from pipeline.planning.settings import DEFAULT_PRESET, PRESETS
-from services.api.context import Owner
-from services.api.context import Settings as ServiceSettings
+from services.api.context import Owner, Settings
 from services.jobs.webhooks import owner_secret
 from services.problems import Problem
 
@@ -48,7 +47,7 @@ def get_presets() -> list[dict]:
 
 
 @router.get("/webhook-secret")
-def get_webhook_secret(owner: Owner, settings: ServiceSettings) -> dict:
+def get_webhook_secret(owner: Owner, settings: Settings) -> dict:
     """What the caller's webhooks are signed with, by Standard Webhooks."""
     return {"secret": owner_secret(settings, owner)}
 

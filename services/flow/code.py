@@ -9,7 +9,7 @@ from pipeline.geometry.frame import directions_of
 from pipeline.planning.settings import Settings
 from pipeline.stages.maps.map_pictures import PicturesMade
 from pipeline.stages.maps.resample_maps import ResampleMaps
-from pipeline.stages.texture.prices import price_for
+from pipeline.stages.texture.multipliers import price_for
 from pipeline.stages.texture.resample import Resample
 from pipeline.summaries import Ladder, PatchesMade, Training
 from services.flow.budget import NO_ATOMS, Trial, check_budget, within_budget

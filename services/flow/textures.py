@@ -16,7 +16,7 @@ from pipeline.planning.settings import Settings
 from pipeline.stages.texture.colors import Colors
 from pipeline.stages.texture.dictionary import DictionarySeed, KsvdUpdate
 from pipeline.stages.texture.encode import Encode
-from pipeline.stages.texture.prices import WHILE_LEARNING, Prices, price_for
+from pipeline.stages.texture.multipliers import WHILE_LEARNING, Multipliers, price_for
 from pipeline.stages.texture.quantise import Quantization
 from pipeline.stages.texture.training import Coefficients, Components, TrainingSet
 from pipeline.summaries import AverageColors, CodesMade, Ladder, PatchesMade, Quantised, Training, Updated
@@ -98,7 +98,9 @@ def code_patches(
     n_taken_back += sum(not row.accepted for row in learning)
     price = 0.0
     if form is not None:
-        stage = Prices(space.folder, training.folder, quantized.folder, settings.max_atoms, tolerance, settings.pursuit)
+        stage = Multipliers(
+            space.folder, training.folder, quantized.folder, settings.max_atoms, tolerance, settings.pursuit
+        )
         ladder = run.do(stage).summary
         price = priced(ladder, training.summary)
     codes = encode(run, patches.folder, colors.folder, quantized, settings, price)

@@ -24,7 +24,6 @@ from pipeline.stages.texture.dictionary import KsvdUpdate
 from renderer.report.document import ViewMeasured
 from services.flow.previews import previews_of
 from services.flow.run import Run
-from services.flow.stage_lock import stage_lock
 from services.jobs.cluster import GL
 from services.jobs.disk import check_room, drop_ballast, take_ballast
 from services.jobs.elsewhere import call_with_files
@@ -39,6 +38,7 @@ from services.store.rows import FAILED, SUCCESSFUL, ArtifactRow, JobRow
 from services.store.store import Store
 from services.uploads.scans import file_hash, scan_path, work_folder
 from storage import place
+from storage.work.stage_lock import stage_lock
 from storage.work.work import stage_folder, write_json
 
 BUCKET_LOOK_S = 1.0  # a request each

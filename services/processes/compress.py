@@ -24,15 +24,15 @@ from renderer.report.document import (
     ScanKnown,
 )
 from renderer.report.report import sizes_of
+from services.flow.asked import prepare_asked
 from services.flow.budget import check_budget
 from services.flow.code import Texture, texture
 from services.flow.estimate_cache import against, known_estimate
 from services.flow.outputs import placed_whole, write_outputs
 from services.flow.pack import pack, packed_gpu_bytes
 from services.flow.pages import make_pages_beside
-from services.flow.points.runs import geometry_request, runs_report
-from services.flow.points.volumes import surface_request
-from services.flow.prepare import Prepared, has_photographs, prepare
+from services.flow.points.runs import runs_report
+from services.flow.prepare import Prepared, has_photographs
 from services.flow.run import Run
 from services.flow.textures import Coded
 from storage.packed.packed import SUFFIX, PackedFile
@@ -93,18 +93,7 @@ def make(
     Returns the report."""
     name = name or shown(scan.resolve().name.removesuffix(".zip") if scan.is_dir() else scan.stem)
     path = out / (name + SUFFIX)
-    prepared = prepare(
-        run,
-        scan,
-        settings.radius,
-        settings.asked_effects,
-        density=settings.density,
-        surface=surface_request(settings),
-        geometry=geometry_request(settings),
-        reading=settings.reading,
-        edited_maps=edited_maps,
-        levels=settings.levels,
-    )
+    prepared = prepare_asked(run, scan, settings, edited_maps=edited_maps)
     textured = texture(run, prepared, settings)
     packed = pack(run, prepared, textured.coded, settings, name, None, textured.mapped)
     if settings.budget_bytes is not None:

@@ -12,13 +12,12 @@ from pipeline.effects.plan.plan import EffectPlan
 from pipeline.effects.plan.request import canonical_request, parse_request
 from pipeline.execution.stage import Executor, Progress
 from pipeline.planning.settings import Settings
-from renderer.evaluate.variants import Variant, compare_variants
+from renderer.evaluate.variants import EffectsVariant, compare_variants
 from renderer.files import write_json
+from services.flow.asked import prepare_asked, splats_asked
 from services.flow.code import code
 from services.flow.pack import pack
-from services.flow.points.runs import geometry_request
-from services.flow.points.volumes import surface_request
-from services.flow.prepare import has_photographs, plan_scan, prepare, splats_of
+from services.flow.prepare import has_photographs, plan_scan
 from services.flow.run import Run
 from storage.packed.packed import SUFFIX
 
@@ -30,17 +29,7 @@ def effects_of(
     with _run(executor, progress, work) as run:
         return plan_scan(
             run,
-            splats_of(
-                run,
-                scan,
-                settings.radius,
-                settings.effects,
-                density=settings.density,
-                surface=surface_request(settings),
-                geometry=geometry_request(settings),
-                reading=settings.reading,
-                levels=settings.levels,
-            ).sources,
+            splats_asked(run, scan, settings).sources,
             parse_request(settings.asked_effects),
         )[0].to_json()
 
@@ -58,28 +47,18 @@ def worth_of_effects(
     With `out` there are pictures of where each differs most from the plan, and all of it as effects.json."""
     with _run(executor, progress, work) as run, tempfile.TemporaryDirectory(prefix="splatpress-variants-") as folder:
         plan: EffectPlan | None = None
-        variants: list[Variant] = []
+        variants: list[EffectsVariant] = []
         seconds: list[float] = []
         requests = {"plan": settings.effects}
         while len(variants) < len(requests):
             name = list(requests)[len(variants)]
             before = len(run.records)
             asked = replace(settings, effects=canonical_request(requests[name]))
-            prepared = prepare(
-                run,
-                scan,
-                asked.radius,
-                asked.effects,
-                density=asked.density,
-                surface=surface_request(asked),
-                geometry=geometry_request(asked),
-                reading=asked.reading,
-                levels=asked.levels,
-            )
+            prepared = prepare_asked(run, scan, asked, effects=asked.effects)
             coded = code(run, prepared, asked) if has_photographs(prepared) else None
             path = Path(folder) / f"{len(variants)}{SUFFIX}"
             pack(run, prepared, coded, asked, scan.stem, path)
-            variants.append(Variant(name, path, prepared.photos))
+            variants.append(EffectsVariant(name, path, prepared.photos))
             seconds.append(sum(record.made_seconds for record in run.records[before:]))
             if plan is None:
                 plan = prepared.effects

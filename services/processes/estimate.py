@@ -20,30 +20,29 @@ from pipeline.coding.grid import SYMMETRIES, AtomForm
 from pipeline.execution.stage import Executor, Progress, Stage, StageRecord
 from pipeline.planning.settings import Settings
 from pipeline.stages.points.sampled import Sampled
+from pipeline.stages.texture.contrast_octaves import shares
 from pipeline.stages.texture.dictionary import KsvdUpdate
 from pipeline.stages.texture.encode import Encode
-from pipeline.stages.texture.prices import Prices, least_price, price_for
+from pipeline.stages.texture.multipliers import Multipliers, least_price, price_for
 from pipeline.stages.texture.resample import Resample
-from pipeline.stages.texture.strata import shares
 from pipeline.stages.texture.training import TrainingSet, membership
 from pipeline.summaries import AverageColors
 from renderer.report.document import Sizes
 from renderer.report.report import sizes_of
+from services.flow.asked import prepare_asked
 from services.flow.code import chosen_maps, code_prepared, mapped_by, resample
 from services.flow.estimate_cache import keep_estimate
 from services.flow.maps import Mapped
 from services.flow.pack import pack
-from services.flow.points.runs import geometry_request
-from services.flow.points.volumes import surface_request
-from services.flow.prepare import Prepared, prepare, wants_texture
+from services.flow.prepare import Prepared, wants_texture
 from services.flow.run import Run
-from services.flow.stage_lock import stage_lock
 from services.flow.textures import PATCHES_AN_ATOM, Coded, index_bits
 from services.processes.estimate_gaps import Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
 from services.processes.estimate_pages import PagesEstimated, estimate_pages
 from storage.packed.packed import SUFFIX, PackedFile
 from storage.packed.schema import ATOM_SIZES, EXTRAS
 from storage.work import arrays, work
+from storage.work.stage_lock import stage_lock
 
 SAMPLE = 2 * arrays.BLOCK  # splats: two tasks of full size
 MOST_TRAINING = 16_384  # patches that the pilot learns from
@@ -119,17 +118,7 @@ def _one_at_a_time(folder: Path, do: Callable[[], StageRecord]) -> StageRecord:
 
 
 def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
-    prepared = prepare(
-        run,
-        scan,
-        settings.radius,
-        settings.asked_effects,
-        density=settings.density,
-        surface=surface_request(settings),
-        geometry=geometry_request(settings),
-        reading=settings.reading,
-        levels=settings.levels,
-    )
+    prepared = prepare_asked(run, scan, settings)
     ran: dict[Path, tuple[Stage, StageRecord]] = {}
 
     def noted(stage: Stage, do: Callable[[], StageRecord]) -> StageRecord:
@@ -388,7 +377,7 @@ def _job_for_pilot(pilot: _Pilot, settings: Settings, learning: dict) -> tuple[f
     stage, record = next((stage, record) for stage, record in pilot.stages if isinstance(stage, TrainingSet))
     active, learned, octave = membership(stage, record.folder)
     error, n_atoms = (arrays.read(pilot.coded.codes.folder, name).astype(float) for name in ("error", "n_atoms"))
-    prices = next((r.summary for _, r in pilot.stages if r.name == Prices.name), None)
+    prices = next((r.summary for _, r in pilot.stages if r.name == Multipliers.name), None)
     slope = Slope(None)
     if prices:
         slope = slope_at(price_for(prices, record.summary), prices, least_price(prices, record.summary))

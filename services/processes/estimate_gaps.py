@@ -87,7 +87,7 @@ def outcome_in_job(
 
 
 def slope_at(price: float, ladder: Ladder, least: float) -> Slope:
-    """Of the summary of `Prices`; `least` is the lowest price that any target makes it."""
+    """Of the summary of `Multipliers`; `least` is the lowest price that any target makes it."""
     prices, error, n_atoms = map(np.array, (ladder.price, ladder.error, ladder.n_atoms))
     if price <= least * 1.001 or min(error.min(), n_atoms.min()) <= 0:
         return Slope(None)

@@ -21,12 +21,11 @@ from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluate.held_out import HeldOut, compare_held_out
 from renderer.report.evaluation_document import AtomsByTarget, EvaluationDocument, Failure, HeldOutPhotos
 from renderer.splats.baseline import PHOTO_BUDGET_BYTES, texture_bytes
+from services.flow.asked import prepare_asked
 from services.flow.code import code, resample
 from services.flow.outputs import put_in_place
 from services.flow.pack import pack
-from services.flow.points.runs import geometry_request
-from services.flow.points.volumes import surface_request
-from services.flow.prepare import Prepared, has_photographs, prepare
+from services.flow.prepare import Prepared, has_photographs
 from services.flow.run import Run
 from services.flow.textures import encode
 from services.processes.evaluated_rows import (
@@ -107,17 +106,7 @@ def _measure(
     render: bool,
     pool_bytes: int,
 ) -> EvaluationDocument:
-    prepared = prepare(
-        run,
-        scan,
-        settings.radius,
-        settings.effects,
-        density=settings.density,
-        surface=surface_request(settings),
-        geometry=geometry_request(settings),
-        reading=settings.reading,
-        levels=settings.levels,
-    )
+    prepared = prepare_asked(run, scan, settings)
     if not has_photographs(prepared):
         raise InvalidScan(
             str(scan),
@@ -242,17 +231,7 @@ def _held_out_photos(scan: Path, prepared: Prepared, every: int) -> tuple[int, .
 
 def _held_out(e: Evaluation, out: Path, every: int, chosen: tuple[int, ...]) -> None:
     """The file made without every N-th photograph, seen from their cameras."""
-    prepared = prepare(
-        e.run,
-        e.scan,
-        e.settings.radius,
-        e.settings.effects,
-        chosen,
-        e.settings.density,
-        reading=e.settings.reading,
-        levels=e.settings.levels,
-        geometry=geometry_request(e.settings),
-    )
+    prepared = prepare_asked(e.run, e.scan, e.settings, chosen)
     coded = code(e.run, prepared, e.settings)
     path = e.out / f"held-out{SUFFIX}"
     pack(e.run, prepared, coded, e.settings, e.scan.stem, path)

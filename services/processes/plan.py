@@ -17,6 +17,7 @@ from pipeline.planning.costs import (
     plan_job,
 )
 from pipeline.planning.settings import Settings
+from renderer.report.report_words import duration, size
 from services.flow.textures import index_bits
 from storage.packed.schema import ATOM_SIZES, PATCH_SIZE
 
@@ -106,13 +107,13 @@ def as_text(found: dict) -> str:
     """The plan as the command prints it."""
     job = found["job"]
     lines = [
-        f"{job['n_splats']:,} splats, {job['n_workers']} workers: {_time(found['seconds'])}, "
-        f"{found['tasks']:,} tasks, {_bytes(found['read_bytes'])} read, {_bytes(found['written_bytes'])} written, "
-        f"{_bytes(found['worker_bytes'])} a worker",
+        f"{job['n_splats']:,} splats, {job['n_workers']} workers: {duration(found['seconds'])}, "
+        f"{found['tasks']:,} tasks, {size(found['read_bytes'])} read, {size(found['written_bytes'])} written, "
+        f"{size(found['worker_bytes'])} a worker",
         f"breaks first: {found['breaks_first']}",
         f"what helps: {found['remedy']}",
         "",
-        f"{'stage':<16}{'tasks':>10}{'a task':>9}{'in all':>12}{'alone':>10}{'read':>10}{'written':>10}{'worker':>10}",
+        f"{'stage':<16}{'tasks':>10}{'a task':>9}{'in all':>12}{'alone':>12}{'read':>10}{'written':>10}{'worker':>10}",
     ]
     if found["speed"] != 1:
         lines.insert(
@@ -120,28 +121,15 @@ def as_text(found: dict) -> str:
             f"on machines as fast as this one, which takes {found['speed']:.2f} of the time of the one the costs are of",
         )
     lines += [
-        f"{s['name']:<16}{s['n_tasks']:>10,}{s['task_s']:>8.2f}s{_time(s['seconds']):>12}{_time(s['once_s']):>10}"
-        f"{_bytes(s['read_bytes']):>10}{_bytes(s['written_bytes']):>10}{_bytes(s['worker_bytes']):>10}"
+        f"{s['name']:<16}{s['n_tasks']:>10,}{s['task_s']:>8.2f}s{duration(s['seconds']):>12}{duration(s['once_s']):>12}"
+        f"{size(s['read_bytes']):>10}{size(s['written_bytes']):>10}{size(s['worker_bytes']):>10}"
         for s in found["stages"]
     ]
     lines += ["", f"{'workers':>8}{'tasks a call':>15}{'time':>12}{'times 1':>9}{'scheduler busy':>16}   breaks first"]
     first = found["workers"][0]["seconds"]
     lines += [
-        f"{r['workers']:>8,}{r['tasks_a_call']:>15}{_time(r['seconds']):>12}{first / r['seconds']:>9.1f}"
+        f"{r['workers']:>8,}{r['tasks_a_call']:>15}{duration(r['seconds']):>12}{first / r['seconds']:>9.1f}"
         f"{min(1.0, r['scheduler_share']):>16.0%}   {r['breaks_first']}"
         for r in found["workers"]
     ]
     return "\n".join(lines)
-
-
-def _time(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.1f} s"
-    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
-
-
-def _bytes(n: float) -> str:
-    for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
-        if n >= size:
-            return f"{n / size:.1f} {unit}"
-    return f"{n / 1e3:.0f} kB"

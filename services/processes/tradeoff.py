@@ -20,12 +20,11 @@ from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluate.compare import not_measured
 from renderer.evaluate.picture_psnr import picture_psnrs
 from renderer.report.report import sizes_of
+from services.flow.asked import prepare_asked
 from services.flow.code import code_prepared, resample
 from services.flow.outputs import placed_whole
 from services.flow.pack import pack
-from services.flow.points.runs import geometry_request
-from services.flow.points.volumes import surface_request
-from services.flow.prepare import has_photographs, prepare
+from services.flow.prepare import has_photographs
 from services.flow.run import Run
 from services.processes.kinds import BUDGET_S
 from storage.errors import InvalidScan
@@ -181,17 +180,7 @@ def measure_ladder(
 def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
     """A point of the ladder, and the folder of the photographs that textured it."""
     first = len(run.records)
-    prepared = prepare(
-        run,
-        scan,
-        step.settings.radius,
-        step.settings.effects,
-        density=step.settings.density,
-        surface=surface_request(step.settings),
-        geometry=geometry_request(step.settings),
-        reading=step.settings.reading,
-        levels=step.settings.levels,
-    )
+    prepared = prepare_asked(run, scan, step.settings)
     if not has_photographs(prepared):
         raise InvalidScan(
             str(scan),

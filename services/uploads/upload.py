@@ -17,7 +17,7 @@ from services.problems import Problem
 from services.settings import ServiceSettings
 from services.store.rows import UploadRow
 from services.store.store import Store
-from services.uploads.first_bytes import Look, look
+from services.uploads.early_checks import Look, look
 from services.uploads.room import check_room, received, upload_path
 from services.uploads.scans import accept_scan
 from services.uploads.tus import JOINED, LATER, PART, TUS, refusal
@@ -137,7 +137,7 @@ def state(upload: UploadRow, settings: ServiceSettings) -> dict[str, str]:
 
 
 class Looking:
-    """What has been seen of an upload by services/uploads/first_bytes.py, kept beside it from one piece to the next. A
+    """What has been seen of an upload by services/uploads/early_checks.py, kept beside it from one piece to the next. A
     part of another begins in its middle, and is not looked at."""
 
     def __init__(self, path: Path, length: int, upload: UploadRow, settings: ServiceSettings) -> None:

@@ -60,7 +60,7 @@ class GridCoefficients:
 
 
 @dataclass(frozen=True)
-class Components:
+class PrincipalCoefficients:
     """All of them, of an orthonormal basis."""
 
     basis: np.ndarray  # (d, p) float32
@@ -75,7 +75,7 @@ class CoarseDictionary:
     """A dictionary with what coarse products need; as good for any number of patches."""
 
     dictionary: np.ndarray  # (k, d) float32, unit rows
-    coefficients: GridCoefficients | Components
+    coefficients: GridCoefficients | PrincipalCoefficients
     short: np.ndarray  # (k, p) float32: those of the atoms
     rest: np.ndarray  # (k,) float32: norm of what they leave of each atom, rounded up
     gram: np.ndarray  # (k, k) float32
@@ -119,12 +119,12 @@ def coarsen(dictionary: np.ndarray, components: int | None = None) -> CoarseDict
     return None
 
 
-def _ways(dictionary: np.ndarray, components: int | None) -> Iterator[GridCoefficients | Components]:
+def _ways(dictionary: np.ndarray, components: int | None) -> Iterator[GridCoefficients | PrincipalCoefficients]:
     n_atoms, width = dictionary.shape
     if components is None and n_atoms >= FEWEST_ATOMS and width == PATCH_DIM:
         yield _strongest(dictionary)
     if components or (n_atoms >= FEWEST_FOR_COMPONENTS and width >= LEAST_WIDTH):
-        yield Components(principal_components(sampled(dictionary), components or COMPONENTS))
+        yield PrincipalCoefficients(principal_components(sampled(dictionary), components or COMPONENTS))
 
 
 def _strongest(dictionary: np.ndarray) -> GridCoefficients:

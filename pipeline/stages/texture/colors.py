@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.numerics.accuracy import psnr_db
+from pipeline.stages.texture.contrast_octaves import census
 from pipeline.stages.texture.resample import n_coarser_of
-from pipeline.stages.texture.strata import census
 from pipeline.summaries import AverageColors
 from pipeline.texture.colors import decode_colors, encode_colors, fit_color_boxes
 from pipeline.texture.resample import PATCH_DIM

@@ -1,5 +1,5 @@
 """Which patches the dictionary is learned from: a part of those that their average colour does not settle, chosen by
-hash within octaves of contrast (`strata`), as coefficients of principal components (`pipeline/coding/subspace.py`)."""
+hash within octaves of contrast (`contrast_octaves.py`), as coefficients of principal components (`pipeline/coding/subspace.py`)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from pipeline.coding.omp_kernels import squared_norms
 from pipeline.coding.subspace import HALF, find_components, halves_suffice, project
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.numerics.hashing import uniform_hash
+from pipeline.stages.texture.contrast_octaves import octave_of, shares
 from pipeline.stages.texture.resample import n_coarser_of
-from pipeline.stages.texture.strata import octave_of, shares
 from pipeline.stages.texture.texels import texel_rows
 from pipeline.summaries import AverageColors, CoefficientsFound, InParts, SubspaceFound, Training
 from pipeline.texture.patches import centred

@@ -15,7 +15,7 @@ from starlette.requests import Request
 
 from services.problems import RESOURCE, Problem
 from services.settings import ServiceSettings
-from services.uploads.first_bytes import PEEK_BYTES, Look, look
+from services.uploads.early_checks import PEEK_BYTES, Look, look
 from services.uploads.scans import safe_name
 
 MAX_JSON_BYTES = 1 << 20

@@ -31,7 +31,7 @@ from services.problems import Problem
 from services.settings import settings_from
 from services.store.rows import RUNNING, ArtifactRow
 from services.uploads import by_url
-from services.uploads.first_bytes import Look, look
+from services.uploads.early_checks import Look, look
 from services.uploads.validation import validated_header
 from storage.version import VERSION
 from tests.pipeline.readers.workspace import write_ply
@@ -411,7 +411,7 @@ def test_api__a_body_without_a_length_is_counted(api):
 
 @settings(max_examples=150, deadline=None, database=None, suppress_health_check=list(HealthCheck))
 @given(cuts=st.lists(st.integers(0, 10**6), max_size=4))
-def test_first_bytes__a_good_scan_is_let_through_however_it_is_cut(workspace, ball, cuts):
+def test_early_checks__a_good_scan_is_let_through_however_it_is_cut(workspace, ball, cuts):
     for name, content in (("a.zip", workspace), ("a.ply", ball)):
         done = Look()
         for n in sorted({c % (len(content) + 1) for c in cuts} | {len(content)}):

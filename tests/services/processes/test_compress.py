@@ -101,7 +101,7 @@ def test_workflow__the_report_has_its_keys_and_its_figures_agree(packed_serially
         "dictionary-seed",
         "ksvd-update",
         "quantise",
-        "prices",
+        "multipliers",
         "encode",
         "pack",
     ]

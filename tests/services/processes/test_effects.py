@@ -7,7 +7,7 @@ import pytest
 from pipeline.execution.executors import SerialExecutor
 from pipeline.planning.settings import settings_for
 from pipeline.stages.points.measure_effects import known_rows
-from renderer.evaluate.variants import Variant, compare_variants
+from renderer.evaluate.variants import EffectsVariant, compare_variants
 from services.processes.compress import compress
 from services.processes.effects import effects_of, worth_of_effects
 from tests.effects_scans import step_scan, wall_scan
@@ -73,7 +73,7 @@ def test_effects__a_wall_has_an_empty_plan_and_equals_the_all_on_rendering(tmp_p
     assert all(f"<td>{row['effect'].replace('_', ' ')}<small>" in page for row in made["plan"]["effects"])
     photos = next(work.glob("ingest-*"))
     plan, plain, all_on = compare_variants(
-        [Variant(name, tmp_path / name / "wall.splatpress", photos) for name in made]
+        [EffectsVariant(name, tmp_path / name / "wall.splatpress", photos) for name in made]
     )
     assert plan["gpu_bytes"] == plain["gpu_bytes"]
     unwatched = [name.removesuffix(" watched") for name in plan["programs"]]  # which all=off gives up, a plan does not

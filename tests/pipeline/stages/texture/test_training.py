@@ -7,14 +7,14 @@ import pytest
 
 from pipeline.execution.executors import SerialExecutor
 from pipeline.execution.stage import run_stage
-from pipeline.stages.texture.strata import FEWEST, N_OCTAVES, census, octave_of, shares
+from pipeline.stages.texture.contrast_octaves import FEWEST, N_OCTAVES, census, octave_of, shares
 from pipeline.stages.texture.training import TrainingSet
 from pipeline.summaries import AverageColors
 from storage.work import arrays, work
 from tests.pipeline.execution.test_stage import Heard
 
 
-def test_strata__an_octave_is_a_factor_of_two():
+def test_octaves__an_octave_is_a_factor_of_two():
     energy = np.float32(2.0) ** np.arange(-14, 12)
     octaves = octave_of(energy)
     assert (np.diff(octaves[2:]) == 1).all() and octaves.max() < N_OCTAVES and octave_of(np.zeros(1))[0] < N_OCTAVES
@@ -22,7 +22,7 @@ def test_strata__an_octave_is_a_factor_of_two():
     assert census(energy).sum() == len(energy)
 
 
-def test_strata__make_the_number_wanted_and_leave_out_what_is_settled():
+def test_octaves__make_the_number_wanted_and_leave_out_what_is_settled():
     counts = np.zeros(N_OCTAVES, int)
     counts[5:20] = 100_000
     share = shares(counts, 1.0, 30_000)
@@ -30,7 +30,7 @@ def test_strata__make_the_number_wanted_and_leave_out_what_is_settled():
     assert (share[:below] == 0).all() and counts @ share == pytest.approx(30_000, rel=1e-9)
 
 
-def test_strata__what_is_rare_is_learned_from_too():
+def test_octaves__what_is_rare_is_learned_from_too():
     counts = np.zeros(N_OCTAVES, int)
     counts[14], counts[20], counts[21] = 1_000_000, 900, 100
     share = shares(counts, 1.0, 10_000)
@@ -38,7 +38,7 @@ def test_strata__what_is_rare_is_learned_from_too():
     assert (share[counts == 0] == 0).all()
 
 
-def test_strata__a_small_scan_is_taken_whole_and_an_empty_one_not_at_all():
+def test_octaves__a_small_scan_is_taken_whole_and_an_empty_one_not_at_all():
     counts = np.bincount([15], minlength=N_OCTAVES) * 300
     assert shares(counts, 1.0, 40_000)[15] == 1
     assert not shares(np.zeros(N_OCTAVES, int), 1.0, 40_000).any()

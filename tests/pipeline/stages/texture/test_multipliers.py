@@ -8,8 +8,8 @@ import pytest
 from pipeline.coding.omp import pursue_patches
 from pipeline.coding.quantize import uniform_weight_levels
 from pipeline.stages.texture.atoms import store_atoms
-from pipeline.stages.texture.prices import Prices, price_for
-from pipeline.stages.texture.strata import N_OCTAVES, octave_of
+from pipeline.stages.texture.contrast_octaves import N_OCTAVES, octave_of
+from pipeline.stages.texture.multipliers import Multipliers, price_for
 from pipeline.summaries import InParts, Ladder, Training
 from storage.work import arrays, work
 
@@ -147,11 +147,11 @@ def ladder_of(
     atoms = np.random.default_rng(9).standard_normal((16, patches.shape[1]))
     store_atoms(quantized, atoms / np.linalg.norm(atoms, axis=1, keepdims=True))
     arrays.store(quantized, "weight_levels", np.tile(np.linspace(-4, 4, 16, dtype=np.float32), (8, 1)))
-    stage = Prices(space, chosen, quantized, 8, 1.0)
+    stage = Multipliers(space, chosen, quantized, 8, 1.0)
     return stage.finalise(folder, [stage.run(folder, i) for i in range(n_tasks)])
 
 
-def test_prices__are_those_of_the_same_splats_wherever_tasks_part_them(tmp_path):
+def test_multipliers__are_those_of_the_same_splats_wherever_tasks_part_them(tmp_path):
     """A scan that is turned has the same training set, but for a few splats, in other tasks and places."""
     rng = np.random.default_rng(4)
     patches = (rng.standard_normal((9000, 12)) * rng.uniform(0.2, 4, (9000, 1))).astype(np.float32)
@@ -163,7 +163,7 @@ def test_prices__are_those_of_the_same_splats_wherever_tasks_part_them(tmp_path)
         assert getattr(moved, figure) == pytest.approx(getattr(still, figure), rel=0.002)
 
 
-def test_prices__what_is_rare_counts_as_rare_though_it_was_learned_from_whole(tmp_path):
+def test_multipliers__what_is_rare_counts_as_rare_though_it_was_learned_from_whole(tmp_path):
     rng = np.random.default_rng(3)
     calm, busy = (
         rng.standard_normal((3600, 12)).astype(np.float32),

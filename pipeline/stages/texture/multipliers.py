@@ -18,7 +18,7 @@ import numpy as np
 
 from pipeline.coding.omp_kernels import squared_norms
 from pipeline.stages.texture.atoms import load_atoms
-from pipeline.stages.texture.strata import octave_of
+from pipeline.stages.texture.contrast_octaves import octave_of
 from pipeline.stages.texture.training import training_part
 from pipeline.summaries import InParts, Ladder, Training
 from storage.work import arrays, work
@@ -45,7 +45,7 @@ class PartPriced:
 
 
 @dataclass(frozen=True)
-class Prices:
+class Multipliers:
     """A task a part of the training set: some of it, by hash, so that it is the same splats however the scan is turned,
     is coded at every price of the ladder.
 
@@ -60,7 +60,7 @@ class Prices:
     max_atoms: int
     tolerance: float  # the squared error of a patch at the target
     pursuit: str = "omp"  # that of `Encode`
-    name = "prices"
+    name = "multipliers"
     most_patches = SAMPLE
 
     def init(self, folder: Path) -> int:
