@@ -22,9 +22,11 @@ _READERS = {
     ".hdr": ("nifti", "open_nifti"),
     ".tif": ("tiff", "open_tiff"),
     ".tiff": ("tiff", "open_tiff"),
+    ".mha": ("metaimage", "open_metaimage"),
+    ".mhd": ("metaimage", "open_metaimage"),
     ".raw": ("raw", "open_raw"),
 }
-HANDLED = "NRRD (.nrrd, .nhdr), NIfTI (.nii, .nii.gz), TIFF (one file of pages, or a folder of files), OME-Zarr or zarr (folder), .raw with a .json beside it"
+HANDLED = "NRRD (.nrrd, .nhdr), NIfTI (.nii, .nii.gz), MetaImage (.mha, .mhd), TIFF (one file of pages, or a folder of files), OME-Zarr or zarr (folder), .raw with a .json beside it"
 
 
 def _reader(path: Path) -> tuple[str, str] | None:

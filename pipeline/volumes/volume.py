@@ -48,7 +48,7 @@ class Volume:
     """
 
     path: str
-    format: str  # "nrrd" | "nifti" | "tiff" | "zarr" | "raw"
+    format: str  # "nrrd" | "nifti" | "metaimage" | "tiff" | "zarr" | "raw"
     shape: tuple[int, int, int]  # along i, j, k
     dtype: np.dtype  # of the voxels as they are kept
     slices: Callable[[Callable[[str], None]], Iterator[np.ndarray]]

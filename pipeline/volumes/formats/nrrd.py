@@ -15,7 +15,7 @@ import nrrd
 import numpy as np
 from nrrd.errors import NRRDError
 
-from pipeline.volumes.formats.stream import Slices, Stream, check_length
+from pipeline.volumes.formats.stream import Slices, Stream, check_length, numbered_files
 from pipeline.volumes.volume import Choice, Volume, checked, chosen_axis, kept_dtype, unit_of
 from storage.errors import InvalidScan, UnsupportedScan
 
@@ -128,11 +128,7 @@ def _data_files(path: str, header: dict, listed: list[str]) -> tuple[str, ...]:
     names = listed or ([named] if named else [])
     words = named.split()
     if not listed and len(words) in (4, 5) and "%" in words[0]:
-        try:
-            first, last, step = (int(word) for word in words[1:4])
-            names = [words[0] % i for i in range(first, last + (1 if step > 0 else -1), step)]
-        except (ValueError, TypeError) as error:
-            raise InvalidScan(f"{path}:data file", named, "PATTERN FIRST LAST STEP") from error
+        names = numbered_files(f"{path}:data file", *words[:4])
     files = tuple(os.path.join(os.path.dirname(path), name) for name in names)
     for file in files:
         if not Path(file).is_file():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 import gzip
 import os
+import re
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ import numpy as np
 from pipeline.volumes.volume import LARGEST_EXACT
 from storage.errors import InvalidScan
 
+MOST_FILES = 1 << 16  # of a volume
+_PATTERN = re.compile(r"[^%]*%0?\d{0,2}d[^%]*")
 PIECE = 1 << 20  # bytes skipped, or of text, at a time
 
 
@@ -29,7 +32,7 @@ class Stream:
     sizes: tuple[int, ...]
     space: tuple[int, int, int]
     chosen: tuple[tuple[int, int], ...] = ()  # axis, entry
-    encoding: str = "raw"  # "raw" | "gzip" | "bzip2" | "text"
+    encoding: str = "raw"  # "raw" | "gzip" | "bzip2" | "zlib" | "text"
     skip_lines: int = 0
     skip_bytes: int = 0
     slope: float = 1.0
@@ -39,6 +42,26 @@ class Stream:
     def n_bytes(self) -> int:
         """Of all voxels in all files."""
         return int(np.prod(self.sizes, dtype=object)) * self.dtype.itemsize
+
+
+def numbered_files(told: str, pattern: str, first: str, last: str, step: str) -> list[str]:
+    """The names that a pattern such as `slice%03d.raw` makes of numbers from `first` to `last`; `told` is where it stands.
+
+    Raises: InvalidScan for any other pattern, and for more names than a volume has slices.
+    """
+    try:
+        if not _PATTERN.fullmatch(pattern):
+            raise ValueError
+        numbers = range(int(first), int(last) + (1 if int(step) > 0 else -1), int(step))
+        if not 1 <= len(numbers) <= MOST_FILES:
+            raise ValueError
+    except (ValueError, OverflowError) as error:
+        found, allowed = (
+            f"{pattern} {first} {last} {step}",
+            f"NAME%03dNAME FIRST LAST STEP, at most {MOST_FILES:,} files",
+        )
+        raise InvalidScan(told, found[:200], allowed) from error
+    return [pattern % i for i in numbers]
 
 
 def check_length(stream: Stream) -> tuple[str, ...]:
@@ -131,6 +154,7 @@ class _Bytes:
             "raw": lambda: file,
             "gzip": lambda: gzip.GzipFile(fileobj=file),
             "bzip2": lambda: bz2.BZ2File(file),
+            "zlib": lambda: _Inflated(file),
         }[stream.encoding]()
         if stream.skip_bytes < 0:
             file.seek(-(stream.n_bytes // len(stream.paths)), os.SEEK_END)
@@ -177,6 +201,23 @@ class _Bytes:
             if error.errno is not None:
                 raise
             raise InvalidScan(self._path, f"does not decompress ({error})", "a whole file") from error
+
+
+class _Inflated:
+    """What a zlib stream holds, some bytes at a time."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._inflate, self._waiting = file, zlib.decompressobj(), bytearray()
+
+    def read(self, n_bytes: int) -> bytes:
+        while len(self._waiting) < n_bytes and not self._inflate.eof:
+            packed = self._inflate.unconsumed_tail or self._file.read(PIECE)
+            if not packed:
+                break
+            self._waiting += self._inflate.decompress(packed, PIECE)
+        found = bytes(self._waiting[:n_bytes])
+        del self._waiting[:n_bytes]
+        return found
 
 
 class _Text:
