@@ -71,7 +71,10 @@ class Named:
 
     def _color(self, rows: Rows) -> np.ndarray | None:  # (n, 3)
         names = self.columns.color
-        return _native(np.stack([rows[n] for n in names], axis=1)) if names else None
+        if not names:
+            return None
+        color = _native(np.stack([rows[n] for n in names], axis=1))
+        return color.astype(np.uint8) if self.color_type == "i1" else color  # `char` of a writer that means `uchar`
 
 
 def _native(values: np.ndarray) -> np.ndarray:

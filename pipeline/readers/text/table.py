@@ -91,7 +91,9 @@ def _rows_of(path: str, n_columns: int | None, delimiter: str | None) -> Iterato
 
 def _guess(values: np.ndarray, is_pts: bool) -> list[str]:
     """What the columns (n, k) of points mean, by their values."""
-    names, at, k = ["x", "y", "z"], 3, values.shape[1]
+    k = values.shape[1]
+    names = ["number", "x", "y", "z"] if k > 3 and _are_numbers(values[:, 0]) else ["x", "y", "z"]
+    at = len(names)
     while at < k:
         left = k - at
         three = values[:, at : at + 3]
@@ -105,6 +107,11 @@ def _guess(values: np.ndarray, is_pts: bool) -> list[str]:
             names.append(f"column {at + 1}")
         at = len(names)
     return names
+
+
+def _are_numbers(column: np.ndarray) -> bool:
+    """Whether it counts the points."""
+    return len(column) > 1 and column[0] in (0, 1) and bool((np.diff(column) == 1).all())
 
 
 def _come_first(four: np.ndarray, is_pts: bool) -> bool:

@@ -76,6 +76,13 @@ def test_table__colours_before_an_opacity_or_an_intensity_are_colours(tmp_path, 
     np.testing.assert_array_equal(got["color"], color)
 
 
+def test_table__a_first_column_that_counts_the_points_is_no_coordinate(tmp_path):
+    position, color, _ = points()
+    path = write_text(tmp_path / "a.txt", np.arange(1, 201), position, color)
+    np.testing.assert_allclose(read(path)["position"], position, atol=1e-6)
+    assert open_scan(path).unused == ("number",)
+
+
 def test_table__utf_16_and_quoted_numbers_are_read(tmp_path):
     position, color, _ = points()
     text = write_text(tmp_path / "a.csv", position, color, delimiter=",").read_text()

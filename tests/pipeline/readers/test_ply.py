@@ -16,7 +16,7 @@ from pipeline.readers.ply.ply import open_vertices
 from storage.errors import InvalidScan
 from tests.pipeline.readers.shared_data import shared_scan
 
-TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "u2": "ushort", "i4": "int32", "i2": "short"}
+TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "u2": "ushort", "i4": "int32", "i2": "short", "i1": "char"}
 FIELDS = [("red", "u1"), ("x", "f8"), ("quality", "i2"), ("z", "f4"), ("y", "f4")] + [("green", "u1"), ("blue", "u1")]
 
 
@@ -90,7 +90,9 @@ def test_ply__two_of_three_normal_components_are_no_normal(tmp_path):
     assert not open_scan(write(tmp_path / "a.ply", rows)).has_normals
 
 
-@pytest.mark.parametrize(("kind", "values"), [("u2", [0, 257, 65535]), ("f4", [0, 1 / 255, 1]), ("i4", [0, 1, 255])])
+@pytest.mark.parametrize(
+    ("kind", "values"), [("u2", [0, 257, 65535]), ("f4", [0, 1 / 255, 1]), ("i4", [0, 1, 255]), ("i1", [0, 1, -1])]
+)
 def test_ply__colours_of_other_types_are_scaled_to_8_bits(tmp_path, kind, values):
     colors = [(f"diffuse_{c}", kind) for c in ("red", "green", "blue")]
     rows = table(3, [("x", "f4"), ("y", "f4"), ("z", "f4"), *colors])
