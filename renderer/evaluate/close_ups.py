@@ -21,7 +21,7 @@ from renderer.report.evaluation_document import CloseUp, PassTimes, PictureFigur
 from renderer.splats.baseline import PHOTO_BUDGET_BYTES, PhotoSplats
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
-from renderer.splats.views import view_of
+from renderer.splats.views import framed_views, view_of
 from storage.packed.packed import PackedFile
 from storage.packed.schema import NO_CAMERA, Camera
 from storage.pages.file import PageFile
@@ -99,7 +99,10 @@ def time_passes(variants: Sequence[Variant]) -> list[PassTimes]:
     renderer = Renderer()
     with PackedFile(variants[0].packed) as packed:
         cameras = packed.header.cameras
-    view = limited_view(cameras[len(cameras) // 2], TIMED_SIDE_PX)
+        if cameras:
+            view = limited_view(cameras[len(cameras) // 2], TIMED_SIDE_PX)
+        else:
+            view = framed_views(packed.load(), 1, (TIMED_SIDE_PX, TIMED_SIDE_PX * 3 // 4))[0]
     seconds: dict[str, list[dict[str, float]]] = {variant.name: [] for variant in variants}
     with ExitStack() as opened:
         draws = {variant.name: opened.enter_context(drawn(renderer, variant)) for variant in variants}

@@ -17,23 +17,29 @@ from renderer.evaluate.compare import psnr_of_error
 from renderer.evaluate.previews import even_choice, limited_view
 from renderer.pictures import resized
 from renderer.splats.renderer import Renderer
+from renderer.splats.views import framed_views
+from storage.packed.packed import PackedFile
+from storage.packed.schema import Camera
 from storage.work import arrays, work
 
 N_VIEWS = 4
 MAX_SIDE_PX = 1024
 
 
-def picture_psnrs(variants: Sequence[Variant], photos: Path, fullest: int = 0) -> list[float | None]:
+def picture_psnrs(variants: Sequence[Variant], photos: Path | None, fullest: int = 0) -> list[float | None]:
     """PSNR in dB of each variant against the photographs of a folder, the squared error averaged over the pixels of N_VIEWS of their
     cameras that the variant number `fullest`, the one of most splats, covers. A pixel that a variant leaves bare counts as black: its
-    holes are errors. None where nothing is covered."""
-    cameras = work.summary(photos, Photographs).cameras
-    chosen = even_choice(len(cameras), N_VIEWS)
-    views = [limited_view(cameras[i], MAX_SIDE_PX) for i in chosen]
-    wanted = [resized(arrays.read(photos, f"photo_{i}"), v.width_px, v.height_px) for i, v in zip(chosen, views)]
+    holes are errors. Without photographs against the pictures of the fullest, in its own colours, from around the scan. None where nothing
+    is covered."""
     renderer = Renderer()
+    views, wanted = ([], []) if photos is None else _photographs(photos)
     with drawn(renderer, variants[fullest]) as draw:
-        masks = [draw(view).coverage for view in views]
+        if photos is None:
+            with PackedFile(variants[fullest].packed, verify=False) as packed:
+                views = framed_views(packed.load(), N_VIEWS, (MAX_SIDE_PX, MAX_SIDE_PX * 3 // 4))
+        pictures = [draw(view) for view in views]
+    masks = [picture.coverage for picture in pictures]
+    wanted = wanted or [picture.rgb for picture in pictures]
     n_values = 3 * sum(int(mask.sum()) for mask in masks)
     if not n_values:
         return [None] * len(variants)
@@ -47,3 +53,10 @@ def picture_psnrs(variants: Sequence[Variant], photos: Path, fullest: int = 0) -
                 error += int(((shown[mask].astype(np.int64) - photo[mask]) ** 2).sum())
         found.append(psnr_of_error(error / n_values))
     return found
+
+
+def _photographs(photos: Path) -> tuple[list[Camera], list[np.ndarray]]:
+    cameras = work.summary(photos, Photographs).cameras
+    chosen = even_choice(len(cameras), N_VIEWS)
+    views = [limited_view(cameras[i], MAX_SIDE_PX) for i in chosen]
+    return views, [resized(arrays.read(photos, f"photo_{i}"), v.width_px, v.height_px) for i, v in zip(chosen, views)]

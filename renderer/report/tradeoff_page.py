@@ -10,6 +10,7 @@ from bokeh.plotting import figure
 from bokeh.resources import Resources
 from markupsafe import Markup
 
+from pipeline.numerics.accuracy import BEST_DB
 from pipeline.planning.knobs import BY_NAME
 from pipeline.readers.photos import decode_photo
 from renderer.files import strict, write_json, write_whole
@@ -36,7 +37,7 @@ def summarised(document: dict) -> dict:
     Fronts are of picture PSNR, which points of any number of splats share. Texture PSNR is of a point's own splats: where pictures were not
     measured fronts are of it, and advice always is, among the points of as many splats as the first."""
     points = [{k: v for k, v in p.items() if not k.startswith("_")} for p in document["points"]]
-    alike = [p for p in points if p["splats"] == points[0]["splats"]]
+    alike = [p for p in points if p["splats"] == points[0]["splats"] and p[TEXTURE] is not None]
     quality = quality_of(points)
     compared = points if quality == PICTURE else alike
     fronts = {cost: pareto(compared, cost, quality) for cost, *_ in COSTS if all(p[cost] is not None for p in points)}
@@ -169,8 +170,8 @@ def _knob_rows(points: list[dict]) -> list[dict]:
                     p
                     | {
                         "is_chosen": p["key"] == chosen["key"],
-                        "more_db": p["texture_psnr_db"] - chosen["texture_psnr_db"],
-                        "is_alike": p["splats"] == chosen["splats"],
+                        "more_db": p[TEXTURE] - chosen[TEXTURE] if chosen[TEXTURE] is not None else None,
+                        "is_alike": p["splats"] == chosen["splats"] and chosen[TEXTURE] is not None,
                         "more": {cost: p[cost] / chosen[cost] - 1 for cost, *_ in COSTS if p[cost] and chosen[cost]},
                     }
                     for p in values
@@ -191,7 +192,8 @@ def _pictures_by_point(document: dict, folder: Path) -> dict[str, list[dict]]:
 
 
 def _plot(points: list[dict], front: list[str], cost: str, axis: str, scale: float, quality: str) -> figure:
-    """PSNR over a cost, the front as a line, presets named; a click on a point shows its pictures."""
+    """PSNR over a cost, the front as a line, presets named; a click on a point shows its pictures. What the others are compared with is no dot."""
+    points = [p for p in points if p[quality] < BEST_DB] or points
     plot = plain_figure(340, x_axis_label=axis, y_axis_label=QUALITIES[quality])
     on = sorted((p for p in points if p["key"] in front), key=lambda p: p[cost])
     plot.x_range.range_padding = 0.15  # room for the names

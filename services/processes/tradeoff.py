@@ -30,6 +30,15 @@ from services.processes.kinds import BUDGET_S
 from storage.errors import InvalidScan
 from storage.packed.packed import SUFFIX, PackedFile
 
+OF_POINTS = {
+    "density",
+    "levels",
+    "radius",
+    "effects",
+    "geometry",
+    "cell",
+}  # knobs that change a scan without photographs
+DENSITIES = (1.0, 0.5, 0.25, 0.1)
 SPOTS = slice(1, None, 2)  # of `choose_spots`: a good one, a middling one, the worst
 
 
@@ -136,7 +145,9 @@ def measure_ladder(
 ) -> dict:
     """All of it, into the folder `out`, which is there; the scan is called `name`, else as its file.
 
-    Raises: InvalidScan for a scan without photographs.
+    Of a scan without photographs the knobs OF_POINTS are, beside all of its points, which pictures are then compared with.
+
+    Raises: InvalidScan for a scan without photographs, where nothing is to be drawn.
     """
     begun = run.clock()
     folder = out / "packed"
@@ -147,12 +158,18 @@ def measure_ladder(
     tried: Mapping[str, Sequence] = default_knobs() if knobs is None else knobs
     steps = ladder(settings, tried)
     for i, step in enumerate(steps):
+        if points and photos is None and step.knob not in OF_POINTS:
+            continue
         if points and run.clock() - begun + last > budget_s:
             skipped.append({"key": step.key, "command": step.command})
             continue
         run.round(i, len(steps) + 1)  # the pictures are one more
-        point, photos = _point(run, scan, step, folder)
+        point, photos = _point(run, scan, step, folder, render)
         points.append(point)
+        if i == 0 and photos is None:  # the loop goes on with these
+            known = {asdict_key(step.settings) for step in steps}
+            more = ladder(settings, {"density": DENSITIES if knobs is None else DENSITIES[:1]})
+            steps[1:1] = [step for step in more if step.knob and asdict_key(step.settings) not in known]
         last = point.pop("_own_seconds")
     run.round(len(steps), len(steps) + 1)
     pictures = _pictures(run, points, photos, out) if render else []
@@ -177,24 +194,25 @@ def measure_ladder(
     return document
 
 
-def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
-    """A point of the ladder, and the folder of the photographs that textured it."""
+def _point(run: Run, scan: Path, step: Step, folder: Path, render: bool) -> tuple[dict, Path | None]:
+    """A point of the ladder, and the folder of the photographs that textured it, if any."""
     first = len(run.records)
     prepared = prepare_asked(run, scan, step.settings)
-    if not has_photographs(prepared):
+    textured = has_photographs(prepared)
+    if not textured and not render:
         raise InvalidScan(
             str(scan),
-            "no photograph that sees any of its points",
-            "a scan with photographs: without, no knob trades accuracy",
+            "no photograph that sees any of its points, and no pictures",
+            "a scan with photographs, or pictures: without either nothing tells accuracy",
         )
-    patches = resample(run, prepared)
+    patches = resample(run, prepared) if textured else None
     n_shared = len(run.records) - first  # what most other points reuse: the next is not expected to take as long
-    coded = code_prepared(run, prepared, patches, step.settings)
+    coded = code_prepared(run, prepared, patches, step.settings) if patches else None
     path = folder / f"{step.key.replace('/', '-')}{SUFFIX}"
     pack(run, prepared, coded, step.settings, scan.stem, path)
     with PackedFile(path) as packed:
         sizes = sizes_of(packed.load(), path.stat().st_size)
-    records, quality = run.records[first:], coded.codes.summary
+    records, quality = run.records[first:], coded.codes.summary if coded else None
     return {
         "key": step.key,
         "preset": step.preset,
@@ -202,14 +220,14 @@ def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
         "value": getattr(step.settings, step.knob) if step.knob else None,
         "command": step.command,
         "splats": prepared.splats.summary.n_splats,
-        "texture_psnr_db": _shown(quality.texture_psnr_db),
-        "visible_psnr_db": _shown(quality.visible_psnr_db),
+        "texture_psnr_db": _shown(quality.texture_psnr_db) if quality else None,
+        "visible_psnr_db": _shown(quality.visible_psnr_db) if quality else None,
         "picture_psnr_db": None,
-        "mean_atoms": quality.mean_atoms,
+        "mean_atoms": quality.mean_atoms if quality else 0.0,
         "gpu_bytes": sizes.gpu_bytes,
         "file_bytes": sizes.file_bytes,
         "bytes_per_splat": sizes.bytes_per_splat,
-        "n_dictionary": coded.n_dictionary,
+        "n_dictionary": coded.n_dictionary if coded else 0,
         "_own_seconds": sum(r.seconds for r in records[n_shared:]),
         "seconds": sum(r.made_seconds for r in records),
         "run_seconds": sum(r.seconds for r in records),
@@ -221,7 +239,7 @@ def _point(run: Run, scan: Path, step: Step, folder: Path) -> tuple[dict, Path]:
         "frame_px": None,
         "_packed": path,
         "n_cameras": len(prepared.scan.summary.cameras),
-    }, prepared.photos
+    }, prepared.photos if textured else None
 
 
 def _shown(psnr_db: float | None) -> float:
@@ -229,15 +247,17 @@ def _shown(psnr_db: float | None) -> float:
     return BEST_DB if psnr_db is None else min(BEST_DB, psnr_db)
 
 
-def _pictures(run: Run, points: list[dict], photographs: Path, out: Path) -> list[dict]:
+def _pictures(run: Run, points: list[dict], photographs: Path | None, out: Path) -> list[dict]:
     """Close-ups of every point, and the time that a frame of it takes and its picture PSNR, into the points."""
     begun = time.perf_counter()
     run.progress.begin(PICTURES, 3)
     variants = [Variant(point["key"], point["_packed"]) for point in points]
-    photos = Variant("photographs", points[0]["_packed"], photographs)
-    close_ups = run.paint(draw_close_ups, [photos, *variants], points[0]["_packed"], photographs, out, SPOTS)
+    close_ups: list = []
+    if photographs is not None:
+        photos = Variant("photographs", points[0]["_packed"], photographs)
+        close_ups = run.paint(draw_close_ups, [photos, *variants], points[0]["_packed"], photographs, out, SPOTS)
     run.progress.advance(PICTURES, 1, 0)
-    fullest = max(range(len(points)), key=lambda i: points[i]["splats"])
+    fullest = max(range(len(points)), key=lambda i: (points[i]["settings"]["density"], -points[i]["splats"]))
     for point, psnr in zip(points, run.paint(picture_psnrs, variants, photographs, fullest), strict=True):
         point["picture_psnr_db"] = psnr
     run.progress.advance(PICTURES, 1, 0)

@@ -116,7 +116,8 @@ def _tradeoff(options: argparse.Namespace) -> int:
         raise WrongArgument(str(error)) from error
     scan = scan_path(options.scan)
     refuse_to_overwrite(out, options.overwrite)
-    needs_photographs(scan, settings, "without, no knob trades accuracy")
+    if options.no_render:
+        needs_photographs(scan, settings, "without them and without pictures nothing tells accuracy")
     with executor_for(options) as executor:
         made = tradeoff(
             scan,
@@ -137,9 +138,11 @@ def _tradeoff(options: argparse.Namespace) -> int:
         )
         front = set(made["fronts"]["file_bytes"])
         for p in made["points"]:
-            pictures = f"{'-':>11}" if p["picture_psnr_db"] is None else f"{p['picture_psnr_db']:8.2f} dB"
+            psnrs = "".join(
+                f"{'-':>11}" if p[k] is None else f"{p[k]:8.2f} dB" for k in ("picture_psnr_db", "texture_psnr_db")
+            )
             print(
-                f"{p['key']:<28}{pictures}{p['texture_psnr_db']:8.2f} dB{p['splats']:13,}{p['file_bytes']:13,} B"
+                f"{p['key']:<28}{psnrs}{p['splats']:13,}{p['file_bytes']:13,} B"
                 f"{p['seconds']:9.1f}  {'yes' if p['key'] in front else ''}".rstrip()
             )
         print(f"page  {out / 'tradeoff.html'}")

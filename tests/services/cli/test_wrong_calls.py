@@ -45,7 +45,7 @@ CALLS = [
     ("tradeoff {scan} --out {tmp}/o --budget soon", 1, "90s, 10min or 2h"),
     ("evaluate {scan} --out {tmp}/o --rows d8w5", 1, "d8w5"),
     ("evaluate {points} --out {tmp}/o", 3, "no photographs; allowed: a scan with photographs"),
-    ("tradeoff {points} --out {tmp}/o", 3, "no photographs; allowed: a scan with photographs"),
+    ("tradeoff {points} --out {tmp}/o --no-render", 3, "no photographs; allowed: a scan with photographs"),
     ("evaluate {tmp}/nothing --out {tmp}/o", 2, "nothing"),
     ("estimate {tmp}/nothing", 2, "nothing"),
     ("effects {tmp}/nothing", 2, "nothing"),

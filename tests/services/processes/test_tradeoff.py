@@ -7,6 +7,7 @@ import json
 import pytest
 
 from pipeline.execution.executors import SerialExecutor
+from pipeline.numerics.accuracy import BEST_DB
 from pipeline.planning.knobs import BY_NAME
 from pipeline.planning.settings import PRESETS, settings_for
 from renderer.report.tradeoff_page import WANTED_DB, advised, leading, pareto, summarised
@@ -244,10 +245,21 @@ def test_tradeoff__what_points_share_is_not_expected_of_the_next_one(scan, tmp_p
     ) + 1
 
 
-def test_tradeoff__a_scan_without_photographs_is_refused(tmp_path):
+def test_tradeoff__a_scan_without_photographs_is_compared_with_all_of_its_points_or_refused(tmp_path, renderer):
+    ball, settings = point_scan(tmp_path / "ball.ply"), settings_for("draft", density=0.5)
     with pytest.raises(InvalidScan, match="allowed: a scan with photographs"):
-        tradeoff(point_scan(tmp_path / "ball.ply"), tmp_path / "out", SETTINGS, SerialExecutor(), Heard())
+        tradeoff(ball, tmp_path / "out", settings, SerialExecutor(), Heard(), render=False)
     assert [p.name for p in tmp_path.iterdir()] == ["ball.ply"]
+    knobs = {"density": (0.25,), "iterations": (1, 3)}
+    found = tradeoff(ball, tmp_path / "out", settings, SerialExecutor(), Heard(), knobs=knobs)
+    points = {p["key"]: p for p in found["points"]}
+    assert list(points) == ["chosen", "density=1.0", "density=0.25"]  # no preset, no passes: nothing is learned
+    assert points["density=1.0"]["picture_psnr_db"] == BEST_DB and not found["advice"]
+    assert points["density=0.25"]["picture_psnr_db"] < points["chosen"]["picture_psnr_db"] < 60
+    assert found["fronts"]["file_bytes"] == ["density=0.25", "chosen", "density=1.0"]
+    assert not {"nan", "None", "inf"} & set(
+        "".join(Elements((tmp_path / "out" / "tradeoff.html").read_text()).text).split()
+    )
 
 
 def test_tradeoff__wrong_knobs_and_budgets_are_named(scan, tmp_path, capsys):
