@@ -5,6 +5,8 @@ from __future__ import annotations
 from pipeline.effects.block import Sources
 from pipeline.effects.effect import Effect, Measured, Worth
 
+UNLIT = "colours of iso-surfaces have no light in them"  # why it is on where nobody asked
+
 
 def _conclude(sums: list[dict], sources: Sources) -> Measured:
     return Measured(1.0, 1.0, {"lamp": True} if sources.scan.is_albedo else {})

@@ -8,9 +8,10 @@ from pathlib import Path
 
 from pipeline.effects.block import Sources
 from pipeline.effects.levels import possible_levels
-from pipeline.effects.plan.plan import EffectPlan, Row, measured_effects, plan_effects
+from pipeline.effects.plan.plan import EffectPlan, Row, measured_effects, plan_effects, with_reason
 from pipeline.effects.plan.registry import effects
 from pipeline.effects.plan.request import AUTO, OFF, ON, canonical_request, parse_request
+from pipeline.effects.relighting import UNLIT
 from pipeline.effects.station_maps import has_maps
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
@@ -253,9 +254,8 @@ def _sized_splats(
 
 
 def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[EffectPlan, dict[str, Path]]:
-    """Measure the scan for every effect that the request leaves open, and plan; and what the surveys of effects
-    made."""
-    if sources.scan.is_albedo and request["relighting"] == AUTO:
+    """Measure the scan for every effect that the request leaves open, and plan; and what the surveys of effects made."""
+    if unlit := sources.scan.is_albedo and request["relighting"] == AUTO:
         request = request | {"relighting": ON}  # colours without light in them show no shape
     if not sources.sizes or work.summary(sources.sizes, SizesNeeded).large_share is None:
         request = request | {"sizes": OFF}  # who fixed one radius asked for no other
@@ -264,8 +264,8 @@ def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[Effe
         return plan_effects({}, request, sources.n_splats), {}
     stages = ((name, effects()[name].survey(sources)) for name in names)
     surveys = tuple((name, run.do(stage).folder) for name, stage in stages if stage is not None)
-    found = run.do(MeasureEffects(sources, names, surveys)).summary
-    return plan_effects(found, request, sources.n_splats), dict(surveys)
+    plan = plan_effects(run.do(MeasureEffects(sources, names, surveys)).summary, request, sources.n_splats)
+    return (with_reason(plan, "relighting", UNLIT) if unlit else plan), dict(surveys)
 
 
 def has_photographs(prepared: Prepared) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 
 from pipeline.effects.effect import Effect, Measured
 from pipeline.effects.plan.registry import effects
@@ -81,6 +81,12 @@ def measured_effects(request: Mapping[str, str]) -> tuple[str, ...]:
         return choice == ON or (choice == AUTO and not effect.by_request)
 
     return tuple(name for name in effects() if wanted(name))
+
+
+def with_reason(plan: EffectPlan, effect: str, reason: str) -> EffectPlan:
+    """The plan with a row that is not on by request, but for a reason that no threshold says."""
+    rows = (replace(row, request=AUTO, reason=reason) if row.effect == effect else row for row in plan.rows)
+    return replace(plan, rows=tuple(rows))
 
 
 def _row(effect: Effect, found: Measured | None, request: str, n_splats: int, possible: bool) -> Row:

@@ -64,6 +64,8 @@ def test_compress__a_volume_becomes_the_surfaces_asked_for_in_the_frame_of_the_f
     assert [s["n_points"] for s in surfaces] == [outer.sum(), (~outer).sum()]
     assert told["scan"]["volume"]["frame"] == "left-posterior-superior" and scene.header.unit == "millimetre"
     assert scene.header.effects["relighting"] == {"lamp": True}
+    row = next(row for row in told["effects"] if row["effect"] == "relighting")
+    assert row["enabled"] and row["request"] == "auto" and "no light in them" in row["reason"]
     assert 0.8 < scene.header.radius / told["scan"]["volume"]["cell"] < 1.3
 
 
