@@ -27,10 +27,8 @@ async function listScans(chosen = $("scan").value) {
   choose();
 }
 
-// What a tradeoff measures needs photographs.
 function choose() {
-  const scan = scans.find((s) => s.id === $("scan").value);
-  $("tradeoff").disabled = !scan || !scan.cameras.count;
+  $("tradeoff").disabled = !scans.find((s) => s.id === $("scan").value);
   $("estimated").replaceChildren();
 }
 
