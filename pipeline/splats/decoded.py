@@ -13,9 +13,8 @@ from pipeline.geometry.quadrics.frames import decode_quadrics, frames_of_arrays
 from pipeline.geometry.sizes import Scales, decode_sizes
 from pipeline.splats.runs import bounds_of, decoded_splats
 from pipeline.splats.visibility import seen_points
-from storage.packed.quadrics import frame_boxes
 from storage.packed.scene import PackedScene
-from storage.packed.schema import BOXES, CHUNK, FRAMES, QUADRICS, Camera
+from storage.packed.schema import BOXES, CHUNK, FRAMES, Camera
 from storage.work import arrays
 
 
@@ -92,9 +91,7 @@ def scene_normal_codes(scene: PackedScene) -> np.ndarray:
 
 def scene_bounds(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
     """Low and high corner (c, 3) float64 against the origin of a box that holds the centres of each chunk."""
-    if scene.header.geometry == QUADRICS:
-        return frame_boxes(scene.arrays)
-    if scene.header.runs:
+    if scene.header.geometry != BOXES:
         low, high = bounds_of(_decoded_splats(scene)[0])
         return low.astype(np.float64), high.astype(np.float64)
     low = scene.arrays["box_low"].astype(np.float64)

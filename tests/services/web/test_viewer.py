@@ -176,9 +176,18 @@ def test_viewer__draws_as_few_atoms_as_are_asked_for(page, served, renderer, ato
     assert_alike(page, renderer, scene, camera_looking(eye, (0, 0, 0), size, (focal, focal)), max_atoms=atoms)
 
 
-@pytest.mark.parametrize("name", ["groups", "quadrics"])
-def test_viewer__begins_where_render_orbits(page, served, name):
-    url, scene = served[name]
+def test_viewer__begins_at_most_half_as_far_again_where_boxes_are_those_of_frames(page, served):
+    url, scene = served["quadrics"]
+    open_viewer(page, url)
+    (expected,) = orbit_views(scene, 1, (400, 400))
+    found = json.loads(page.look("JSON.stringify(viewer.camera.view(400, 400))"))
+    away = [np.linalg.norm(eye) for eye in (found["eye"], np.subtract(expected.centre, UTM))]
+    assert 0.99 * away[1] <= away[0] <= 1.5 * away[1]
+    np.testing.assert_allclose(found["rotation"], expected.rotation, atol=0.02)
+
+
+def test_viewer__begins_where_render_orbits(page, served):
+    url, scene = served["groups"]
     open_viewer(page, url)
     (expected,) = orbit_views(scene, 1, (400, 400))  # the page may be any shape: it begins with what a square one shows
     found = json.loads(page.look("JSON.stringify({ up: viewer.camera.up, ...viewer.camera.view(400, 400) })"))
