@@ -50,6 +50,19 @@ def test_labels__a_photograph_that_none_near_has_is_never_taken(wall):
     assert (label[: len(centre) // 2] == 0).all()
 
 
+def test_labels__a_photograph_never_spreads_over_what_something_hides_from_it(wall):
+    """A post stands before the wall, and hides a strip of it from the first photograph, which all splats around have."""
+    centre, normal, radius, _ = wall
+    y = np.linspace(-1.0, 1.0, 60)
+    post = np.array([(x, v, 2.0) for x in np.linspace(-0.04, 0.04, 3) for v in y])
+    points = np.concatenate([centre, post])
+    facing, size = np.tile([0.0, 0.0, -1.0], (len(points), 1)), np.append(radius, np.full(len(post), 0.03))
+    hidden = np.abs((centre[:, 0] - 0.15) / 2) < 0.026  # where the ray from x = -0.15, the first one's, meets the post
+    camera = np.append(np.where(hidden, 1, 0), np.zeros(len(post))).astype(np.uint16)
+    label = smoothed_labels(points, facing, size, camera, CAMERAS)[: len(centre)]
+    assert hidden.sum() > 50 and (label[hidden] == 1).all() and (label[~hidden] == 0).mean() > 0.8
+
+
 def test_paths__the_four_are_rotations_and_the_same_pose_starts_and_ends_walks():
     paths = made_paths(CAMERAS[0], 4.0, np.array([0.0, -1.0, 0.0]))
     assert tuple(paths) == NAMES
