@@ -58,31 +58,44 @@ def _lost(points, facing, radius, own, cameras) -> np.ndarray:
     """Octaves (n, n_cameras) float32 that each photograph loses to a splat's own; inf where it is not to be taken."""
     across = np.cross(facing, np.eye(3)[np.argmin(np.abs(facing), axis=1)])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    places = points[:, None] + radius[:, None, None] * (
-        RIM[:, :1] * across[:, None] + RIM[:, 1:] * np.cross(facing, across)[:, None]
-    )
-    octaves = np.full((len(points), len(cameras)), -np.inf, np.float32)
+    frames = np.stack([across, np.cross(facing, across)], axis=1)
+    of_own, held = np.zeros(len(points)), np.zeros(len(points), bool)  # what its own photograph holds in part keeps it
     for i, camera in enumerate(cameras):
-        local = (points - np.array(camera.centre)) @ np.array(camera.rotation).T
-        depth = np.maximum(local[:, 2], 1e-9)
-        x, y = camera.fx_px * local[:, 0] / depth + camera.cx_px, camera.fy_px * local[:, 1] / depth + camera.cy_px
-        reach = 1.5 * max(camera.fx_px, camera.fy_px) * radius / depth  # of the square's corners
-        inside = (x > reach) & (y > reach) & (x < camera.width_px - reach) & (y < camera.height_px - reach)
-        sharp = np.abs(sharpness(camera, points, facing))
-        with np.errstate(divide="ignore"):
-            octaves[:, i] = np.where(inside & (local[:, 2] > 2 * radius), 0.5 * np.log2(sharp), -np.inf)
-        seen = (own == i) | _is_seen(points, radius, places, camera)
-        octaves[~seen, i] = -np.inf
-    of_own = np.take_along_axis(octaves, own[:, None], axis=1)
-    with np.errstate(invalid="ignore"):  # of photographs that show neither
-        lost = np.where(np.isfinite(of_own) & np.isfinite(octaves), of_own - octaves, np.inf)
-    lost = np.where(lost <= MOST_LOST, lost, np.inf)
-    np.put_along_axis(lost, own[:, None], 0.0, axis=1)
-    return lost.astype(np.float32)
+        rows = np.flatnonzero(own == i)
+        of_own[rows], held[rows] = (
+            _octaves(camera, points[rows], facing[rows]),
+            _holds(camera, points[rows], radius[rows]),
+        )
+    lost = np.full((len(points), len(cameras)), np.inf, np.float32)
+    for i, camera in enumerate(cameras):
+        rows = np.flatnonzero(_holds(camera, points, radius) & held & (own != i))
+        found = of_own[rows] - _octaves(camera, points[rows], facing[rows])
+        rows, found = rows[found <= MOST_LOST], found[found <= MOST_LOST]
+        seen = _is_seen(points, radius, rows, frames[rows], camera) if len(rows) else np.zeros(0, bool)
+        lost[rows[seen], i] = found[seen]
+    np.put_along_axis(lost, own[:, None], np.float32(0), axis=1)
+    return lost
 
 
-def _is_seen(points, radius, places, camera) -> np.ndarray:
-    """Whether all `places` (n, k, 3) of splats lie in front of, or little behind, what a photograph of all of them shows, (n,)."""
+def _octaves(camera, points, facing) -> np.ndarray:
+    with np.errstate(divide="ignore"):
+        return 0.5 * np.log2(np.abs(sharpness(camera, points, facing)))
+
+
+def _holds(camera, points, radius) -> np.ndarray:
+    """Whether a photograph holds splats whole, if nothing hides them, (n,)."""
+    local = (points - np.array(camera.centre)) @ np.array(camera.rotation).T
+    depth = np.maximum(local[:, 2], 1e-9)
+    x, y = camera.fx_px * local[:, 0] / depth + camera.cx_px, camera.fy_px * local[:, 1] / depth + camera.cy_px
+    reach = 1.5 * max(camera.fx_px, camera.fy_px) * radius / depth  # of the square's corners
+    inside = (x > reach) & (y > reach) & (x < camera.width_px - reach) & (y < camera.height_px - reach)
+    return inside & (local[:, 2] > 2 * radius)
+
+
+def _is_seen(points, radius, rows, frames, camera) -> np.ndarray:
+    """Whether the RIM of the splats `rows` (k,), in planes `frames` (k, 2, 3), lies in front of, or little behind, what a photograph of all
+    splats shows, (k,)."""
+    places = points[rows, None] + radius[rows, None, None] * (RIM @ frames)
     scale = min(1.0, DEPTH_SIDE_PX / max(camera.width_px, camera.height_px))
     nearest = np.full((max(1, int(scale * camera.height_px)), max(1, int(scale * camera.width_px))), np.inf, np.float32)
     focal, rotation = scale * (camera.fx_px * camera.fy_px) ** 0.5, np.array(camera.rotation)
@@ -95,7 +108,7 @@ def _is_seen(points, radius, places, camera) -> np.ndarray:
     column, row = (
         (focal * local[..., k] / depth + middle[k]).clip(0, nearest.shape[1 - k] - 1).astype(int) for k in (0, 1)
     )
-    return (depth <= nearest[row, column] + BEHIND_RADII * radius[:, None]).all(axis=1)
+    return (depth <= nearest[row, column] + BEHIND_RADII * radius[rows, None]).all(axis=1)
 
 
 @kernel()
