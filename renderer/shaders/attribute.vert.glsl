@@ -57,12 +57,12 @@ void main() {
     Ellipsoid ellipsoid = decode_ellipsoid(splat, ellipsoids[first_ellipsoid(group) + row]);
     Disc disc = outline_of(ellipsoid);
 #ifdef MAPPED
-    set_map(splat, square_u, square_v);
+    set_map(splat, square_u, square_v, disc.centre.z);
 #endif
 #else
     Disc disc = decode_disc(splat);
 #ifdef MAPPED
-    set_map(splat, disc.u, disc.v);
+    set_map(splat, disc.u, disc.v, disc.centre.z);
 #endif
 #endif
 #ifdef DETAIL

@@ -12,11 +12,13 @@ flat out ivec2 map_place;    // layer, -1 where no map shows the splat, and heig
 
 vec3 camera_to_world(vec3 v) { return v.x * view.camera_x.xyz + v.y * view.camera_y.xyz + v.z * view.camera_z.xyz; }
 
-// `u`, `v`: tangents of the square in camera axes.
-void set_map(uint splat, vec3 u, vec3 v) {
+const float LOOKED_UP_FROM_PX = 1.5;  // of a splat's radius on the screen; a smaller one is its mean colour
+
+// `u`, `v`: tangents of the square in camera axes; `z`: how far before the camera it lies.
+void set_map(uint splat, vec3 u, vec3 v, float z) {
     uint map = splat_maps[splat >> 2] >> (8u * (splat & 3u)) & 0xFFu;
     map_place = ivec2(-1, 1);
-    if (map == 255u) return;
+    if (map == 255u || (z > 0.0 && radius_of(splat) * max(view.lens.x, view.lens.y) < LOOKED_UP_FROM_PX * z)) return;
     uint at = map * MAP_WORDS;
     vec3 high = vec3(map_frames[at], map_frames[at + 1u], map_frames[at + 2u]);
     vec3 low = vec3(map_frames[at + 3u], map_frames[at + 4u], map_frames[at + 5u]);

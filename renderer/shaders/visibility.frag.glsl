@@ -19,7 +19,7 @@ void main() {
     gl_FragDepth = gl_FragCoord.z;
 #endif
     if (map_place.x >= 0) {
-        uint what = look_up_depth(on_square()).what;
+        uint what = look_up_depth(on_square(), false).what;
         if (what == FREE) discard;
         if (what == HIDDEN) gl_FragDepth *= BEHIND_ALL;
     }

@@ -32,12 +32,12 @@ void main() {
 #ifdef ELLIPSOID
     Disc disc = outline_of(decode_ellipsoid(splat, ellipsoids[first_ellipsoid(drawn_group()) + drawn_row()]));
 #ifdef MAPPED
-    set_map(splat, square_u, square_v);
+    set_map(splat, square_u, square_v, disc.centre.z);
 #endif
 #else
     Disc disc = decode_disc(splat);
 #ifdef MAPPED
-    set_map(splat, disc.u, disc.v);
+    set_map(splat, disc.u, disc.v, disc.centre.z);
 #endif
 #endif
     Quad quad = splat_quad(disc);

@@ -1,0 +1,162 @@
+"""What station maps show at fewer points: pictures of a tenth and a hundredth of a laser scan's points, with one colour a splat and with the
+maps in the file, against pictures of all points; and how long frames take.
+
+    python -m benchmarks.station_maps SCAN [--station x,y,z] [--shares 0.1 0.01] [--json]
+
+Views: two near the first station, 2 and 20 % of the distance that it looks off it, in the directions in which all points cover most; and
+each of them away, 50 degrees to the left and right about what it looks at; one far, where all points are 200 px large. PSNR and SSIM
+where both cover. Spill: pixels covered that all points leave open, of those that these cover. Missing: the other way round. Frames are
+timed in turns with those of all points; the ratio is the median over the rounds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from renderer.evaluate.compare import psnr_db, ssim
+from renderer.splats.renderer import Picture, Renderer
+from renderer.splats.scene import GpuScene
+from renderer.splats.views import bulk_of
+from storage.packed.packed import PackedFile, PackedScene
+from storage.packed.schema import Camera
+
+SIZE, FIELD_DEGREES, TURN_DEGREES, FAR_PX, ROUNDS = (640, 480), 60.0, 50.0, 200, 5
+
+
+@dataclass(frozen=True)
+class View:
+    name: str
+    camera: Camera
+
+
+def looking(name: str, eye: np.ndarray, target: np.ndarray) -> Camera:
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    focal = SIZE[1] / 2 / np.tan(np.radians(FIELD_DEGREES / 2))
+    rows = (right, np.cross(forward, right), forward)
+    rotation = tuple(tuple(row.tolist()) for row in rows)
+    return Camera(name, *SIZE, focal, focal, SIZE[0] / 2, SIZE[1] / 2, rotation, tuple(eye.tolist()))
+
+
+def views_of(scene: PackedScene, station: np.ndarray, draw) -> list[View]:
+    """Near, away and far ones, of a scene of all points that `draw` draws."""
+    low, high = bulk_of(scene)
+    centre = (low + high) / 2 + scene.header.origin
+    reach = float(np.median(np.linalg.norm(centre - station, axis=1)))
+    around = [np.array([np.cos(a), np.sin(a), 0.0]) for a in np.arange(12) * np.pi / 6]
+    covered = [draw(looking("", station, station + reach * way)).coverage.mean() for way in around]
+    first = int(np.argmax(covered))
+    apart = [k for k in range(12) if min((k - first) % 12, (first - k) % 12) >= 2]
+    chosen = [first, max(apart, key=lambda k: covered[k])]
+    found = []
+    for number, (k, off) in enumerate(zip(chosen, (0.02, 0.2))):
+        side = np.cross(around[k], (0.0, 0.0, 1.0))
+        eye, target = station + off * reach * side, station + reach * around[k]
+        found.append(View(f"near {number}", looking(f"near {number}", eye, target)))
+        for word, angle in (("left", TURN_DEGREES), ("right", -TURN_DEGREES)):
+            cos, sin = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+            arm = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ (eye - target)
+            found.append(View(f"away {number} {word}", looking(f"away {number} {word}", target + arm, target)))
+    middle, size = (
+        (low.min(axis=0) + high.max(axis=0)) / 2 + scene.header.origin,
+        np.linalg.norm(high.max(axis=0) - low.min(axis=0)),
+    )
+    distance = size * found[0].camera.fx_px / FAR_PX
+    return [*found, View("far", looking("far", middle + distance * np.array([0.8, 0.0, 0.6]), middle))]
+
+
+def packed(scan: Path, out: Path, share: float, texture: str, station: str | None) -> tuple[PackedScene, int]:
+    command = [sys.executable, "-m", "services.cli.main", "compress", str(scan), "--out", str(out), "--preset", "draft"]
+    command += [
+        "--no-render",
+        "--texture",
+        texture,
+        "--executor",
+        "serial",
+        *(["--density", str(share)] if share < 1 else []),
+    ]
+    subprocess.run([*command, *([f"--station={station}"] if station else [])], check=True, capture_output=True)
+    (file,) = out.glob("*.splatpress")
+    with PackedFile(file) as opened:
+        return opened.load(), file.stat().st_size
+
+
+def compared(found: Picture, full: Picture) -> dict:
+    both, own, all_ = found.coverage & full.coverage, found.coverage & ~full.coverage, max(1, int(full.coverage.sum()))
+    return {
+        "psnr_db": psnr_db(found.rgb, full.rgb, both),
+        "ssim": ssim(found.rgb, full.rgb, both),
+        "spill": int(own.sum()) / all_,
+        "missing": int((full.coverage & ~found.coverage).sum()) / all_,
+    }
+
+
+def measured(scan: Path, shares: list[float], station: str | None) -> list[dict]:
+    renderer, rows = Renderer(), []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        kinds = [(1.0, "color"), *((share, texture) for share in shares for texture in ("color", "map"))]
+        made = {kind: packed(scan, folder / f"{kind[0]} {kind[1]}", *kind, station) for kind in kinds}
+    scenes, sizes = ({kind: pair[i] for kind, pair in made.items()} for i in (0, 1))
+    drawn = {key: GpuScene(scene, renderer.context) for key, scene in scenes.items()}
+    full = drawn[1.0, "color"]
+    maps = next(scene.header.maps for (_, texture), scene in scenes.items() if texture == "map")
+    if not maps:
+        raise SystemExit(f"{scan}: no station; allowed: a scan with stations, or --station")
+    for view in views_of(scenes[1.0, "color"], np.array(maps[0].centre), lambda camera: renderer.render(full, camera)):
+        reference = renderer.render(full, view.camera)
+        for key in list(scenes)[1:]:
+            row = {"view": view.name, "share": key[0], "texture": key[1], "file_bytes": sizes[key]}
+            rows.append(
+                row
+                | compared(renderer.render(drawn[key], view.camera), reference)
+                | {"times_as_fast": faster(renderer, full, drawn[key], view.camera)}
+            )
+    return rows
+
+
+def faster(renderer: Renderer, full: GpuScene, thin: GpuScene, camera: Camera) -> float:
+    """How many frames are drawn while one of all points is."""
+
+    def seconds(scene: GpuScene) -> float:
+        begun = time.perf_counter()
+        renderer.render(scene, camera)
+        return time.perf_counter() - begun
+
+    return statistics.median(seconds(full) / seconds(thin) for _ in range(ROUNDS))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scan", type=Path)
+    parser.add_argument("--station")
+    parser.add_argument("--shares", type=float, nargs="+", default=[0.1, 0.01])
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    rows = measured(options.scan, options.shares, options.station)
+    if options.json:
+        print(json.dumps(rows))
+        return
+    print(
+        f"{'view':15} {'share':>6} {'texture':8} {'file kB':>8} {'PSNR dB':>8} {'SSIM':>6} {'spill':>7} {'missing':>8} {'as fast':>8}"
+    )
+    for r in rows:
+        psnr, alike = (f"{r[k]:.{n}f}" if r[k] is not None else "-" for k, n in (("psnr_db", 2), ("ssim", 3)))
+        print(
+            f"{r['view']:15} {r['share']:6g} {r['texture']:8} {r['file_bytes'] / 1e3:8.0f} {psnr:>8} {alike:>6} {r['spill']:7.2%} {r['missing']:8.2%} {r['times_as_fast']:7.1f}x"
+        )
+
+
+if __name__ == "__main__":
+    main()
