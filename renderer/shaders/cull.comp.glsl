@@ -8,7 +8,7 @@ layout(local_size_x = 64) in;
 #include "detail.glsl"
 
 struct Draw { uint n_indices, n_instances, first_index, base_vertex, base_instance; };
-layout(std430, binding = 7) readonly buffer GroupBoxes { float group_boxes[]; };  // low, high; grown by the radius
+layout(std430, binding = 7) readonly buffer GroupBoxes { float group_boxes[]; };  // low, high; grown by the radius; with FRONT axis and cosine of a cone
 layout(std430, binding = 8) writeonly buffer Draws { Draw draws[]; };             // batch by batch, then whole groups
 
 const float SPARE_PX = 1.0;  // what the low-pass filter reaches beyond a disc
@@ -26,13 +26,30 @@ bool in_view(vec3 low, vec3 high) {
         && reaches_inside(low, high, vec3(0.0, fy, before.y)) && reaches_inside(low, high, vec3(0.0, -fy, behind.y));
 }
 
+#ifdef FRONT
+const uint BOX = 10u;
+
+// Whether all of a group shows its back: directions to the ball about its box lie within `b` of one another's middle, normals within the cone's
+// half angle `c` of its axis, and these are less than 90 degrees - b - c apart.
+bool all_back(uint at, vec3 low, vec3 high) {
+    vec3 axis = vec3(group_boxes[at + 6u], group_boxes[at + 7u], group_boxes[at + 8u]), middle = 0.5 * (low + high);
+    float away = length(middle), sin_b = 0.5 * length(high - low) / max(away, 1e-30), cos_c = group_boxes[at + 9u];
+    if (sin_b >= cos_c) return false;
+    return dot(axis, middle) > away * (sin_b * cos_c + sqrt((1.0 - sin_b * sin_b) * (1.0 - cos_c * cos_c)));
+}
+#else
+const uint BOX = 6u;
+
+bool all_back(uint at, vec3 low, vec3 high) { return false; }
+#endif
+
 void main() {
     uint group = gl_GlobalInvocationID.x;
     if (group >= scene.n_groups) return;
-    uint at = group * 6u;
+    uint at = group * BOX;
     vec3 low = against_eye(vec3(group_boxes[at], group_boxes[at + 1u], group_boxes[at + 2u]));
     vec3 high = against_eye(vec3(group_boxes[at + 3u], group_boxes[at + 4u], group_boxes[at + 5u]));
-    bool visible = share_of(group) > 0.0 && in_view(low, high);
+    bool visible = share_of(group) > 0.0 && in_view(low, high) && !all_back(at, low, high);
     uint chunk = last_chunk(group);
     for (uint batch = 0u; batch <= scene.n_batches; ++batch) {
         uint n_splats = batch < scene.n_batches ? counted_of(chunk, batch) : counted(chunk, scene.n_batches);

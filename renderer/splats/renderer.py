@@ -158,7 +158,9 @@ class Renderer:
         self._view.bind_to_uniform_block(0)
         gpu_scene.bind()
         with self._pass(frame, "cull"):
-            name, program = self._programs.compute("cull", DETAIL=gpu_scene.defines["DETAIL"])
+            name, program = self._programs.compute(
+                "cull", **{name: gpu_scene.defines[name] for name in ("DETAIL", "FRONT")}
+            )
             frame.programs.append(name)
             program.run(-(-gpu_scene.scene.header.n_groups // _INVOCATIONS))
             self.context.memory_barrier(moderngl.Context.COMMAND_BARRIER_BIT)

@@ -20,6 +20,7 @@ from renderer.splats.upload.tables import (
     box_words,
     color_box_words,
     group_boxes,
+    group_cones,
     group_table,
     running_counts,
     splat_words,
@@ -63,6 +64,7 @@ class GpuScene:
     tree: GroupTree | None = None  # of a scene with levels
     pages: GpuPages | None = None  # of its photographs, where they are drawn
     n_chosen: int = 0  # splats of the groups that were chosen last, in view or not
+    front_only: bool = False  # discs that show their backs are left out, as of closed surfaces nobody sees them
     drawn: frozenset[str] = frozenset()  # effects whose shader parts its programs have
 
     def __post_init__(self) -> None:
@@ -81,7 +83,10 @@ class GpuScene:
         self.bytes_by_part = dict.fromkeys(("geometry", "codes", "colors", "dictionary", "maps"), 0)
         with self.context:
             self._upload_splats(header, arrays)
-            self._upload(GROUP_BOXES, "geometry", group_boxes(self.scene), "group boxes")
+            cones = [group_cones(self.scene)] if self.front_only else []
+            self._upload(
+                GROUP_BOXES, "geometry", np.concatenate([group_boxes(self.scene), *cones], axis=1), "group boxes"
+            )
             self._upload(RUNNING_COUNTS, "codes", running_counts(arrays["batch_count"]), "running counts of batches")
             self._upload(GROUPS, "codes", group_table(self.scene), "group table")
             if "cliplines" in arrays:
@@ -127,7 +132,7 @@ class GpuScene:
         with_boxes, with_levels = int(bool(self.scene.header.color_step)), int(self.tree is not None)
         header, of_boxes = self.scene.header, {"COLOR_BOXES": with_boxes, "DETAIL": with_levels}
         forms = {"RUNS": int(header.geometry == RUNS), "QUADRICS": int(header.geometry == QUADRICS)}
-        sources = {**forms, "MAPPED": int(bool(header.maps))}
+        sources = {**forms, "MAPPED": int(bool(header.maps)), "FRONT": int(self.front_only)}
         return {**of_boxes, "SIZE_BITS": header.size_bits, **sources}
 
     def show(self, view: Camera, detail: Detail) -> None:

@@ -41,13 +41,14 @@ def render_views(
     up: tuple[float, float, float] | None = None,
     detail: Detail = Detail(),
     pool_mib: float | None = None,
+    front_only: bool = False,
 ) -> list[Path]:
     """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`, with their coverage as alpha or on a
     `background`, and where `animated` into turntable.webp beside them; returns their paths. `precision`
     is that of pipeline.planning.knobs.VIEW_KNOBS. With a `light`
     it is lit, whether or not the file asks for it; with smoothed normals, unless it was planned without. `up` is
     what is up around the scan, where the file does not know; `detail` which of its levels are drawn, with `pool_mib` from
-    no more than so many MiB of its splats in memory."""
+    no more than so many MiB of its splats in memory. With `front_only` discs that show their backs are left out."""
     renderer = Renderer()
 
     def prepare(gpu_scene: GpuScene) -> None:
@@ -58,7 +59,7 @@ def render_views(
 
     paths, frames = [], []
     with PackedFile(packed) as opened:
-        scene, draw = _drawn(opened, renderer, pool_mib, prepare)
+        scene, draw = _drawn(opened, renderer, pool_mib, prepare, front_only)
         if camera is not None:
             views = [view_of(_camera_named(scene.header, camera, packed), size)]
         else:
@@ -77,12 +78,16 @@ def render_views(
 
 
 def _drawn(
-    opened: PackedFile, renderer: Renderer, pool_mib: float | None, prepare: Callable[[GpuScene], None]
+    opened: PackedFile,
+    renderer: Renderer,
+    pool_mib: float | None,
+    prepare: Callable[[GpuScene], None],
+    front_only: bool,
 ) -> tuple[PackedScene, Callable[..., Picture]]:
     """What views are made of, and a function that draws one; with a pool no more than the boxes of the file is read for that."""
     if pool_mib is None:
         scene = opened.load()
-        gpu_scene = GpuScene(scene, renderer.context)
+        gpu_scene = GpuScene(scene, renderer.context, front_only=front_only)
         prepare(gpu_scene)
         return scene, partial(renderer.render, gpu_scene)
     pooled = PooledFile(opened, renderer.context, int(pool_mib * (1 << 20)), prepare)

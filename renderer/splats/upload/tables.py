@@ -9,10 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.geometry.ellipsoids import lengths_of
-from pipeline.splats.decoded import scene_bounds, scene_radii
+from pipeline.geometry.normals import decode_normals
+from pipeline.splats.decoded import scene_bounds, scene_normal_codes, scene_radii
 from storage.packed.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.packed.packed import PackedScene
 from storage.packed.schema import GROUP, color_bits
+
+ROUNDING = 1e-5  # of a cone's cosine: so much wider, or float32 might narrow it
 
 
 def splat_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
@@ -125,6 +128,19 @@ def group_boxes(scene: PackedScene) -> np.ndarray:
         ],
         axis=1,
     )
+
+
+def group_cones(scene: PackedScene) -> np.ndarray:
+    """Axis and cosine of the half angle of a cone that holds the normals of each group, (n_groups, 4) float32; -1 where it holds all, or ellipsoids,
+    which have no back. DuoDecim (2006), section 2.6."""
+    normal, starts = decode_normals(scene_normal_codes(scene)), np.arange(0, scene.header.n_splats, GROUP)
+    total = np.add.reduceat(normal, starts, axis=0)
+    axis = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-9)
+    group = np.arange(len(normal)) // GROUP
+    cosine = np.minimum.reduceat((normal * axis[group]).sum(axis=1), starts) - ROUNDING
+    if "ellipsoids" in scene.arrays:
+        cosine[np.unique(scene.ellipsoids[0] // GROUP)] = -1
+    return np.concatenate([axis, np.maximum(cosine, -1)[:, None]], axis=1).astype(np.float32)
 
 
 def longest_in_groups(scene: PackedScene) -> np.ndarray:

@@ -6,7 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from services.cli.arguments import add_view_knobs
+from services.cli.arguments import WrongArgument, add_view_knobs
 from services.cli.commands.options import color, count, direction, size
 from services.cli.commands.running import scan_path
 from services.cli.exit_codes import OK
@@ -24,6 +24,11 @@ def add_render(commands) -> None:
     )
     render.add_argument(
         "--background", type=color, metavar="#RRGGBB", help="opaque pictures on that colour; default: transparent"
+    )
+    render.add_argument(
+        "--front",
+        action="store_true",
+        help="leave out discs that show their backs: faster, and the same picture of a closed surface",
     )
     render.add_argument("--size", type=size, metavar="WxH", help="default: the camera's own, or 1280x720")
     render.add_argument(
@@ -53,6 +58,10 @@ def _render(options: argparse.Namespace) -> int:
     from renderer.splats.detail import Detail
     from services.processes.render import render_views
 
+    if options.front and options.pool_mib is not None:
+        raise WrongArgument(
+            "--front with --pool-mib; allowed: one of them, for groups that come and go are drawn from both sides"
+        )
     paths = render_views(
         scan_path(options.packed),
         Path(options.out),
@@ -67,6 +76,7 @@ def _render(options: argparse.Namespace) -> int:
         up=options.up,
         detail=Detail(options.detail, options.most_splats),
         pool_mib=options.pool_mib,
+        front_only=options.front,
     )
     for path in paths:
         print(path)
