@@ -12,7 +12,7 @@ flat out ivec2 map_place;    // layer, -1 where no map shows the splat, and heig
 
 vec3 camera_to_world(vec3 v) { return v.x * view.camera_x.xyz + v.y * view.camera_y.xyz + v.z * view.camera_z.xyz; }
 
-const float LOOKED_UP_FROM_PX = 1.5;  // of a splat's radius on the screen; a smaller one is its mean colour
+const float LOOKED_UP_FROM_PX = 2.5;  // of a splat's radius on the screen; a smaller one is its mean colour
 
 // `u`, `v`: tangents of the square in camera axes; `z`: how far before the camera it lies.
 void set_map(uint splat, vec3 u, vec3 v, float z) {
