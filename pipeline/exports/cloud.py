@@ -43,8 +43,8 @@ class Cloud:
         return np.where(self.solid, lengths.max(axis=1), lengths[:, 0])
 
 
-def cloud_of(scene: PackedScene) -> Cloud:
-    """Every splat of the finest level, in the file's order, with the colour that its patch has in the middle.
+def cloud_of(scene: PackedScene, all_levels: bool = False) -> Cloud:
+    """Every splat of the finest level, or of `all_levels`, in the file's order, with the colour that its patch has in the middle.
 
     The middle is the patch seen through a Gaussian window of WINDOW_IN_RADII, so atoms count in any turn alike.
     """
@@ -59,7 +59,8 @@ def cloud_of(scene: PackedScene) -> Cloud:
         solid[splat] = True
         axes[splat] = decode_ellipsoids(fields, normal_code[splat], header.up, header.ahead, radius[splat])
     columns = (scene_positions(scene), axes, solid, _middle_colors(scene))
-    return Cloud(*(column[header.first_finest :] for column in columns), header.origin)  # type: ignore[arg-type, call-arg]
+    first = 0 if all_levels else header.first_finest
+    return Cloud(*(column[first:] for column in columns), header.origin)  # type: ignore[arg-type, call-arg]
 
 
 def samples_of(scene: PackedScene, cloud: Cloud) -> Cloud:

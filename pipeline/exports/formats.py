@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-POINTS, GAUSSIANS, PAGE = "points", "Gaussians", "splats"
+POINTS, GAUSSIANS, TILES, PAGE = "points", "Gaussians", "Gaussians of all levels", "splats"
 
 
 @dataclass(frozen=True)
@@ -27,5 +27,8 @@ FORMATS: dict[str, Format] = {
     "html": Format(".html", PAGE, "text/html", "the viewer and the file in one page, which opens offline"),
     "glb": Format(
         ".glb", GAUSSIANS, "model/gltf-binary", "glTF with KHR_gaussian_splatting; points to programs without it"
+    ),
+    "3dtiles": Format(
+        ".3dtiles.zip", TILES, "application/zip", "a zip of tileset.json and such a GLB a group of splats, with levels"
     ),
 }

@@ -20,7 +20,12 @@ _JSON, _BIN = 0x4E4F534A, 0x004E4942
 
 
 def write(path: Path, gaussians: Gaussians, y_up: Rotation, metres: float, unit: str) -> None:
-    """Write them in the scan's axes and unit; the node turns them y up and scales them to metres, its extras name the origin."""
+    """Write `encoded` of them."""
+    path.write_bytes(encoded(gaussians, y_up, metres, unit))
+
+
+def encoded(gaussians: Gaussians, y_up: Rotation, metres: float, unit: str) -> bytes:
+    """A GLB in the scan's axes and unit; the node turns them y up and scales them to metres, its extras name the origin."""
     alpha = np.full((len(gaussians), 1), gaussians.opacity)
     color = np.round(65535 * np.concatenate([_to_linear(gaussians.color), alpha], axis=1)).astype("<u2")
     attributes = {
@@ -65,10 +70,10 @@ def write(path: Path, gaussians: Gaussians, y_up: Rotation, metres: float, unit:
     }
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
-    with open(path, "wb") as file:
-        file.write(struct.pack("<4s2I", b"glTF", 2, 12 + 8 + len(text) + 8 + offset))
-        file.write(struct.pack("<2I", len(text), _JSON) + text + struct.pack("<2I", offset, _BIN))
-        file.writelines(blocks)
+    start = struct.pack("<4s2I", b"glTF", 2, 12 + 8 + len(text) + 8 + offset)
+    return b"".join(
+        [start, struct.pack("<2I", len(text), _JSON), text, struct.pack("<2I", offset, _BIN), *blocks],
+    )
 
 
 def _accessor(data: np.ndarray, view: int) -> dict:

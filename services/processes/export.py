@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.exports import glb, las, ply, sog, spz
+from pipeline.exports import glb, las, ply, sog, spz, tiles
 from pipeline.exports.cloud import GRID, Cloud, cloud_of, samples_of
-from pipeline.exports.formats import FORMATS, GAUSSIANS, PAGE, POINTS
+from pipeline.exports.formats import FORMATS, PAGE, POINTS, TILES
 from pipeline.exports.gaussians import Gaussians, gaussians_of, to_y_up, turned
+from renderer.splats.detail import parents_of
 from renderer.splats.views import up_direction
 from services.web.viewer_page import one_page
 from storage.errors import UnsupportedScan
 from storage.packed.packed import PackedFile, PackedScene
-from storage.packed.schema import Header
+from storage.packed.schema import GROUP, Header
 from storage.whole import whole
 
 METRES = {"metre": 1.0, "foot": 0.3048, "US survey foot": 1200 / 3937}
@@ -53,7 +54,7 @@ def export(packed: Path, format: str, out: Path, textured: bool = False) -> Expo
         if chosen.kind == PAGE:
             return _page(packed, opened.header, format, out)
         scene = opened.load()
-    cloud = cloud_of(scene)
+    cloud = cloud_of(scene, all_levels=chosen.kind == TILES)
     lost = _lost_by_all(scene, cloud, chosen.kind, textured)
     if textured:
         cloud = samples_of(scene, cloud)
@@ -75,7 +76,7 @@ def _page(packed: Path, header: Header, format: str, out: Path) -> Exported:
 
 def _lost_by_all(scene: PackedScene, cloud: Cloud, kind: str, textured: bool) -> tuple[str, ...]:
     n, lost = len(cloud), []
-    first = scene.header.first_finest
+    first = 0 if kind == TILES else scene.header.first_finest
     n_lines = int((scene.rows.clipline[first:] >= 0).sum())
     if first:
         lost.append(f"coarser levels of detail, {first:,} splats")
@@ -90,7 +91,7 @@ def _lost_by_all(scene: PackedScene, cloud: Cloud, kind: str, textured: bool) ->
     n_solid = int(cloud.solid.sum())
     if n_solid and kind == POINTS:
         lost.append(f"shapes of {n_solid:,} ellipsoids: points with their longest half axis as radius")
-    if kind == GAUSSIANS:
+    if kind != POINTS:
         lost.append("the blending of surfaces within a depth margin: Gaussians are sorted and laid over each other")
     if scene.header.cameras:
         lost.append(f"{len(scene.header.cameras)} cameras, and which splat was textured from which")
@@ -147,6 +148,12 @@ def _write_glb(path: Path, gaussians: Gaussians, header: Header) -> tuple[str, .
     return _against_origin(header)
 
 
+def _write_tiles(path: Path, gaussians: Gaussians, header: Header) -> tuple[str, ...]:
+    parent = parents_of(header.levels or (header.n_splats,))
+    tiles.write(path, gaussians, GROUP, parent, _y_up(header), METRES.get(header.unit, 1.0), header.unit)
+    return (*_against_origin(header), "a place on the globe: tiles stand about the origin, z up, in metres")
+
+
 def _y_up(header: Header) -> Rotation:
     return to_y_up(np.asarray(up_direction(header)))
 
@@ -159,4 +166,5 @@ _WRITERS: dict[str, Callable[[Path, Any, Header], tuple[str, ...]]] = {  # each 
     "spz": _write_spz,
     "sog": _write_sog,
     "glb": _write_glb,
+    "3dtiles": _write_tiles,
 }
