@@ -4,6 +4,7 @@
 #include "find_splat.glsl"
 #include "detail.glsl"
 #include "splat_geometry.glsl"
+#include "section.glsl"
 #ifdef ELLIPSOID
 #include "ellipsoid.glsl"
 #endif
@@ -72,6 +73,10 @@ void main() {
 #ifdef DETAIL
     share = share_of(group);
 #endif
+    if (is_cut(disc)) {
+        gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+        return;
+    }
     Quad quad = splat_quad(disc);
     SET_NORMAL(disc)
     gl_Position = quad.clip;

@@ -5,6 +5,7 @@
 #include "find_splat.glsl"
 #include "detail.glsl"
 #include "splat_geometry.glsl"
+#include "section.glsl"
 #ifdef ELLIPSOID
 #include "ellipsoid.glsl"
 #endif
@@ -44,6 +45,10 @@ void main() {
     set_map(splat, disc.u, disc.v, disc.centre.z);
 #endif
 #endif
+    if (is_cut(disc)) {
+        gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+        return;
+    }
     Quad quad = splat_quad(disc);
     gl_Position = quad.clip;
     place = quad.place;

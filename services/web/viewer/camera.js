@@ -50,6 +50,14 @@ export class Camera {
     this.lens = { width: photo.width_px, height: photo.height_px, fx: photo.fx_px, fy: photo.fy_px, cx: photo.cx_px, cy: photo.cy_px };
   }
 
+  /** Where a laser station stood, looking level along the scan's `ahead`. */
+  standAt(centre) {
+    this.eye = centre.map((x, i) => x - this.header.origin[i]);
+    this.rows = looking(add(this.header.ahead, this.up, -dot(this.header.ahead, this.up)), this.up);
+    this.distance = Math.max(Math.hypot(...add(this.middle, this.eye, -1)), this.nearest);
+    this.lens = PLAIN_LENS;
+  }
+
   /** What the renderer takes, for a picture of that size: all that the lens sees, and more to two sides where the shape differs. */
   view(width, height) {
     const { lens } = this, s = Math.min(width / lens.width, height / lens.height);

@@ -35,6 +35,7 @@ export class Packed {
     if (!["boxes", "runs", "quadrics"].includes(header.geometry ?? "boxes"))
       throw new Error(`a file whose geometry is ${header.geometry}; this viewer draws boxes, runs and quadrics`);
     Object.assign(this, { source, members, header });
+    if (header.runs && !members.has("run_codes/c/0/0")) throw new Error("a file of runs without their codes, of an older writer: pack the scan again");
     header.effects ??= {};
     this.nChunks = Math.ceil(header.n_splats / CHUNK);
     this.nGroups = Math.ceil(header.n_splats / GROUP);

@@ -29,10 +29,12 @@ export class Renderer {
   }
 
   /** Draw `scene` from `view` ({ rotation rows, eye against the origin, fx, fy, cx, cy, width, height }) into the renderer's targets. */
-  render(scene, view, { maxAtoms = 16, light = null, mostSplats = Infinity } = {}) {
+  render(scene, view, { maxAtoms = 16, light = null, mostSplats = Infinity, section = null } = {}) {
     const { gl } = this;
     const drawn = light ? new Set([...scene.drawn, "relighting", "normal_smoothing"]) : scene.drawn;
     const groups = scene.choose(view, visibleGroups(scene, view), mostSplats);
+    const against = (corner) => corner.map((x, i) => x - view.eye[i]);
+    this.section = section && { section_low: against(section.low), section_high: against(section.high) };
     this.use(scene, view, drawn);
     gl.bindVertexArray(this.empty);
     this.drawDepth(scene, groups, drawn);
@@ -119,6 +121,7 @@ export class Renderer {
     const { gl } = this;
     gl.useProgram(program);
     for (const [name, value] of Object.entries(numbers)) if (uniforms[name]) gl.uniform1ui(uniforms[name], value);
+    for (const [name, value] of Object.entries(this.section || {})) if (uniforms[name]) gl.uniform3fv(uniforms[name], value);
     if (uniforms.towards_light) {
       gl.uniform3fv(uniforms.towards_light, light.towards);
       gl.uniform1f(uniforms.ambient, light.ambient);
@@ -195,7 +198,7 @@ export class Renderer {
   }
 
   program(pass, defines) {
-    const on = Object.entries({ ...defines, OWN_DEPTH: !this.clip && pass !== "resolve" && pass !== "depth" }).filter(([, value]) => value);
+    const on = Object.entries({ ...defines, OWN_DEPTH: !this.clip && pass !== "resolve" && pass !== "depth", SECTION: !!this.section && pass !== "resolve" }).filter(([, value]) => value);
     const key = pass + on.map(([name, value]) => ` ${name}=${Number(value)}`).join("");
     if (!this.programs.has(key)) this.programs.set(key, this.compiled(pass, on.map(([name, value]) => `#define ${name} ${Number(value)}\n`).join("")));
     return this.programs.get(key);

@@ -33,13 +33,20 @@ export class HttpSource {
     let at = start;
     const known = Math.max(start, this.size - this.end.length), last = stop;
     stop = Math.min(stop, known);
+    const heard = (offset, bytes) => {
+      try {
+        onBytes(offset, bytes);
+      } catch (error) {
+        throw error instanceof TypeError ? new Error(`the file cannot be read: ${error.message}`) : error; // no lost connection
+      }
+    };
     const goOn = async (arrived) => {
       const answer = await this.ask(`bytes=${at}-${stop - 1}`, signal);
       if (answer.status !== 206) throw new Error("the server answers no ranges");
       if (this.etag && answer.headers.get("ETag") !== this.etag) throw new Error("the file has changed on the server; load the page again");
       const reader = answer.body.getReader();
       for (let part; !(part = await reader.read()).done;) {
-        onBytes(at, part.value);
+        heard(at, part.value);
         at += part.value.length;
         this.received += part.value.length;
         arrived();

@@ -7,6 +7,7 @@ import { Measure } from "./measure.js";
 import { Packed } from "./packed.js";
 import { Renderer, visibleGroups } from "./renderer.js";
 import { Scene } from "./scene.js";
+import { Section } from "./section.js";
 import { dot, unit } from "./vectors.js";
 
 const TARGET_MS = 50; // of a frame while one moves
@@ -52,11 +53,14 @@ export class Viewer {
     });
     document.title = `${header.scan.name ?? "scan"} - splatpress`;
     this.canvas.setAttribute("aria-label", `${header.scan.name ?? "A scan"}, ${header.n_splats.toLocaleString("en")} splats`);
-    $("photos").replaceChildren(new Option("photographs", ""), ...header.cameras.map((camera, i) => new Option(camera.name, i)));
-    $("photos").hidden = !header.cameras.length;
+    const stations = (header.maps || []).map((_, i) => new Option(`station ${i + 1}`, header.cameras.length + i));
+    $("photos").replaceChildren(new Option(stations.length ? "stations" : "photographs", ""), ...header.cameras.map((camera, i) => new Option(camera.name, i)), ...stations);
+    $("photos").hidden = !header.cameras.length && !stations.length;
     $("photos").onchange = () => { if ($("photos").value !== "") this.stand(Number($("photos").value)); };
     $("home").onclick = () => { this.camera.home(); this.moved(); };
     $("light").onclick = () => this.light(!this.lamp);
+    $("side").oninput = () => this.light(true);
+    this.section = new Section($("section"), header, this.camera.corners, () => this.moved());
     const most = Math.max(0, ...header.batches.map((batch) => batch.n_atoms));
     Object.assign($("atoms"), { max: most, value: most, oninput: () => this.limit(Number($("atoms").value)) });
     $("atoms-shown").textContent = most;
@@ -70,17 +74,19 @@ export class Viewer {
   // --- what one does
 
   stand(photo) {
-    this.camera.stand(this.scene.header.cameras[photo]);
+    const { cameras, maps } = this.scene.header;
+    if (photo < cameras.length) this.camera.stand(cameras[photo]);
+    else this.camera.standAt(maps[photo - cameras.length].centre);
     this.moved();
     $("photos").value = photo;
   }
 
   key(event) {
-    const { cameras } = this.scene.header;
+    const { cameras, maps } = this.scene.header, places = cameras.length + (maps?.length ?? 0);
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.key >= "0" && event.key <= "9") {
       const photo = (Number(event.key) + 9) % 10;
-      if (photo < cameras.length) this.stand(photo);
+      if (photo < places) this.stand(photo);
     } else if (event.code === "KeyF") $("home").click();
     else if (event.code === "KeyL") $("light").click();
     else if (event.code === "KeyM") $("measure").click();
@@ -115,9 +121,11 @@ export class Viewer {
     this.draw();
   }
 
-  /** The product's usual lamp (renderer/effects/relighting.py); or as photographed. */
+  /** The product's usual lamp (renderer/effects/relighting.py), turned about the line of sight to the chosen side; or as photographed. */
   light(on) {
-    this.lamp = on ? { towards: unit([-0.4, -0.7, -1]), ambient: 0.3, diffuse: 0.7 } : null;
+    const turn = (Number($("side").value) * Math.PI) / 180, [s, c] = [Math.sin(turn), Math.cos(turn)];
+    this.lamp = on ? { towards: unit([-0.4 * c + 0.7 * s, -0.7 * c - 0.4 * s, -1]), ambient: 0.3, diffuse: 0.7 } : null;
+    $("side-label").hidden = !on;
     $("light").setAttribute("aria-pressed", on);
     this.draw();
   }
@@ -183,7 +191,7 @@ export class Viewer {
     const [width, height] = this.size(1), started = performance.now();
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
     const view = this.camera.view(...this.size(scale));
-    this.splats = this.renderer.render(this.scene, view, { light: this.lamp, maxAtoms: this.maxAtoms, mostSplats: this.budget * scale * scale });
+    this.splats = this.renderer.render(this.scene, view, { light: this.lamp, maxAtoms: this.maxAtoms, mostSplats: this.budget * scale * scale, section: this.section.box });
     this.renderer.present();
     this.renderer.wait();
     this.drawnAt = performance.now();
@@ -194,9 +202,10 @@ export class Viewer {
   }
 
   /** The pixels (RGBA, top row first) that a camera of the header's kind would see: what tests compare. */
-  picture({ width_px, height_px, fx_px, fy_px, cx_px, cy_px, rotation, centre }) {
+  picture({ width_px, height_px, fx_px, fy_px, cx_px, cy_px, rotation, centre }, mostSplats = Infinity) {
     const eye = centre.map((x, i) => x - this.scene.header.origin[i]);
-    this.renderer.render(this.scene, { rotation, eye, width: width_px, height: height_px, fx: fx_px, fy: fy_px, cx: cx_px, cy: cy_px }, { light: this.lamp, maxAtoms: this.maxAtoms });
+    this.renderer.render(this.scene, { rotation, eye, width: width_px, height: height_px, fx: fx_px, fy: fy_px, cx: cx_px, cy: cy_px },
+      { light: this.lamp, maxAtoms: this.maxAtoms, mostSplats, section: this.section.box });
     return this.renderer.pixels();
   }
 

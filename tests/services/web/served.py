@@ -54,8 +54,8 @@ def open_viewer(page: Page, url: str) -> None:
     assert said == "", said
 
 
-def picture_of(page: Page, view: Camera) -> tuple[np.ndarray, np.ndarray]:
+def picture_of(page: Page, view: Camera, most_splats: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """(h, w, 3) uint8 and coverage (h, w) of what the viewer draws."""
-    text = page.look(_TEXT.replace("BYTES", f"viewer.picture({json.dumps(asdict(view))})"))
+    text = page.look(_TEXT.replace("BYTES", f"viewer.picture({json.dumps(asdict(view))}, {most_splats or 'Infinity'})"))
     pixels = np.frombuffer(b64decode(text), np.uint8).reshape(view.height_px, view.width_px, 4)
     return pixels[..., :3], pixels[..., 3] > 0

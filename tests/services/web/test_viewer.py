@@ -24,7 +24,6 @@ from tests.services.web.served import open_viewer, picture_of, serving, small
 pytestmark = pytest.mark.skipif(chromium_path() is None, reason="needs Chromium (apt-get install chromium)")
 UTM = (450000.25, 5400000.5, 100.0)
 SNAPPED_PX = 1 / 32  # how far SwiftShader, which draws here, moves a corner at most: it rounds to a sixteenth
-LAMP = lamp(*USUAL_LAMP)
 
 
 def scene_of(name: str, smallest: float = 0.02):
@@ -159,11 +158,37 @@ def test_viewer__writes_depth_itself_where_clip_space_cannot_end_at_zero(page, s
 
 
 def test_viewer__lights_from_the_side_that_is_chosen(page, served, renderer):
+    """As the usual lamp of the product, and that turned by a quarter about the line of sight."""
     url, scene = served["everything"]
     open_viewer(page, url)
     page.look("document.getElementById('light').click()")
+    left, up, near = USUAL_LAMP
+    towards = np.array(json.loads(page.look("JSON.stringify(viewer.lamp.towards)")))
+    np.testing.assert_allclose(towards, np.array([left, -up, -near]) / np.linalg.norm(USUAL_LAMP))
+    page.look("const side = document.getElementById('side'); side.value = 90; side.oninput()")
     eye, size, focal = VIEWS["near"]
-    assert_alike(page, renderer, scene, camera_looking(eye, (0, 0, 0), size, (focal, focal)), LAMP)
+    view = camera_looking(eye, (0, 0, 0), size, (focal, focal))
+    assert_alike(page, renderer, scene, view, lamp(up, -left, near))
+
+
+def test_viewer__cuts_away_what_lies_outside_a_section(page, served):
+    """Half of the sheet by a slider, as seen in the picture and by what can be picked; all of it again at the slider's end."""
+    url, scene = served["atoms"]
+    open_viewer(page, url)
+    view = camera_looking((0.0, -3.0, 0.2), (0, 0, 0), (160, 160), (150.0, 150.0))
+    _, whole = picture_of(page, view)
+    page.look("const x = viewer.section.inputs[1]; x.value = 500; x.oninput()")
+    low, high = (np.array(json.loads(page.look(f"JSON.stringify(viewer.section.{side})"))) for side in ("low", "high"))
+    box = json.loads(page.look("JSON.stringify(viewer.section.box)"))
+    assert box["high"][0] == pytest.approx((low[0] + high[0]) / 2) and box["low"][0] < -1e9 and box["high"][1] > 1e9
+    _, cut = picture_of(page, view)
+    column = 80 + 150 * box["high"][0] / 3
+    spare = 150 * 1.5 * scene.header.radius / 2.5  # a splat's radius, as near as the sheet comes
+    columns = np.arange(160)
+    left, right = columns < column - spare, columns > column + spare
+    assert np.array_equal(cut[:, left], whole[:, left]) and whole[:, right].any() and not cut[:, right].any()
+    page.look("const y = viewer.section.inputs[1]; y.value = 1000; y.oninput()")
+    assert np.array_equal(picture_of(page, view)[1], whole) and page.complaints == []
 
 
 @pytest.mark.parametrize("atoms", [0, 2])
