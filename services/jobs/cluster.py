@@ -34,7 +34,9 @@ def own_cluster(n_workers: int, scratch: Path):
         ) as cluster:
             worker = next(iter(cluster.worker_spec.values()))
             cluster.worker_spec["render"] = {"cls": Nanny, "options": {**worker["options"], "resources": GL}}
-            cluster.sync(cluster._correct_state)
+            n_all = len(cluster.worker_spec)
+            cluster.scale(n_all)  # brings up what the specification has
+            cluster.wait_for_workers(n_all)
             yield cluster.scheduler_address, cluster.dashboard_link
 
 

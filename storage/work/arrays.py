@@ -191,7 +191,7 @@ def _read_ahead(there: np.memmap, start: int, n: int) -> None:
     begin, end = (min(i, len(there)) * there[0].nbytes for i in (start, start + n))
     begin -= begin % mmap.PAGESIZE
     if begin < end and hasattr(mmap, "MADV_WILLNEED"):
-        there._mmap.madvise(mmap.MADV_WILLNEED, begin, end - begin)  # type: ignore[attr-defined]
+        there.base.madvise(mmap.MADV_WILLNEED, begin, end - begin)  # type: ignore[attr-defined]
 
 
 def _piece(folder: Path, name: str, start: int, stop: int) -> np.ndarray:
