@@ -162,7 +162,7 @@ def _knob_rows(points: list[dict]) -> list[dict]:
     chosen, rows = points[0], []
     for name in dict.fromkeys(p["knob"] for p in points if p["knob"]):
         tried = [p for p in points if p["knob"] == name] + [chosen | {"value": chosen["settings"][name]}]
-        values = sorted(tried, key=lambda p: (isinstance(p["value"], str), p["value"]))
+        values = sorted(tried, key=lambda p: (isinstance(p["value"], str), p["value"] is not None, p["value"] or 0))
         rows.append(
             {
                 "knob": BY_NAME[name],
