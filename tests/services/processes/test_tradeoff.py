@@ -253,10 +253,19 @@ def test_tradeoff__a_scan_without_photographs_is_compared_with_all_of_its_points
     knobs = {"density": (0.25,), "iterations": (1, 3), "levels": (0,)}
     found = tradeoff(ball, tmp_path / "out", settings, SerialExecutor(), Heard(), knobs=knobs)
     points = {p["key"]: p for p in found["points"]}
-    assert list(points) == ["chosen", "density=1.0", "density=0.25", "levels=0"]  # no preset, no passes: nothing is learned
+    assert list(points) == [
+        "chosen",
+        "density=1.0",
+        "density=0.25",
+        "levels=0",
+    ]  # no preset, no passes: nothing is learned
     assert points["density=1.0"]["picture_psnr_db"] == BEST_DB and not found["advice"]
     assert points["density=0.25"]["picture_psnr_db"] < points["chosen"]["picture_psnr_db"] < 60
-    assert found["fronts"]["file_bytes"] == ["density=0.25", "levels=0", "density=1.0"]  # a header shorter than the chosen
+    assert found["fronts"]["file_bytes"] == [
+        "density=0.25",
+        "levels=0",
+        "density=1.0",
+    ]  # a header shorter than the chosen
     assert not {"nan", "None", "inf"} & set(
         "".join(Elements((tmp_path / "out" / "tradeoff.html").read_text()).text).split()
     )
