@@ -2,12 +2,15 @@
 
     python -m benchmarks.service overhead [--scan DIR] [--pairs 5] [--json]
     python -m benchmarks.service storm [--jobs 200] [--json]
+    python -m benchmarks.service viewers [--viewers 100] [--points 200000] [--json]
 
 overhead: the same scan by the command and by a job, alternately; each time with another file beside the photographs, so
 that no job finds its stages done. Seconds of the command count from its start to its end, of the job from its
 submission to its end; the ratio is the median over the pairs. The embedded service and the command have as many
 workers. storm: that many jobs on one small scan, all submitted at once, each with another seed; meanwhile the API is
-asked for the list of jobs, for one of them and for its log, in turn, every 50 ms.
+asked for the list of jobs, for one of them and for its log, in turn, every 50 ms. viewers: that many load one packed file at once,
+each as the page does (the page, its shaders, the end of the file, its beginning, then ranges of 512 kB), on a connection of its
+own, `ROUNDS` times; the API is asked meanwhile as above.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ from tests.services.service_process import service
 
 WORKERS = 2
 ASK_EVERY_S = 0.05
+ROUNDS, TAIL_BYTES, RANGE_BYTES = 3, 1 << 15, 1 << 19
 
 
 def overhead(scan: Path | None, pairs: int, preset: str) -> dict:
@@ -98,16 +102,62 @@ def storm(n_jobs: int) -> dict:
         stop.set()
         asking.join()
         ended = [served.client.status(job) for job in jobs]
-    answers.sort()
     return {
         "jobs": n_jobs,
         "successful": sum(job["status"] == "successful" for job in ended),
         "problems": sorted({str(job["problem"]) for job in ended if job["problem"]}),
         "submit_s": submitted,
         "all_s": took,
-        "answers": len(answers),
-        **{f"p{p}_ms": 1000 * answers[min(len(answers) - 1, len(answers) * p // 100)] for p in (50, 95, 99)},
+        **_percentiles(answers),
     }
+
+
+def viewers(n_viewers: int, n_points: int) -> dict:
+    with tempfile.TemporaryDirectory() as folder, service(Path(folder) / "data", workers=WORKERS) as served:
+        scan = served.client.upload(point_scan(Path(folder) / "ball.ply", n_points))["id"]
+        job = served.client.watch(served.client.submit(scan, preset="draft")["jobID"], lambda event: None)
+        assert job["status"] == "successful", job["problem"]
+        (packed,) = (a for a in served.client.artifacts(job["jobID"]) if a["name"].endswith(".splatpress"))
+        stop, answers, loads = threading.Event(), [], []
+        asking = threading.Thread(target=_ask, args=(served.url, [job["jobID"]], answers, stop))
+        looking = [threading.Thread(target=_look, args=(served.url, packed, loads)) for _ in range(n_viewers)]
+        begun = time.perf_counter()
+        for thread in (asking, *looking):
+            thread.start()
+        for thread in looking:
+            thread.join()
+        took = time.perf_counter() - begun
+        stop.set()
+        asking.join()
+    assert len(loads) == n_viewers * ROUNDS, "a viewer failed"
+    return {
+        "viewers": n_viewers,
+        "file_bytes": packed["bytes"],
+        "all_s": took,
+        "bytes_a_s": n_viewers * ROUNDS * packed["bytes"] / took,
+        "median_load_s": statistics.median(loads),
+        **_percentiles(answers),
+    }
+
+
+def _look(url: str, packed: dict, loads: list[float]) -> None:
+    """One viewer of a file: ROUNDS times all that its page asks for; appends the seconds that each took."""
+    size = packed["bytes"]
+    ranges = [(start, min(start + RANGE_BYTES, size) - 1) for start in range(0, size, RANGE_BYTES)]
+    with httpx.Client(base_url=url, timeout=300) as client:
+        for _ in range(ROUNDS):
+            begun = time.perf_counter()
+            client.get("/view").raise_for_status()
+            client.get("/web/viewer/shaders.json").raise_for_status()
+            for span in (f"-{TAIL_BYTES}", *(f"{start}-{last}" for start, last in ranges)):
+                client.get(packed["href"], headers={"Range": f"bytes={span}"}).raise_for_status()
+            loads.append(time.perf_counter() - begun)
+
+
+def _percentiles(answers: list[float]) -> dict:
+    answers.sort()
+    of = {f"p{p}_ms": 1000 * answers[min(len(answers) - 1, len(answers) * p // 100)] for p in (50, 95, 99)}
+    return {"answers": len(answers), **of}
 
 
 def _ask(url: str, jobs: list[str], answers: list[float], stop: threading.Event) -> None:
@@ -124,14 +174,19 @@ def _ask(url: str, jobs: list[str], answers: list[float], stop: threading.Event)
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("overhead", "storm"))
+    parser.add_argument("what", choices=("overhead", "storm", "viewers"))
     parser.add_argument("--scan", type=Path, help="default: a made one of 19,600 points and three photographs")
     parser.add_argument("--preset", default="draft")
     parser.add_argument("--pairs", type=int, default=5)
     parser.add_argument("--jobs", type=int, default=200)
+    parser.add_argument("--viewers", type=int, default=100)
+    parser.add_argument("--points", type=int, default=200_000, help="of the scan that they look at")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    found = overhead(options.scan, options.pairs, options.preset) if options.what == "overhead" else storm(options.jobs)
+    if options.what == "overhead":
+        found = overhead(options.scan, options.pairs, options.preset)
+    else:
+        found = storm(options.jobs) if options.what == "storm" else viewers(options.viewers, options.points)
     if options.json:
         print(json.dumps(found))
         return
