@@ -62,10 +62,9 @@ void main() {
 #endif
 #else
     Disc disc = decode_disc(splat);
-    if (shows_back(disc)) {
-        gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
-        return;
-    }
+#ifdef FRONT
+#include "front.vert.glsl"
+#endif
 #ifdef MAPPED
     set_map(splat, disc.u, disc.v, disc.centre.z);
 #endif

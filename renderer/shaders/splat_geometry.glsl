@@ -138,15 +138,6 @@ Disc decode_disc(uint splat) {
                 world_to_camera(u) * radius, world_to_camera(v) * radius, radius);
 }
 
-// Whether the eye is behind a disc. Tangents and normal are right-handed in camera axes too.
-bool shows_back(Disc disc) {
-#ifdef FRONT
-    return dot(cross(disc.u, disc.v), disc.centre) >= 0.0;
-#else
-    return false;
-#endif
-}
-
 #ifdef COLOR_BOXES
 vec3 decode_color(uint splat) {
     uint box = splat / CHUNK * BOX_WORDS + COLOR_WORD;

@@ -17,7 +17,7 @@ from renderer.effects import shader_parts
 from renderer.splats.glsl import with_includes
 
 PASSES = ("visibility", "attribute", "resolve")
-NOT_DRAWN = ("pages.vert.glsl", "pages.frag.glsl")  # the viewer draws no page files
+NOT_DRAWN = ("pages.vert.glsl", "pages.frag.glsl", "front.vert.glsl")  # the viewer draws no page files, and both sides
 VERSION = "#version 300 es"
 LINE_BITS = 11  # textures are 2048 texels wide, which every WebGL 2 has
 _HEAD = f"""precision highp float;
