@@ -20,7 +20,7 @@ from renderer.splats.targets import NARROW, WIDE
 from renderer.splats.views import framed_views, orbit_views, view_of
 from storage.errors import InvalidScan
 from storage.packed.packed import PackedFile, PackedScene
-from storage.packed.schema import MAX_ATOMS, Camera, Header
+from storage.packed.schema import GROUP, MAX_ATOMS, QUADRICS, Camera, Header
 
 DEFAULT_SIZE = (1280, 720)
 OUTLINE_VIEWS, SIZE_PX = 4, (960, 720)
@@ -84,13 +84,20 @@ def _drawn(
     prepare: Callable[[GpuScene], None],
     front_only: bool,
 ) -> tuple[PackedScene, Callable[..., Picture]]:
-    """What views are made of, and a function that draws one; with a pool no more than the boxes of the file is read for that."""
+    """What views are made of, and a function that draws one; with a pool no more than the boxes of the file, or
+    the coarsest level over quadrics, is read for that."""
     if pool_mib is None:
         scene = opened.load()
         gpu_scene = GpuScene(scene, renderer.context, front_only=front_only)
         prepare(gpu_scene)
         return scene, partial(renderer.render, gpu_scene)
     pooled = PooledFile(opened, renderer.context, int(pool_mib * (1 << 20)), prepare)
+    if (
+        opened.header.geometry == QUADRICS
+    ):  # whose chunks lie where their splats are decoded: those of the coarsest level, which views go by
+        coarsest = range(opened.header.levels[0] // GROUP)
+        rows = {group: opened.rows_of_group(group) for group in coarsest}
+        return opened.joined(rows, opened.of_all()), partial(pooled.render, renderer)
     boxes = {name: opened.read(name) for name in ("box_low", "box_size")}
     return PackedScene(opened.header, boxes), partial(pooled.render, renderer)
 

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from pipeline.geometry.normals import decode_normals
 from pipeline.splats.decoded import scene_normal_codes, scene_positions, scene_radii
+from services.cli.main import main
 from storage.packed.schema import QUADRICS
 from tests.hard_cases.scans import write_points
 from tests.pipeline.geometry.runs.test_cells import sphere
@@ -70,3 +72,17 @@ def test_quadrics__auto_takes_what_is_smaller_at_the_asked_error(ball, tmp_path)
     told, scene = compressed(ball, tmp_path / "boxes", geometry="boxes", geometry_error=0.1)
     assert scene.header.geometry == "boxes" and told["effects"][0]["effect"] != "geometry_quadrics"
     assert "geometry_error 0.1 is not used: it is of quadrics" in told["warnings"]
+
+
+def test_quadrics__with_levels_are_drawn_through_a_pool_as_from_memory(tmp_path):
+    unit = sphere(33_000)
+    scan = write_points(tmp_path / "ball.ply", 2 * unit + CENTRE, unit.astype(np.float32))
+    compressed(scan, tmp_path / "out", geometry="quadrics", levels=1, effects="all=off")
+    pictures = []
+    for more in ([], ["--pool-mib", "64"]):
+        out = tmp_path / f"pictures{len(more)}"
+        packed = str(tmp_path / "out" / "ball.splatpress")
+        assert main(["render", packed, "--orbit", "1", "--size", "96x80", "--out", str(out), *more]) == 0
+        pictures.append(np.asarray(Image.open(next(out.glob("*.png"))).convert("RGB")))
+    off = np.square(pictures[0].astype(float) - pictures[1]).mean()
+    assert off < 255**2 / 1e5 and pictures[0].std() > 10  # 50 dB
