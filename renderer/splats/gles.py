@@ -56,7 +56,7 @@ _LOADS = {"uint": "load", "uvec2": "load_pair", "float": "load_float"}
 @cache
 def es_sources() -> dict[str, str]:
     """Each shader's text without version and defines, by the name of its file without `.glsl`."""
-    names = [f"{name}.{kind}" for name in PASSES for kind in ("vert", "frag")]
+    names = [f"{name}.{kind}" for kind in ("vert", "frag") for name in PASSES]  # alike ones beside each other, for gzip
     return {name: to_es(drawn_text(f"{name}.glsl"), name.endswith(".vert")) for name in names}
 
 

@@ -297,7 +297,7 @@ def test_viewer__turns_by_mouse_and_touch_and_keeps_the_camera_in_the_address(pa
     page.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
     distance = page.look("viewer.camera.distance")
     assert distance < 0.7 * np.linalg.norm(before)
-    address = page.until("location.hash.startsWith('#c=') && location.href")
+    address = page.until("location.hash === '#c=' + viewer.camera.toText() && location.href")
     eye = json.loads(page.look("JSON.stringify(viewer.camera.eye)"))
     page.open("about:blank")
     open_viewer(page, address)
