@@ -25,7 +25,7 @@ COSTS = (  # key, axis, what it is in a sentence, the scale of the axis
     ("frame_seconds", "milliseconds of a frame", "frame time", 1e3),
 )
 TEXTURE, PICTURE = "texture_psnr_db", "picture_psnr_db"
-QUALITIES = {TEXTURE: "texture PSNR, dB", PICTURE: "PSNR of pictures to photographs, dB"}
+QUALITIES = {TEXTURE: "texture PSNR, dB", PICTURE: "PSNR of pictures, dB"}
 WANTED_DB = (30.0, 32.0, 34.0, 36.0, 38.0, 40.0, 42.0, 44.0, 46.0)
 LEAD_DB = 40.0
 NOISE_DB, NOISE_SHARE = 0.05, 0.05  # a preset that another beats by less than both is as good
