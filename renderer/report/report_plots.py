@@ -8,7 +8,7 @@ from bokeh.plotting import figure
 
 INK, MUTED, GRID = "#22303c", "#6b7a86", "#e3e8ec"
 BLUE, AMBER, GREEN, ROSE = "#2b6f9e", "#d98e2b", "#4f8a5b", "#b0506a"
-PART_COLORS = {"geometry": BLUE, "codes": AMBER, "colors": ROSE, "dictionary": GREEN}
+PART_COLORS = {"geometry": BLUE, "codes": AMBER, "colors": ROSE, "dictionary": GREEN, "maps": MUTED}
 SERIES = (  # of each view: key, meaning, color, marker, and the marker as text for the legend
     ("psnr_vs_baseline_db", "packed against baseline", BLUE, "circle", "●"),
     ("psnr_vs_photo_db", "packed against photo", AMBER, "square", "■"),

@@ -14,6 +14,7 @@ PARTS = {
     "codes": "Which atoms each splat adds up, with what weights, and how many splats have how many.",
     "colors": "The average colour of every splat: 24-bit sRGB, or a cell of its chunk's box of colours.",
     "dictionary": "The atoms with their mip levels, and what the weight codes stand for.",
+    "maps": "What each station saw, as textures, and which station each splat takes its colours from.",
 }
 
 GEOMETRY_OF = {  # in the place of that of boxes
@@ -22,9 +23,10 @@ GEOMETRY_OF = {  # in the place of that of boxes
 }
 
 
-def part_of_geometry(geometry: str) -> dict[str, str]:
-    """What the part `geometry` is, where it is not boxes."""
-    return {"geometry": GEOMETRY_OF[geometry]} if geometry in GEOMETRY_OF else {}
+def parts_of(geometry: str, sizes: dict) -> dict[str, str]:
+    """What each part of the bytes on the GPU is; maps where there are any."""
+    parts = PARTS | ({"geometry": GEOMETRY_OF[geometry]} if geometry in GEOMETRY_OF else {})
+    return {name: meaning for name, meaning in parts.items() if name != "maps" or sizes["maps_bytes"]}
 
 
 QUALITY = (  # key, title, meaning
@@ -46,6 +48,11 @@ QUALITY = (  # key, title, meaning
         "points of the splats against lookups in their textures. The paper has 52.63 dB.",
     ),
 )
+
+OF_STATIONS = {  # what the texture PSNR of a scan with stations means, by whether maps are in the file
+    False: "All texels of all splats, as the file decodes them, against the textures sampled from what the stations saw.",
+    True: "What the file keeps of what the stations saw, as it decodes it, against that itself.",
+}
 
 GEOMETRY = (  # key, title, unit, meaning; the unit of None is the scan's own
     ("mean_position_error", "Position error", None, "How far quantisation moves a splat, on average."),
@@ -215,6 +222,10 @@ def summary(report: dict) -> str:
         f"{source} became {number(report['splats'])} splats, which take {size(sizes['gpu_bytes'])} of GPU memory: "
         f"{sizes['bytes_per_splat']:.2f} bytes a splat."
     )
+    if sizes["maps_bytes"]:
+        return f"{first} {size(sizes['maps_bytes'])} of them are pictures of what the stations saw, where splats look up their colours."
+    if sizes["compression_factor_total"] is None and sizes["dictionary_bytes"]:
+        return f"{first} {size(sizes['dictionary_bytes'])} of them are the dictionary of their textures."
     if sizes["compression_factor_total"] is None:
         return f"{first} Every splat has one colour; there is no dictionary."
     return (
@@ -222,6 +233,15 @@ def summary(report: dict) -> str:
         f"{size(sizes['source_texture_bytes'] + sizes['geometry_bytes'])}, "
         f"{factor(sizes['compression_factor_total'])[:-2]} times as much."
     )
+
+
+def texture_figures(sizes: dict) -> tuple[tuple[str, str, str], ...]:
+    """QUALITY of what has textures: all of it with photographs, the texture PSNR alone of laser stations."""
+    if sizes["source_texture_bytes"] is not None:
+        return QUALITY
+    if not (sizes["maps_bytes"] or sizes["dictionary_bytes"]):
+        return ()
+    return ((*QUALITY[0][:2], OF_STATIONS[sizes["maps_bytes"] > 0]),)
 
 
 FILTERS: dict[str, Callable] = {

@@ -4,6 +4,7 @@ import json
 import os
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -15,6 +16,9 @@ from renderer.report.dictionary_picture import GAP_PX, atom_uses, dictionary_pic
 from renderer.report.document import RunRecord, ViewMeasured
 from renderer.report.report import as_json, build_report, write_report
 from renderer.report.report_page import ALL_PICTURES_BYTES, page_of, write_page
+from renderer.report.report_plots import PART_COLORS
+from renderer.report.report_words import parts_of
+from storage.packed.packed import PackedFile
 from storage.packed.schema import PATCH_SIZE
 from tests.scenes import Settings, Splats, build_scene, camera_looking, random_dictionary, sheet
 
@@ -37,6 +41,7 @@ KEYS = {
 }
 HOSTILE = "</script><script src=\"http://x.test/\">alert('$$\\int$$')</script><img src=x>"
 N = 500
+MAPS = Path(__file__).parents[2] / "golden" / "maps.splatpress"
 
 
 def tiny(n_photos=2, n_dictionary=20, name="photo"):
@@ -294,6 +299,21 @@ def test_page__is_made_of_a_packed_file_alone(tmp_path, n_photos, n_dictionary):
     scene = tiny(n_photos, n_dictionary)
     path = write_page(tmp_path, built(scene, 1000), scene)
     assert "No pictures were made" in path.read_text(encoding="utf-8")
+
+
+def test_page__of_stations_tells_where_colours_come_from_and_has_all_parts(tmp_path):
+    for scene, said, unsaid in (
+        (PackedFile(MAPS).load(), "pictures of what the stations saw", "Every splat has one colour"),
+        (tiny(n_photos=0), "are the dictionary of their textures", "Every splat has one colour"),
+        (tiny(n_photos=0, n_dictionary=0), "Every splat has one colour", "Texture PSNR"),
+    ):
+        report = built(scene, 1000, {"quality": {"texture_psnr_db": 36.5}} if "PSNR" not in unsaid else None)
+        page = page_of(report, scene, tmp_path)
+        assert said in page and unsaid not in page
+        shown = parts_of(scene.header.geometry, report["sizes"])
+        assert sum(report["sizes"][f"{part}_bytes"] for part in shown) == report["sizes"]["gpu_bytes"]
+        assert set(shown) <= set(PART_COLORS)
+        assert page.count("36.50 dB") == (2 if "PSNR" not in unsaid else 0)  # the card, and the row of its meaning
 
 
 def test_page__takes_figures_that_are_missing_one_by_one(tmp_path):
