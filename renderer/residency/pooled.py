@@ -69,7 +69,9 @@ class PooledFile:
         header = packed.header
         if not header.levels or header.runs:
             has = "runs" if header.runs else "one level"
-            raise InvalidScan(str(packed.path), f"{has}, drawn through a pool", "boxes and levels: `--levels`")
+            raise InvalidScan(
+                str(packed.path), f"{has}, drawn through a pool", "boxes or quadrics, and levels: `--levels`"
+            )
         self.packed, self.context, self.place_bytes, self._prepare = packed, context, _place_bytes(packed), prepare
         self.tree = tree_of_table(header, packed.groups)
         kept = int((self.tree.parent < 0).sum()) + A_FRAME

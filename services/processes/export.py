@@ -18,6 +18,7 @@ from renderer.splats.detail import parents_of
 from renderer.splats.views import up_direction
 from services.web.viewer_page import one_page
 from storage.errors import UnsupportedScan
+from storage.maps import NO_MAP
 from storage.packed.packed import PackedFile, PackedScene
 from storage.packed.schema import GROUP, Header
 from storage.whole import whole
@@ -39,7 +40,8 @@ class Exported:
 def export(packed: Path, format: str, out: Path, textured: bool = False) -> Exported:
     """Write `packed` as one of FORMATS to the path `out`, which appears when it is whole. With `textured`, points are samples of textures.
 
-    Raises: UnsupportedScan for a format that is unknown, or that has no points where `textured` asks for more of them.
+    Raises: UnsupportedScan for a format that is unknown, or that has no points where `textured` asks for more of
+    them, or for a file without atoms.
     """
     if format not in FORMATS:
         raise UnsupportedScan("export", f"format {format!r}", ", ".join(FORMATS))
@@ -54,6 +56,10 @@ def export(packed: Path, format: str, out: Path, textured: bool = False) -> Expo
         if chosen.kind == PAGE:
             return _page(packed, opened.header, format, out)
         scene = opened.load()
+    if textured and not scene.header.n_dictionary:
+        raise UnsupportedScan(
+            "export", f"textures as more points of {packed}, which has no atoms", "points without textures"
+        )
     cloud = cloud_of(scene, all_levels=chosen.kind == TILES)
     lost = _lost_by_all(scene, cloud, chosen.kind, textured)
     if textured:
@@ -85,6 +91,12 @@ def _lost_by_all(scene: PackedScene, cloud: Cloud, kind: str, textured: bool) ->
         lost.append(
             f"textures of {n_textured:,} of {n:,} splats: "
             + (f"{GRID} x {GRID} samples of each" if textured else "each has the one colour of its patch's middle")
+        )
+    if scene.header.maps:
+        n_mapped = int((scene.arrays["station"][first:] != NO_MAP).sum())
+        lost.append(
+            f"textures of {n_mapped:,} of {n:,} splats, looked up in {len(scene.header.maps)} maps of stations: "
+            "each has the one colour of its point"
         )
     if n_lines:
         lost.append(f"cliplines of {n_lines:,} splats: they are whole")

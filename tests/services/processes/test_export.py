@@ -3,6 +3,7 @@
 import json
 import struct
 from dataclasses import replace
+from pathlib import Path
 
 import laspy
 import numpy as np
@@ -15,12 +16,14 @@ from pipeline.exports.gaussians import FLATNESS, OPACITY, SH_0, SIGMA_IN_RADII, 
 from services.cli.main import main
 from services.processes.export import export
 from storage.errors import UnsupportedScan
+from storage.maps import NO_MAP
 from storage.packed.packed import PackedFile
 from tests.packed_files import Case, write_arrays
 from tests.programs_of_others import complaints_of_gltf_validator, read_by_splat_transform
 from tests.reference_packed import decode_ellipsoid, decode_patch, decode_position
 from tests.scenes import Dictionary, Settings, build_scene, coded, random_dictionary, sheet
 
+MAPS = Path(__file__).parents[2] / "golden" / "maps.splatpress"
 UTM = (450000.25, 5400000.5, 100.0)
 
 
@@ -227,10 +230,21 @@ def test_export__refuses_what_it_cannot(packed, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_export__of_colours_alone_loses_no_textures(tmp_path):
+def test_export__of_colours_alone_loses_no_textures_and_has_none(tmp_path):
     scene = build_scene(sheet(np.random.default_rng(1), 50))
     path = write_arrays(scene.header, scene.arrays, tmp_path / "a.splatpress")
     assert export(path, "ply", tmp_path / "a.ply").lost == ()
+    with pytest.raises(UnsupportedScan, match="no atoms.*points without textures"):
+        export(path, "ply", tmp_path / "b.ply", textured=True)
+    assert not (tmp_path / "b.ply").exists()
+
+
+def test_export__says_that_maps_of_stations_are_lost(tmp_path):
+    lost = " ".join(export(MAPS, "glb", tmp_path / "a.glb").lost)
+    with PackedFile(MAPS) as opened:
+        scene = opened.load()
+    n_mapped = int((scene.arrays["station"] != NO_MAP).sum())
+    assert n_mapped > 0 and f"textures of {n_mapped:,} of {scene.header.n_finest:,} splats, looked up in 2 maps" in lost
 
 
 def test_export__from_the_command_line(packed, tmp_path, capsys):
