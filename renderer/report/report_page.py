@@ -54,7 +54,7 @@ def page_of(report: dict, scene: PackedScene, folder: Path) -> str:
         part_colors=report_plots.PART_COLORS,
         series=report_plots.SERIES,
         figures=report_words.texture_figures(report["sizes"]),
-        geometry_figures=report_words.GEOMETRY,
+        geometry_figures=report_words.geometry_figures(report),
         table_1=report_words.TABLE_1,
         numerics=report_words.numerics(report["numerics"]),
         estimate_figures=report_words.ESTIMATE,

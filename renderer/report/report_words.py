@@ -23,6 +23,24 @@ GEOMETRY_OF = {  # in the place of that of boxes
 }
 
 
+OF_RUNS = {  # what figures of GEOMETRY mean there
+    "mean_position_error": "How far points lie from the centres of their cells, on average.",
+    "mean_position_error_in_radii": "The same, against the scan's one radius.",
+    "mean_normal_error_degrees": "How far normals of runs are off, on average.",
+}
+OF_ELLIPSOIDS = {
+    "mean_position_error": "How far a splat is drawn from its point, on average: by quantisation, and where it is an ellipsoid by its "
+    "centre, which lies in the middle of its neighbours.",
+}
+
+
+def geometry_figures(report: dict) -> list[tuple[str, str, str | None, str]]:
+    """GEOMETRY in the words of the geometry that a report is of."""
+    ellipsoids = any(row["effect"] == "ellipsoids" and row["enabled"] for row in report["effects"])
+    words = OF_RUNS if report["runs"] else OF_ELLIPSOIDS if ellipsoids else {}
+    return [(key, title, unit, words.get(key, meaning)) for key, title, unit, meaning in GEOMETRY]
+
+
 def parts_of(geometry: str, sizes: dict) -> dict[str, str]:
     """What each part of the bytes on the GPU is; maps where there are any."""
     parts = PARTS | ({"geometry": GEOMETRY_OF[geometry]} if geometry in GEOMETRY_OF else {})

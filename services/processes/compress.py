@@ -35,8 +35,9 @@ from services.flow.points.runs import runs_report
 from services.flow.prepare import Prepared, has_photographs
 from services.flow.run import Run
 from services.flow.textures import Coded
+from storage.packed.levels import FEWER
 from storage.packed.packed import SUFFIX, PackedFile
-from storage.packed.schema import BOXES, RUNS
+from storage.packed.schema import BOXES, GROUP, RUNS
 from storage.pages.file import SUFFIX as PAGES_SUFFIX
 from storage.work import arrays
 
@@ -176,6 +177,11 @@ def _scan_record(prepared: Prepared, settings: Settings) -> ScanKnown:
         )
     if prepared.runs is not None and settings.levels:
         warnings.append(f"levels {settings.levels} is not used: runs have no coarser levels")
+    n_coarser = max(0, len(prepared.partition.summary.levels) - 1)
+    if prepared.runs is None and settings.levels and n_coarser < settings.levels:
+        warnings.append(
+            f"levels {settings.levels} is more than there are: of {n_splats:,} splats {n_coarser}, each of {FEWER * GROUP:,} or more of the next"
+        )
     if prepared.runs is None and scan.volume is None and settings.cell is not None and settings.geometry == BOXES:
         warnings.append(f"cell {settings.cell:g} is not used: boxes of a scan have no cells")
     if settings.geometry_error is not None and settings.geometry in (BOXES, RUNS):

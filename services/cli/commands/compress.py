@@ -193,6 +193,5 @@ def _summary(report: dict, out: Path) -> str:
         lines.append(f"previews         {out / 'previews'}")
     for packed in out.glob("*.splatpress"):  # none where one that lies elsewhere was measured
         name = shlex.quote(str(packed))
-        look = f"render {name} --orbit 8 --out PICTURES" if report.get("runs") else f"view {name}"
-        lines += [f"packed           {packed}", f"look at it       splatpress {look}"]
+        lines += [f"packed           {packed}", f"look at it       splatpress view {name}"]
     return "\n".join(lines)

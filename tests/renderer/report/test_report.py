@@ -17,7 +17,7 @@ from renderer.report.document import RunRecord, ViewMeasured
 from renderer.report.report import as_json, build_report, write_report
 from renderer.report.report_page import ALL_PICTURES_BYTES, page_of, write_page
 from renderer.report.report_plots import PART_COLORS
-from renderer.report.report_words import parts_of
+from renderer.report.report_words import geometry_figures, parts_of
 from storage.packed.packed import PackedFile
 from storage.packed.schema import PATCH_SIZE
 from tests.scenes import Settings, Splats, build_scene, camera_looking, random_dictionary, sheet
@@ -314,6 +314,16 @@ def test_page__of_stations_tells_where_colours_come_from_and_has_all_parts(tmp_p
         assert sum(report["sizes"][f"{part}_bytes"] for part in shown) == report["sizes"]["gpu_bytes"]
         assert set(shown) <= set(PART_COLORS)
         assert page.count("36.50 dB") == (2 if "PSNR" not in unsaid else 0)  # the card, and the row of its meaning
+
+
+def test_geometry_figures__speak_of_the_form_that_the_file_has():
+    effects = [{"effect": "ellipsoids", "enabled": True}]
+    for report, said in (
+        ({"runs": None, "effects": []}, "quantisation moves a splat"),
+        ({"runs": None, "effects": effects}, "where it is an ellipsoid by its centre"),
+        ({"runs": {"cell": 1.0}, "effects": []}, "centres of their cells"),
+    ):
+        assert said in geometry_figures(report)[0][3]
 
 
 def test_page__takes_figures_that_are_missing_one_by_one(tmp_path):
