@@ -36,6 +36,8 @@ from services.flow.points.runs import (
     as_spacings,
     geometry_row,
     grid_for,
+    plan_of_runs,
+    request_of_runs,
     runs_of_splats,
 )
 from services.flow.run import Run
@@ -85,7 +87,6 @@ def prepare(
     `surface` is what is asked of a volume, `edited_maps` a folder of edited pictures of stations' maps, and `levels` how many
     coarser ones there are at most; None leaves that to the scan."""
     splats = splats_of(run, scan, radius, request, held_out, density, surface, reading, levels, geometry)
-    request = request_of(splats, request)
     return with_maps(run, with_effects(run, splats, request), edited_maps)
 
 
@@ -124,7 +125,9 @@ def _all_points(run: Run, prepared: Prepared) -> tuple[StageRecord[Points], Stag
 
 def with_effects(run: Run, prepared: Prepared, request: str) -> Prepared:
     """Splats with the effects that they call for."""
-    plan, surveys = plan_scan(run, prepared.sources, parse_request(request))
+    of_runs = prepared.runs is not None
+    plan, surveys = plan_scan(run, prepared.sources, parse_request(request_of_runs(request) if of_runs else request))
+    plan = plan_of_runs(plan, parse_request(request)) if of_runs else plan
     stages = (
         (name, effects()[name].build(prepared.sources, plan.outcomes[name], surveys.get(name))) for name in plan.enabled
     )
@@ -160,11 +163,6 @@ def splats_of(
     """Read the scan, put its points in chunk order, and make splats of them, and of coarser levels of them; or of cells of runs."""
     points = points_of(run, scan, density, surface, reading, geometry.form == RUNS)
     return splats_from(run, *points, str(scan), radius, request, held_out, levels, geometry)
-
-
-def request_of(prepared: Prepared, request: str) -> str:
-    """What is asked of effects, less what the geometry runs has no place for: ellipsoids lie beside the cells."""
-    return request if prepared.runs is None else canonical_request([request, "ellipsoids=off", "levels=off"])
 
 
 def splats_from(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from zipfile import ZipFile
 
-from pipeline.effects.plan.plan import Row
+from pipeline.effects.plan.plan import EffectPlan, Row, with_reason
+from pipeline.effects.plan.request import OFF, canonical_request
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.runs.walks import RUN_LENGTH
 from pipeline.planning.settings import Settings
@@ -24,6 +26,8 @@ from storage.work import work
 
 AUTO = "auto"
 BOX_BITS = 24 + 16 + 8 * 28 / CHUNK  # of a point in boxes, on a graphics card: docs/FORMAT.md, Size
+
+NO_PLACE = {"ellipsoids": "runs have none: ellipsoids lie beside the cells", "levels": "runs have no coarser levels"}
 
 
 @dataclass(frozen=True)
@@ -99,6 +103,18 @@ def geometry_row(asked: GeometryRequest, grid: GridFound) -> Row:
         None,
         "stanford_bunny, fountain_p11, volume_iguana_ct",
     )
+
+
+def request_of_runs(request: str) -> str:
+    """What is asked of effects, less those that runs have no place for."""
+    return canonical_request([request, *(f"{effect}={OFF}" for effect in NO_PLACE)])
+
+
+def plan_of_runs(plan: EffectPlan, asked: Mapping[str, str]) -> EffectPlan:
+    """The plan of that, which says so in the rows of those effects that nobody `asked` to be off."""
+    for effect, reason in NO_PLACE.items():
+        plan = plan if asked[effect] == OFF else with_reason(plan, effect, reason)
+    return plan
 
 
 def as_points(made: RunGeometry) -> StageRecord[Points]:

@@ -134,8 +134,12 @@ def test_runs__of_a_volume_are_the_cells_of_its_own_grid(tmp_path):
 
 def test_runs__of_all_points_in_one_place_or_too_many_cells_say_so(tmp_path, ball_of_points):
     write_points(tmp_path / "one.ply", np.ones((50, 3)), np.tile([0.0, 0, 1], (50, 1)), None)
-    told, scene = compressed(tmp_path / "one.ply", tmp_path / "one", geometry="runs", radius=1.0, levels=2)
+    told, scene = compressed(
+        tmp_path / "one.ply", tmp_path / "one", geometry="runs", radius=1.0, levels=2, effects="ellipsoids=off"
+    )
     assert "levels 2 is not used: runs have no coarser levels" in told["warnings"]
+    reasons = {row["effect"]: row["reason"] for row in told["effects"]}
+    assert (reasons["ellipsoids"], reasons["levels"]) == ("asked to be off", "runs have no coarser levels")
     assert told["runs"]["cells"] == 1 and scene.header.n_splats == 1
     with pytest.raises(SplatpressError, match="cells along an axis"):
         compressed(ball_of_points[0], tmp_path / "fine", geometry="runs", cell=1e-7)
