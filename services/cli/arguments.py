@@ -24,19 +24,24 @@ def add_knobs(command: argparse.ArgumentParser, names: Collection[str]) -> None:
     """One argument a knob of those named."""
     for knob in (knob for knob in KNOBS if knob.name in names):
         argument = f"--{knob.name.replace('_', '-')}"
-        spellings = (argument.removesuffix("s"), argument) if knob.canonical else (argument,)
+        spellings = tuple(dict.fromkeys((argument.removesuffix("s"), argument))) if knob.canonical else (argument,)
         command.add_argument(
             *spellings,
             dest=knob.name,
             metavar=_metavar(knob),
             action="append" if knob.canonical else "store",
-            help=f"{knob.help} ({knob.allowed})".replace("%", "%%"),
+            help=(knob.help if knob.choices else f"{knob.help} ({knob.allowed})").replace("%", "%%"),
         )
 
 
 def add_preset(command: argparse.ArgumentParser) -> None:
     """The option `--preset`."""
-    command.add_argument("--preset", default=DEFAULT_PRESET, metavar="|".join(PRESETS))
+    command.add_argument(
+        "--preset",
+        default=DEFAULT_PRESET,
+        metavar="|".join(PRESETS),
+        help=f"values of all knobs, from rough to exact; default: {DEFAULT_PRESET}",
+    )
 
 
 def add_view_knobs(command: argparse.ArgumentParser) -> None:
@@ -79,6 +84,15 @@ def settings_of(options: argparse.Namespace) -> Settings:
         return settings_for(options.preset, **{name: BY_NAME[name].parsed(text) for name, text in given.items()})
     except ValueError as error:
         raise WrongArgument(str(error)) from error
+
+
+def target_in_words(options: argparse.Namespace, textured: bool) -> str | None:
+    """What `--target-psnr-db` means for a scan with textures and for one without; None where nobody gave it."""
+    if (target := options.target_psnr_db) is None:
+        return None
+    if not textured:
+        return f"target_psnr_db {target} is not used: this scan gives colours, no textures"
+    return f"target: a splat takes no further atom once it has {target} dB, so all of them together differ from it"
 
 
 def _metavar(knob: Knob) -> str:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import errno
 import os
+import shlex
 import signal
 import socket
 import tempfile
 import threading
 import time
 
+from services.cli.commands.running import program
 from services.cli.supervise import alone_on, keep_running
 from services.jobs.disk import make_data_folder
 from services.jobs.heartbeat import dashboard, runner_age_s, show_gone
@@ -17,6 +19,7 @@ from services.settings import ServiceSettings, environment_of
 
 READY_S = 120.0
 PARTS = ("api", "runner")
+EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}  # all addresses of this machine, and its own loopback
 
 
 def run_api(settings: ServiceSettings) -> None:
@@ -56,7 +59,7 @@ def serve(settings: ServiceSettings) -> int:
 
 def address(settings: ServiceSettings) -> str:
     """That a browser on this machine can open."""
-    host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(settings.host, settings.host)
+    host = EVERYWHERE.get(settings.host, settings.host)
     return f"http://{f'[{host}]' if ':' in host and not host.startswith('[') else host}:{settings.port}"
 
 
@@ -88,6 +91,16 @@ def _announce(settings: ServiceSettings, stop: threading.Event) -> None:
         ("data", settings.objects or str(settings.data)),
     ):
         print(f"{what:<15} {url}", flush=True)
-    if settings.needs_tokens:
-        print(f"every request needs a token: splatpress token OWNER --data {settings.data}", flush=True)
-    print(f"next            open the job page, or: splatpress submit SCAN --url {base} --watch", flush=True)
+    print(*_next_steps(settings, base), sep="\n", flush=True)
+
+
+def _next_steps(settings: ServiceSettings, base: str) -> list[str]:
+    """What to do once it runs, as lines for a shell: alone on this machine, or with a token for each."""
+    if not settings.needs_tokens:
+        return [f"next            open the job page, or: {program()} submit SCAN --url {base} --watch"]
+    away = f"http://{socket.gethostname()}:{settings.port}" if settings.host in EVERYWHERE else base
+    return [
+        f"from elsewhere  {away}/, where the network knows this machine by that name",
+        f"tokens          {program()} token OWNER --data {shlex.quote(str(settings.data))}",
+        f"next            a token for each person, who then says once: splatpress login --url {away}",
+    ]

@@ -50,7 +50,9 @@ class JobProgress:
 
     def end(self, record: StageRecord) -> None:
         self._check()
-        how = "reused" if record.reused else f"{record.seconds:.1f} s, {record.n_tasks} tasks"
+        how = (
+            "reused" if record.reused else f"{record.seconds:.1f} s, {record.n_tasks} task{'s' * (record.n_tasks != 1)}"
+        )
         self._store.log(self._id, "info", f"{record.name}: {how}")
         if not record.reused:
             self._store.count_stage(record.name, record.seconds, record.n_splats)

@@ -13,6 +13,7 @@ from storage.errors import InvalidPackedFile
 
 SEAL = b"splatpress sha256 "
 SEAL_BYTES = len(SEAL) + 64
+MADE_BY = "a scan becomes one by `compress`"
 UNSEALED = SEAL + b"0" * 64  # holds the seal's place while the bytes before it are written
 
 
@@ -27,11 +28,14 @@ def write_seal(path: Path) -> None:
 
 def check_seal(path: Path) -> None:
     """Raise InvalidPackedFile unless the file ends in the seal of the bytes before it."""
+    if path.is_dir():
+        raise InvalidPackedFile(str(path), "a folder", "a whole packed file, NAME.splatpress", MADE_BY)
     with open(path, "rb") as file:
         digest = _digest(file, os.fstat(file.fileno()).st_size - SEAL_BYTES)
         found = file.read()
     if not found.startswith(SEAL):
-        raise InvalidPackedFile(str(path), "no seal at its end", "a whole packed file", "truncated, or no packed file")
+        hint = "truncated, or no packed file" if path.suffix == ".splatpress" else MADE_BY
+        raise InvalidPackedFile(str(path), "no seal at its end", "a whole packed file, NAME.splatpress", hint)
     if found != SEAL + digest.encode():
         sealed = found[len(SEAL) :].decode("ascii", "replace")
         raise InvalidPackedFile(

@@ -376,6 +376,7 @@ def test_service__the_command_line_does_it_all(served, scan, tmp_path, capsys, m
         return code, out.strip()
 
     assert run("login", "--url", served.url, "--token", "")[0] == 0
+    assert run("ls", "--status", "dismissed") == (0, "") and "no jobs that are dismissed" in said[-1]
     code, id = run("upload", scan)
     assert code == 0 and len(id) == 64
     options = [f"--option={name}={value}" for name, value in OPTIONS.items()]

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.planning.settings import Settings
-from services.cli.arguments import add_preset, add_settings, settings_of
+from services.cli.arguments import add_preset, add_settings, settings_of, target_in_words
 from services.cli.commands.looks import add_edited_maps, settings_with_maps
 from services.cli.commands.options import add_output, add_running, add_strict
 from services.cli.commands.running import (
@@ -19,6 +19,7 @@ from services.cli.commands.running import (
     look_at_opengl,
     look_first,
     made_folder,
+    program,
     progress_bars,
     refuse_to_overwrite,
     scan_path,
@@ -64,6 +65,9 @@ def _compress(options: argparse.Namespace) -> int:
             strict=options.strict,
             edited_maps=Path(options.maps) if options.maps else None,
         )
+    textured = report["quality"]["texture_psnr_db"] is not None
+    if not textured and (words := target_in_words(options, textured)):
+        print(f"warning          {words}", file=sys.stderr)
     return _show_report(report, out, options)
 
 
@@ -133,7 +137,7 @@ def _demo(options: argparse.Namespace) -> int:
     settings, out = replace(settings_of(options), iso=demo.iso), Path(options.out or demo.out)
     if not options.overwrite and (report := known(out, settings, options.scan, draws)) is not None:
         print(f"made before by the same program, and shown again; made anew with --overwrite: {out}", file=sys.stderr)
-        return _show_report(report, out, options)
+        return _show_report(report, out, options, out / demo.scan)
     refuse_to_overwrite(out, options.overwrite or options.refresh)
     with tempfile.TemporaryDirectory(dir=made_folder(out.absolute().parent)) as folder:
         scan = demo.write(Path(folder))
@@ -142,14 +146,16 @@ def _demo(options: argparse.Namespace) -> int:
             report = compress(scan, out, settings, executor, progress_bars(), render=draws)
         shutil.move(scan, out / demo.scan)
     remember(out, settings, options.scan, draws)
-    return _show_report(report, out, options)
+    return _show_report(report, out, options, out / demo.scan)
 
 
-def _show_report(report: dict, out: Path, options: argparse.Namespace) -> int:
+def _show_report(report: dict, out: Path, options: argparse.Namespace, scan: Path | None = None) -> int:
     missed = _missed_gate(report, options)
     if options.json:
         print(json.dumps({**report, "out": str(out), "gate_missed": missed}))
     else:
+        if scan is not None:
+            print(f"scan             {scan}")
         print(_summary(report, out))
     if missed:
         print(f"splatpress: quality gate missed: {missed}", file=sys.stderr)
@@ -187,11 +193,12 @@ def _summary(report: dict, out: Path) -> str:
     lines += [f"warning          {w}" for w in report.get("warnings", [])]
     if pages := report.get("pages"):
         lossy = "" if pages["psnr_db"] is None else f", {pages['psnr_db']:.2f} dB"
-        lines.append(f"pages            {pages['n_pages']:,} in {pages['bytes']:,} bytes{lossy}")
+        where = ", ".join(str(path) for path in out.glob("*.pages"))
+        lines.append(f"pages            {pages['n_pages']:,} in {pages['bytes']:,} bytes{lossy}, {where}")
     lines.append(f"report           {out / 'report.html'}")
     if quality["views"]:
         lines.append(f"previews         {out / 'previews'}")
     for packed in out.glob("*.splatpress"):  # none where one that lies elsewhere was measured
         name = shlex.quote(str(packed))
-        lines += [f"packed           {packed}", f"look at it       splatpress view {name}"]
+        lines += [f"packed           {packed}", f"look at it       {program()} view {name}"]
     return "\n".join(lines)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import shlex
+import shutil
+import sys
 from pathlib import Path
 
 from pipeline.planning.settings import Settings
@@ -67,6 +70,22 @@ def made_folder(folder: Path) -> Path:
     """The folder, made with its parents where it was not there."""
     folder.mkdir(parents=True, exist_ok=True)
     return folder
+
+
+def program() -> str:
+    """What a shell calls this program by: its name where PATH leads to it, else the path it was called by, quoted."""
+    called, name = Path(sys.argv[0]), "splatpress"
+    if called.name != name or not called.is_file():  # a module of Python
+        return name
+    found = shutil.which(name)
+    return name if found and called.samefile(found) else shlex.quote(sys.argv[0])
+
+
+def asked_token() -> str:
+    """What is typed, unseen, where a person sits there; else the first line of stdin."""
+    import getpass
+
+    return getpass.getpass("token (empty for none): ") if sys.stdin.isatty() else sys.stdin.readline().strip()
 
 
 def refuse_to_overwrite(out: Path, overwrite: bool) -> None:

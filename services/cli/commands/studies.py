@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from services.cli.arguments import WrongArgument, add_settings, settings_of
+from services.cli.arguments import WrongArgument, add_settings, settings_of, target_in_words
 from services.cli.commands.options import add_executor, add_measuring, add_output, count, large_count
 from services.cli.commands.running import executor_for, needs_photographs, progress_bars, refuse_to_overwrite, scan_path
 from services.cli.exit_codes import BY_KIND, OK
@@ -174,6 +174,8 @@ def _estimate(options: argparse.Namespace) -> int:
     with executor_for(options) as executor:
         found = estimate(scan, settings, executor, progress_bars(), work)
     print(json.dumps(found) if options.json else _estimate_lines(found))
+    if words := target_in_words(options, found.get("texture_psnr_db") is not None):
+        print(words, file=sys.stderr if options.json else sys.stdout)
     return OK
 
 

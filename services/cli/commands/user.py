@@ -10,6 +10,7 @@ from pathlib import Path
 
 from pipeline.planning.knobs import BY_NAME
 from services.cli.arguments import WrongArgument, add_preset
+from services.cli.commands.running import asked_token, program
 from services.cli.exit_codes import BY_KIND, GATE_MISSED, INPUT_OUTPUT, OK
 from services.processes.kinds import COMPRESS, PROCESSES
 
@@ -82,12 +83,10 @@ def _login_file() -> Path:
 
 
 def _login(options: argparse.Namespace) -> int:
-    import getpass
-
     from services.cli.client import Client
 
     url = options.url or DEFAULT_URL
-    token = options.token if options.token is not None else getpass.getpass("token (empty for none): ")
+    token = options.token if options.token is not None else asked_token()
     with Client(url, token or None) as client:
         client.ls(limit=1)
     path = _login_file()
@@ -174,7 +173,7 @@ def _with_pages(asked: dict, pages: bool) -> dict:
 
 def _say_next(words: str, client) -> None:
     """Beside the result, which scripts read from standard output."""
-    print(f"next: splatpress {words}   (page: {client.url.rstrip('/')}/)", file=sys.stderr)
+    print(f"next: {program()} {words}   (page: {client.url.rstrip('/')}/)", file=sys.stderr)
 
 
 def _process(options: argparse.Namespace) -> dict:
@@ -275,6 +274,9 @@ def _fetch(options: argparse.Namespace) -> int:
 def _ls(options: argparse.Namespace) -> int:
     with _client(options) as client:
         jobs = client.ls(limit=options.limit, **({"status": options.status} if options.status else {}))
+    if not (jobs or options.json):
+        print(f"no jobs{f' that are {options.status}' if options.status else ''}", file=sys.stderr)
+        return OK
     return _print(
         options,
         jobs,

@@ -18,6 +18,7 @@ from fastapi.testclient import TestClient
 
 from pipeline.execution.executors import DaskExecutor
 from services.api.app import create_app
+from services.cli import serve
 from services.cli.answers import ServiceError
 from services.cli.client import Client
 from services.cli.main import main
@@ -45,6 +46,16 @@ def ended(process: subprocess.Popen, seconds: float = 60) -> int:
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         raise
+
+
+def test_serve__says_what_a_group_does_next_and_from_where(tmp_path):
+    data = tmp_path / "Grüße an alle"
+    alone = ServiceSettings(data=data, port=8123)
+    assert [line for line in serve._next_steps(alone, serve.address(alone)) if "token" in line] == []
+    group = ServiceSettings(data=data, port=8123, host="0.0.0.0")
+    elsewhere, tokens, then = serve._next_steps(group, serve.address(group))
+    assert f"http://{socket.gethostname()}:8123/" in elsewhere and f"--data '{data}'" in tokens
+    assert then.endswith(f"login --url http://{socket.gethostname()}:8123")
 
 
 def test_serve__a_second_one_on_a_folder_is_refused_by_name_of_the_first(tmp_path):

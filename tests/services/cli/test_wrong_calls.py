@@ -1,7 +1,10 @@
 """Wrong calls: one line that names what was found and what is allowed, and the exit code that README promises."""
 
+import io
+
 import pytest
 
+from services.cli.commands.running import asked_token, program
 from services.cli.main import main
 from services.cli.parser import GROUPS
 from tests.services.scans import photo_scan, point_scan
@@ -36,6 +39,8 @@ CALLS = [
     ("render", 1, "PACKED"),
     ("render {empty} --orbit 2 --out {tmp}/o", 3, "empty.ply"),
     ("render {tmp}/nothing --orbit 2 --out {tmp}/o", 2, "nothing"),
+    ("view {points} --no-open", 3, "a scan becomes one by `compress`"),
+    ("view {scan} --no-open", 3, "a folder; allowed: a whole packed file"),
     ("render {empty} --orbit 2", 1, "--out"),
     ("render {empty} --orbit none --out {tmp}/o", 1, "--orbit"),
     ("render {empty} --orbit 2 --size big --out {tmp}/o", 1, "--size"),
@@ -83,6 +88,36 @@ def test_cli__a_wrong_call_has_its_exit_code_and_one_line(places, capsys, call, 
     assert found == code, said
     assert len(said.splitlines()) == (2 if call.startswith("check") and code == 3 else 1) and words in said
     assert not (places["tmp"] / "o").exists()
+
+
+def test_cli__help_of_compress_names_its_default_and_each_option_once(capsys):
+    with pytest.raises(SystemExit):
+        main(["compress", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "default: balanced" in said and "--geometry auto|boxes|quadrics|runs how" in said
+    assert (
+        said.count("--iso VALUE[=#RRGGBB]") == 2 and "(auto, boxes, quadrics, runs)" not in said
+    )  # usage, and options
+
+
+def test_cli__says_how_a_shell_calls_it(tmp_path, monkeypatch):
+    called = tmp_path / "Grüße an alle" / "splatpress"
+    called.parent.mkdir()
+    called.write_text("#!/bin/sh\n")
+    called.chmod(0o755)
+    monkeypatch.setattr("sys.argv", [str(called)])
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert program() == f"'{called}'"
+    monkeypatch.setenv("PATH", str(called.parent))
+    assert program() == "splatpress"
+    monkeypatch.setattr("sys.argv", [str(tmp_path / "__main__.py")])
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert program() == "splatpress"
+
+
+def test_cli__a_token_may_come_by_a_pipe(monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("sp_abc\n"))
+    assert asked_token() == "sp_abc"
 
 
 def test_cli__help_has_every_command_in_a_group(capsys):

@@ -102,8 +102,13 @@ def test_estimate__points_without_photographs_have_bytes_and_no_psnr(tmp_path, c
     assert main(["estimate", str(scan), "--executor", "serial", "--json"]) == 0
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert found["texture_psnr_db"] is None and found["bytes_per_splat"] == pytest.approx(8.2, abs=0.3)
-    assert main(["estimate", str(scan), "--executor", "serial"]) == 0
-    assert "Bytes on the GPU" in capsys.readouterr().out and [p.name for p in tmp_path.iterdir()] == ["ball.ply"]
+    assert main(["estimate", str(scan), "--executor", "serial", "--target-psnr-db", "42"]) == 0
+    said = capsys.readouterr().out
+    assert (
+        "target_psnr_db 42 is not used" in said
+        and "Bytes on the GPU" in said
+        and [p.name for p in tmp_path.iterdir()] == ["ball.ply"]
+    )
 
 
 @pytest.mark.parametrize("n_wanted", [3 * CHUNK, 10**9, 100])

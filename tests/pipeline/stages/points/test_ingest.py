@@ -17,7 +17,7 @@ from pipeline.stages.points.ingest import Ingest, slice_rows
 from pipeline.summaries import ScanRead
 from storage.errors import InvalidScan
 from storage.work import arrays
-from tests.pipeline.readers import test_ply
+from tests.pipeline.readers import test_las, test_ply
 from tests.pipeline.readers.workspace import write_workspace, zip_folder
 
 FIELDS = [(name, "f4") for name in ("x", "y", "z", "red", "green", "blue", "intensity")]
@@ -77,6 +77,12 @@ def assert_same(one: tuple[Path, ScanRead], other: tuple[Path, ScanRead]) -> Non
     assert names == [path.stem for path in sorted(other[0].glob("*.zarr"))]
     for name in names:
         np.testing.assert_array_equal(arrays.opened(one[0], name)[:], arrays.opened(other[0], name)[:], err_msg=name)
+
+
+def test_ingest__warnings_call_a_scan_by_its_name_and_not_by_its_folder(tmp_path):
+    path, _ = test_las.write(tmp_path / "Scan Ü.las")
+    warnings = made(path, tmp_path / "work")[1].warnings
+    assert any(text.startswith("Scan Ü.las: ") for text in warnings) and not any(str(tmp_path) in w for w in warnings)
 
 
 def test_ingest__slices_are_what_one_reading_from_the_start_gives(tmp_path, small):
