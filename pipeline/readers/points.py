@@ -29,7 +29,7 @@ READERS = {
     **dict.fromkeys((".xyz", ".pts", ".txt", ".asc", ".csv"), ("text.table", "open_table")),
 }
 HANDLED = f"a COLMAP dense workspace (folder or .zip), {', '.join(READERS)}"
-_VOLUMES = (".mha", ".mhd", ".vti", ".slc", ".dcm")
+_VOLUMES = (".vti", ".slc", ".dcm")
 _POINT_FORMAT_AT, _PACKED = 104, 0xC0  # in a LAS header
 _HINTS = {
     **dict.fromkeys(_VOLUMES, "write the volume as .nrrd or .nii"),

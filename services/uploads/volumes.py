@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.readers.detect import handled_suffixes
 from services.problems import Problem
 
-VOLUMES = (".nrrd", ".nii", ".nii.gz", ".nii.bz2", ".tif", ".tiff")  # whole in one file
+VOLUMES = (".nrrd", ".nii", ".nii.gz", ".nii.bz2", ".mha", ".tif", ".tiff")  # whole in one file
 SMALL_BYTES = 4 << 30  # unpacked; up to there any ratio is allowed: names of regions pack to a thousandth
 LINE_BYTES = 1 << 16  # as the reader reads a header
 _ELSEWHERE = re.compile(rb"\s*data\s*file\s*:", re.IGNORECASE)
@@ -90,8 +90,22 @@ def _check_alone(path: Path) -> None:
             while (line := file.readline(LINE_BYTES)).strip():
                 if _ELSEWHERE.match(line):
                     raise _elsewhere(path.name, "a header whose voxels lie")
+    if suffix == ".mha" and not _is_local(path):
+        raise _elsewhere(path.name, "a header whose voxels lie")
     if suffix in (".tif", ".tiff"):
         _check_ome(path)
+
+
+def _is_local(path: Path) -> bool:
+    """Whether the voxels of a MetaImage stand after its header; also where the reader refuses that."""
+    from pipeline.volumes.formats.metaimage import MAX_LINE_BYTES
+
+    with open(path, "rb") as file:
+        while b"=" in (line := file.readline(MAX_LINE_BYTES)):
+            name, _, value = line.decode("utf-8", "replace").partition("=")
+            if name.strip().lower() == "elementdatafile":
+                return value.strip().upper() == "LOCAL"
+    return True
 
 
 def _check_ome(path: Path) -> None:

@@ -20,6 +20,7 @@ from tests.pipeline.volumes.made import ball, nrrd_header, write_nrrd
 
 LIMITS = {"max_photo_pixels": 10**6, "max_unpacked_bytes": 10**6, "max_archive_ratio": 100}
 VOXELS = ball().astype(np.float32)  # 24 x 22 x 20
+MHA = b"NDims = 3\nDimSize = 24 22 20\nElementType = MET_FLOAT\nElementDataFile = "
 ELSEWHERE = "in another file; allowed: a volume that is whole in one file"
 
 
@@ -60,6 +61,7 @@ def answer(path, **limits) -> dict:
         ("a.nrrd", lambda path: write_nrrd(path, VOXELS, "gzip")),
         ("a.nii", _nifti),
         ("A.NII.GZ", _nifti),
+        ("a.mha", lambda path: path.write_bytes(MHA + b"LOCAL\n" + VOXELS.tobytes())),
         ("a.tif", lambda path: tifffile.imwrite(path, VOXELS)),
         ("own.ome.tiff", lambda path: _tiff(path, ("urn:uuid:1",) * 3)),
     ],
@@ -80,6 +82,14 @@ def test_volumes__a_header_that_names_another_file_is_refused_alike_whether_it_i
     (tmp_path / "scan.nrrd").write_bytes(nrrd_header(VOXELS, extra=line))
     problem = answer(tmp_path / "scan.nrrd")["problem"]
     assert problem["status"] == 422 and problem["detail"] == f"scan.nrrd: a header whose voxels lie {ELSEWHERE}"
+
+
+@pytest.mark.parametrize("value", [b"there.raw\n", b"../../secret\n", b"LIST\n/etc/passwd\n", b"a%d.raw 1 20 1\n"])
+def test_volumes__a_metaimage_that_names_another_file_is_refused_before_it_is_opened(tmp_path, monkeypatch, value):
+    (tmp_path / "scan.mha").write_bytes(MHA + value)
+    monkeypatch.setattr("pipeline.volumes.open.open_volume", None)
+    problem = answer(tmp_path / "scan.mha")["problem"]
+    assert problem["status"] == 422 and problem["detail"] == f"scan.mha: a header whose voxels lie {ELSEWHERE}"
 
 
 def test_volumes__metadata_that_name_another_file_are_refused_before_it_is_opened(tmp_path, monkeypatch):
