@@ -7,6 +7,7 @@ import os
 import shlex
 import signal
 import socket
+import sys
 import tempfile
 import threading
 import time
@@ -77,6 +78,7 @@ def _check_port(settings: ServiceSettings) -> None:
 
 
 def _announce(settings: ServiceSettings, stop: threading.Event) -> None:
+    print("starting; addresses stand here once jobs can run", file=sys.stderr, flush=True)
     deadline = time.monotonic() + READY_S
     while runner_age_s(settings.place) is None and time.monotonic() < deadline and not stop.wait(0.2):
         pass

@@ -148,7 +148,8 @@ def _fills(evidence: Evidence, top: float) -> bool:
 def _range(evidence: Evidence, top: float, usual_top: float, what: str) -> Range:
     beyond = int(evidence.above[int(np.searchsorted(_TOPS, top, side="left"))])
     values = int(evidence.above[0])
-    why = f"{what}: {values - beyond:,} of {values:,} values above 0 are at most {_TOPS[np.searchsorted(_TOPS, top)]:g}"
+    share = f"{values - beyond:,} of" if beyond else "all"
+    why = f"{what}: {share} {values:,} values above 0 are at most {_TOPS[np.searchsorted(_TOPS, top)]:g}"
     return Range(top, f"{why}, the highest is {evidence.highest:g}", top == usual_top, beyond)
 
 

@@ -246,7 +246,7 @@ def test_las__autzen_is_in_feet_with_8_bit_colours():
     assert source.n_points == len(got["position"]) == 110_000 and source.unit == "foot"
     np.testing.assert_allclose(got["position"].min(axis=0), [636001.76, 848935.2, 406.26], atol=1e-6)
     np.testing.assert_allclose(got["position"].max(axis=0), [637179.22, 849497.9, 520.51], atol=1e-6)
-    assert got["color"].max() == 236 and any("8-bit values" in w for w in source.warnings)
+    assert got["color"].max() == 236 and any("8 bits: all 330,000 values above 0" in w for w in source.warnings)
 
 
 def test_las__spruce_is_read_from_laz():

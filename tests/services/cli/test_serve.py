@@ -63,6 +63,7 @@ def test_serve__a_second_one_on_a_folder_is_refused_by_name_of_the_first(tmp_pat
     first = started("serve", "--data", "d", "--port", port, "--workers", "1", log=tmp_path / "first.log")
     try:
         until(lambda: (tmp_path / "d" / "serve.lock").exists() and (tmp_path / "d" / "serve.lock").read_text())
+        until(lambda: (tmp_path / "first.log").read_text().startswith("starting; addresses stand here"))
         log = tmp_path / "second.log"
         assert ended(started("serve", "--data", "d", "--port", str(free_port()), log=log)) == 2
         said = log.read_text()
