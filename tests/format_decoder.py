@@ -376,7 +376,7 @@ def render(packed: Packed, view: View) -> tuple[np.ndarray, np.ndarray]:
         fragments(splat, view, NEAR_IN_RADII * packed.header["radius"], packed.header["margin_radii"])
         for splat in splats
     ]
-    tiers, colors = zip(*(map_tiers(packed, *pair) for pair in zip(splats, drawn, strict=True)), strict=True)
+    tiers, colors = zip(*(map_tiers(packed, view, *pair) for pair in zip(splats, drawn, strict=True)), strict=True)
     n_pixels = view.width_px * view.height_px
     surface, light, weights = np.full(n_pixels, np.inf), np.zeros((n_pixels, 3)), np.zeros(n_pixels)
     for found, tier in zip(drawn, tiers, strict=True):
@@ -396,11 +396,12 @@ def render(packed: Packed, view: View) -> tuple[np.ndarray, np.ndarray]:
 SECOND = 2.0**40  # what depths of the second tier are times, to lie behind all of the first
 
 
-def map_tiers(packed: Packed, splat: Decoded, found: Fragments) -> tuple[np.ndarray, np.ndarray]:
+def map_tiers(packed: Packed, view: View, splat: Decoded, found: Fragments) -> tuple[np.ndarray, np.ndarray]:
     """What depths of fragments are times, infinite where the map leaves them free, and their colours (m, 3) in linear light."""
     color = packed.patch_color(splat, found.place, found.area_px)
     tier = np.ones(len(color))
-    if splat.station < 0:
+    z = (view.rotation @ (splat.position - view.centre))[2]
+    if splat.station < 0 or (z > 0 and splat.radius * max(view.fx_px, view.fy_px) < 2.5 * z):
         return tier, color
     seen = packed.map(splat.station)
     middle = splat.position - seen.centre

@@ -58,7 +58,7 @@ void main() {
     Ellipsoid ellipsoid = decode_ellipsoid(splat, ellipsoids[first_ellipsoid(group) + row]);
     Disc disc = outline_of(ellipsoid);
 #ifdef MAPPED
-    set_map(splat, square_u, square_v, disc.centre.z);
+    set_map(splat, square_u, square_v, ellipsoid.centre.z);
 #endif
 #else
     Disc disc = decode_disc(splat);

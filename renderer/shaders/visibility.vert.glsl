@@ -31,9 +31,10 @@ void main() {
         return;
     }
 #ifdef ELLIPSOID
-    Disc disc = outline_of(decode_ellipsoid(splat, ellipsoids[first_ellipsoid(drawn_group()) + drawn_row()]));
+    Ellipsoid ellipsoid = decode_ellipsoid(splat, ellipsoids[first_ellipsoid(drawn_group()) + drawn_row()]);
+    Disc disc = outline_of(ellipsoid);
 #ifdef MAPPED
-    set_map(splat, square_u, square_v, disc.centre.z);
+    set_map(splat, square_u, square_v, ellipsoid.centre.z);
 #endif
 #else
     Disc disc = decode_disc(splat);

@@ -144,12 +144,13 @@ def test_levels__a_budget_bounds_what_is_drawn_and_kept(page, url, scene, render
 
 
 def test_levels__no_hole_while_children_are_on_their_way(page, url, scene):
-    """Drawn with the coarsest level alone, as when nothing else has arrived."""
+    """Drawn with the coarsest level alone, as when nothing else has arrived: from nearer than it is made for, so that there are pinholes
+    between its splats, which are slimmer than those of the finest level."""
     open_viewer(page, url)
     stand(page, view_from(0.5))
     page.look("(viewer.scene.state.fill(0, 1), null)")
     _, covered = picture_of(page, view_from(0.5))
-    assert covered[20:140, 20:140].mean() > 0.999
+    assert covered[20:140, 20:140].mean() > 0.99
     page.open("about:blank")
 
 
