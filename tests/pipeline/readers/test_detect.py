@@ -20,9 +20,9 @@ def test_open_scan__refuses_other_formats_naming_the_suffix_and_what_is_handled(
 
 
 def test_open_scan__says_which_volumes_it_does_not_handle(tmp_path):
-    (tmp_path / "a.mha").write_bytes(b"ObjectType")
+    (tmp_path / "a.vti").write_bytes(b"<VTKFile")
     with pytest.raises(UnsupportedScan, match="write the volume as .nrrd or .nii"):
-        open_scan(tmp_path / "a.mha")
+        open_scan(tmp_path / "a.vti")
 
 
 def test_open_scan__a_missing_path_is_file_not_found(tmp_path):
