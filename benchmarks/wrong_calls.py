@@ -33,25 +33,13 @@ def seconds(arguments: list[str], expected: int) -> tuple[float, float]:
 
 
 def main() -> None:
-    from tests.services.cli.test_wrong_calls import CALLS
+    from tests.services.cli.test_wrong_calls import CALLS, places_in
     from tests.services.cli.test_wrong_files import FILES
-    from tests.services.scans import photo_scan, point_scan
 
     taken: list[tuple[tuple[float, float], str]] = []
     with tempfile.TemporaryDirectory(prefix="falsche Aufrufe ") as name:
         folder = Path(name)
-        (folder / "full").mkdir()
-        (folder / "full" / "a").write_text("a")
-        (folder / "empty.ply").write_bytes(b"")
-        (folder / "notes.doc").write_text("notes")
-        places = {
-            "scan": photo_scan(folder / "scan", n_side=40),
-            "points": point_scan(folder / "points.ply"),
-            "full": folder / "full",
-            "empty": folder / "empty.ply",
-            "text": folder / "notes.doc",
-            "tmp": folder,
-        }
+        places = places_in(folder)
         for call, code, _ in CALLS:
             taken.append((seconds([part.format(**places) for part in call.split()], code), call or "(nothing)"))
         for file, data, code, _ in FILES:

@@ -51,15 +51,16 @@ def median_split(position: np.ndarray) -> np.ndarray:
         start, stop = pending.pop()
         if stop - start <= CHUNK:
             continue
-        low, high = _extent(axes, order, start, stop)
+        low, high = extent(axes, order, start, stop)
         n_left = split_rank(stop - start)
-        _move_lowest(axes[longest_axis(low, high)], order[start:stop], n_left)
+        move_lowest(axes[longest_axis(low, high)], order[start:stop], n_left)
         pending += [(start, start + n_left), (start + n_left, stop)]
     return order
 
 
 @kernel()
-def _extent(axes, order, start, stop):
+def extent(axes, order, start, stop):
+    """Lowest and highest corner (3,) of the points order[start:stop], indices into axes (3, n)."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for i in range(start, stop):
         for axis in range(3):
@@ -69,7 +70,7 @@ def _extent(axes, order, start, stop):
 
 
 @kernel()
-def _move_lowest(x, order, n):
+def move_lowest(x, order, n):
     """Put the n of `order` (m,), indices into x, whose values a stable sort would have first, before the others; both
     as they were."""
     values = x[order]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.execution.compiled import kernel
+from pipeline.geometry.chunks import extent, move_lowest
 
-GOLDEN = np.uint64(
-    0x9E3779B97F4A7C15
-)  # 2^64 over the golden ratio: multiples of it, modulo 2^64, are spread more evenly than of others
+# 2^64 over the golden ratio: multiples of it, modulo 2^64, are spread more evenly than of others.
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
 def thinned(position: np.ndarray, share: float) -> np.ndarray:
@@ -41,29 +41,9 @@ def _halved(axes):
         a, b = start[n_nodes], stop[n_nodes]
         if b - a < 2:
             continue
-        longest, x = -1.0, axes[0]
-        for axis in range(3):
-            low, high = np.inf, -np.inf
-            for i in range(a, b):
-                value = axes[axis, order[i]]
-                low, high = min(low, value), max(high, value)
-            if high - low > longest:
-                longest, x = high - low, axes[axis]
+        low, high = extent(axes, order, a, b)
         middle = a + (b - a) // 2
-        node = order[a:b].copy()
-        values = x[node]
-        highest = np.partition(values, middle - a - 1)[middle - a - 1]
-        n_ties, left, right = middle - a, a, middle
-        for value in values:
-            n_ties -= value < highest
-        for i in range(b - a):
-            if values[i] < highest or (values[i] == highest and n_ties > 0):
-                n_ties -= values[i] == highest
-                order[left] = node[i]
-                left += 1
-            else:
-                order[right] = node[i]
-                right += 1
+        move_lowest(axes[np.argmax(high - low)], order[a:b], middle - a)
         start[n_nodes], stop[n_nodes] = middle, b
         start[n_nodes + 1], stop[n_nodes + 1] = a, middle
         n_nodes += 2

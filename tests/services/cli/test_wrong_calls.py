@@ -1,6 +1,7 @@
 """Wrong calls: one line that names what was found and what is allowed, and the exit code that README promises."""
 
 import io
+from pathlib import Path
 
 import pytest
 
@@ -59,9 +60,8 @@ CALLS = [
 ]
 
 
-@pytest.fixture(scope="module")
-def places(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("falsche Aufrufe")
+def places_in(folder: Path) -> dict[str, Path]:
+    """What the calls name, made in a folder; also for `benchmarks/wrong_calls.py`."""
     (folder / "full").mkdir()
     (folder / "full" / "a").write_text("a")
     (folder / "empty.ply").write_bytes(b"")
@@ -74,6 +74,11 @@ def places(tmp_path_factory):
         "text": folder / "notes.doc",
         "tmp": folder,
     }
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory):
+    return places_in(tmp_path_factory.mktemp("falsche Aufrufe"))
 
 
 @pytest.mark.parametrize(("call", "code", "words"), CALLS, ids=[call or "nothing" for call, _, _ in CALLS])
