@@ -53,6 +53,9 @@ class StageEntry:
     share: float = 1.0
     when: str = ""  # not every scan, or job, has it
     by_atoms: bool = False  # its cost grows with the number of atoms, in all their turns
+    beside: bool = (
+        False  # run by this row alone: its file has `asked` (`stages/beside.py`), and no other stage reads it
+    )
 
 
 _LEARNT_FROM = ("components", "coefficients")
@@ -238,11 +241,12 @@ CATALOGUE = (
     ),
     StageEntry(
         "photo-pages", "stages/pages/photo_pages.py", Phase.FILE, Task.PHOTO,
-        "photographs as a page file: all mip levels, cut into pages", ("ingest",), when="`pages`, `--pages`, or the plan has them on",
+        "photographs as a page file: all mip levels, cut into pages", ("ingest",), beside=True,
+        when="`pages`, `--pages`, or the plan has them on",
     ),
     StageEntry(
         "map-pages", "stages/pages/map_pages.py", Phase.FILE, Task.STATION,
-        "maps of stations as a page file", ("panoramas",), when="station maps and `--pages`",
+        "maps of stations as a page file", ("panoramas",), when="station maps and `--pages`", beside=True,
     ),
     StageEntry(
         "pack", "stages/packed/pack.py", Phase.FILE, Task.GROUP, "the packed file", ("splats", "encode"),

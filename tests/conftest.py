@@ -1,8 +1,24 @@
 import pytest
 
+from pipeline.catalogue import BY_NAME
+from pipeline.stages.beside import work_arrays
 from renderer.splats.context import gl_context
 from renderer.splats.renderer import Renderer
 from storage.errors import ResourceExhausted
+from storage.work import arrays, work
+from storage.work.schema import not_of_the_table
+
+OF_OTHERS = ("sampled", "pack")  # whose arrays are rows of any other stage's, and those of the packed file
+
+
+# Kernels are compiled first; then what waits for services, beside what computes; files of seconds come last, so that no
+# worker ends long before the others (`make test` deals out files in this order).
+ORDER = ("hard_cases", "golden", "pipeline", "services", "renderer", "storage")
+
+
+def pytest_collection_modifyitems(items):
+    rooms = {f"tests/{room}/": i for i, room in enumerate(ORDER)}
+    items.sort(key=lambda item: next((i for room, i in rooms.items() if item.nodeid.startswith(room)), len(rooms)))
 
 
 @pytest.fixture(scope="session")
@@ -11,3 +27,21 @@ def renderer():
         return Renderer(gl_context())
     except ResourceExhausted as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def work_folders_are_of_their_table():
+    """Every stage that a test completes in this process has arrays of the table alone; equal sets of names are looked at
+    once."""
+    complete, table, known = work.complete, work_arrays(), set()
+
+    def checked(folder, *told):
+        stage = folder.name.rpartition("-")[0]
+        if stage in BY_NAME and stage not in OF_OTHERS and (names := (stage, *arrays.names(folder))) not in known:
+            known.add(names)
+            assert not_of_the_table(folder, table) == []
+        return complete(folder, *told)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(work, "complete", checked)
+        yield

@@ -1,7 +1,7 @@
 """Pages of the photographs beside the packed file: where splats are so wide that their 32x32 texels show less than these do.
 
 What is coded, and drawn where it is resident, are pieces of the photographs themselves (2020, section 4; docs/PAGES.md). Pages
-are made once the packed file is (services/flow/pages.py), from the photographs that its textures are of; here stands what decides.
+are made once the packed file is (services/flow/beside.py), from the photographs that its textures are of; here stands what decides.
 """
 
 from __future__ import annotations

@@ -207,10 +207,11 @@ class RunRecord(Part, frozen=True):
     estimate: dict[str, EstimatedFigure] | None = None
     runs: RunsMade | None = None
     pages: PagesMade | None = None
+    found: dict[str, dict] | UnsetType = UNSET
 
 
 class Report(Part, frozen=True):
-    """report.json."""
+    """report.json. `found` is what stages beside the packed file tell, by their names; absent where there are none."""
 
     scan: ScanFacts
     splats: int
@@ -229,6 +230,7 @@ class Report(Part, frozen=True):
     pages: PagesMade | None
     programs: tuple[str, ...]
     warnings: tuple[str, ...]
+    found: dict[str, dict] | UnsetType = UNSET
 
 
 def schema_of(kind: type, name: str) -> dict:

@@ -55,6 +55,7 @@ def build_report(
                 "pages": known["pages"],
                 "programs": sorted({name for view in views for name in view.programs}),
                 "warnings": warnings,
+                **({"found": known["found"]} if "found" in known else {}),
             }
         ),
         Report,

@@ -14,7 +14,6 @@ from pipeline.execution.stage import Executor, Progress
 from pipeline.planning.settings import Settings
 from pipeline.readers.files.spelling import shown
 from pipeline.stages.packed.pack import write_packed
-from pipeline.stages.pages.coded import PagesMade
 from renderer.report.document import (
     EstimatedFigure,
     GeometryErrors,
@@ -25,12 +24,12 @@ from renderer.report.document import (
 )
 from renderer.report.report import sizes_of
 from services.flow.asked import prepare_asked
+from services.flow.beside import Beside, make_beside
 from services.flow.budget import check_budget
 from services.flow.code import Texture, texture
 from services.flow.estimate_cache import against, known_estimate
 from services.flow.outputs import placed_whole, write_outputs
 from services.flow.pack import pack, packed_gpu_bytes
-from services.flow.pages import make_pages_beside
 from services.flow.points.runs import runs_report
 from services.flow.prepare import Prepared, has_photographs
 from services.flow.run import Run
@@ -100,8 +99,8 @@ def make(
     if settings.budget_bytes is not None:
         check_budget(settings.budget_bytes, prepared.splats.summary.n_splats, packed_gpu_bytes(packed))
     write_packed(packed.folder, path)
-    pages = make_pages_beside(run, prepared, settings, path.with_suffix(PAGES_SUFFIX))
-    return finish(run, path, prepared, textured, settings, out, render, pages.summary if pages else None)
+    beside = make_beside(run, prepared, settings, path.with_suffix(PAGES_SUFFIX))
+    return finish(run, path, prepared, textured, settings, out, render, beside)
 
 
 def finish(
@@ -112,9 +111,9 @@ def finish(
     settings: Settings,
     out: Path,
     render: bool,
-    pages: PagesMade | None = None,
+    beside: Beside = Beside(None, {}),
 ) -> dict:
-    """Previews and report of a packed file, and of its pages, just made."""
+    """Previews and report of a packed file, and of what is beside it, just made."""
     coded = textured.coded
     record = RunRecord(
         scan=_scan_record(prepared, settings),
@@ -123,9 +122,10 @@ def finish(
         numerics=_numerics(prepared, coded),
         settings=asdict(settings),
         effects=tuple(_with_choice(row, textured) for row in prepared.effects.rows),
-        estimate=msgspec.convert(_estimate(run, path, textured, settings, pages), dict[str, EstimatedFigure] | None),
+        estimate=msgspec.convert(_estimate(run, path, textured, settings, beside), dict[str, EstimatedFigure] | None),
         runs=runs_report(prepared.runs, path) if prepared.runs is not None else None,
-        pages=pages,
+        pages=beside.pages,
+        found=beside.found or UNSET,
     )
     return write_outputs(run, path, prepared.photos, record, out, render)
 
@@ -135,7 +135,7 @@ def _with_choice(row: Row, textured: Texture) -> Row:
     return replace(row, choice=textured.choice) if row.effect == "station_maps" else row
 
 
-def _estimate(run: Run, path: Path, textured: Texture, settings: Settings, pages: PagesMade | None) -> dict | None:
+def _estimate(run: Run, path: Path, textured: Texture, settings: Settings, beside: Beside) -> dict | None:
     """What was estimated for this job, beside what happened up to its packed file, in stages run now or before."""
     estimate = known_estimate(run.work, settings)
     if estimate is None:
@@ -150,7 +150,7 @@ def _estimate(run: Run, path: Path, textured: Texture, settings: Settings, pages
             "gpu_bytes": n_bytes,
             "file_bytes": packed.n_bytes,
             "texture_psnr_db": textured.psnr_db,
-            "pages_bytes": pages.bytes if pages else None,
+            "pages_bytes": beside.pages.bytes if beside.pages else None,
         },
     )
 

@@ -1,5 +1,6 @@
 """Every array of a work folder: who makes it, its dtype, dimensions and meaning; as `storage.packed.schema` has those
-of the packed file. Tests hold real work folders against it.
+of the packed file. Tests hold every stage that they run against it (tests/conftest.py). Arrays of a stage beside the
+packed file, which no other reads, stand in its own file (`pipeline.stages.beside`).
 
 Dimensions: n points or splats; c chunks of CHUNK splats; i a task, a station or a photograph, whose number ends the
 name; h, w pixels; k atoms; d coefficients of a patch; p principal components; m what the row says. Lengths are in the
@@ -66,7 +67,7 @@ WORK_ARRAYS = (
               "a photograph, sRGB, in tiles"),
     WorkArray("depth_i", "float32", ("i", "h", "w"), ("depth-maps",),
               "distance along the view; infinite where there is nothing"),
-    WorkArray("voxels", ANY, ("k", "j", "i"), ("voxels",), "values of a volume, slice by slice"),
+    WorkArray("voxels", ANY, ("m", "h", "w"), ("voxels",), "values of a volume, m slices"),
     # leaves of large scans
     WorkArray("edges", "float64", (3, "m"), ("grid-counts",), "where cells of the grid end along each axis"),
     WorkArray("cell", "int32", ("m",), ("grid-counts",), "cells that hold points, ascending"),
@@ -164,19 +165,12 @@ WORK_ARRAYS = (
 STAGES = frozenset(stage for row in WORK_ARRAYS for stage in row.stages)
 
 
-def rows_of(stage: str, name: str) -> list[WorkArray]:
-    """The rows that a stage's array of that name may be."""
-    numbered = re.sub(r"_\d+$", "_i", name)
-    return [row for row in WORK_ARRAYS if row.name in (name, numbered) and stage in row.stages]
-
-
-def not_of_the_table(work: Path) -> list[str]:
-    """The arrays of a work folder, by stage and name, that the table does not have as they are."""
-    found = []
-    for folder in sorted(path for path in work.iterdir() if path.is_dir()):
-        stage = folder.name.rpartition("-")[0]
-        for name in arrays.names(folder) if stage in STAGES else ():
-            layout = arrays.layout_of(folder, name)
-            if not any(row.fits(layout) for row in rows_of(stage, name)):
-                found.append(f"{stage}: {name} {layout.dtype}{layout.shape}")
+def not_of_the_table(folder: Path, rows: tuple[WorkArray, ...] = WORK_ARRAYS) -> list[str]:
+    """The arrays of a stage's folder, by stage and name, that the table does not have as they are."""
+    stage, found = folder.name.rpartition("-")[0], []
+    for name in arrays.names(folder):
+        numbered, layout = re.sub(r"_\d+$", "_i", name), arrays.layout_of(folder, name)
+        known = (row for row in rows if row.name in (name, numbered) and stage in row.stages)
+        if not any(row.fits(layout) for row in known):
+            found.append(f"{stage}: {name} {layout.dtype}{layout.shape}")
     return found

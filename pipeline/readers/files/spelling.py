@@ -13,6 +13,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 
 _ENCODINGS = ("utf-8", "cp437", "cp1252")
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
@@ -123,3 +124,16 @@ def plain_path(path: str) -> Iterator[str]:
             link = os.path.join(folder, "scan" + re.sub(r"[^.\w]", "", os.path.splitext(shown(path))[1]))
             os.symlink(os.path.abspath(path), link)
             yield link
+
+
+def by_name(text: str, path: str) -> str:
+    """A warning that calls the scan at `path`, and what lies beside it, by their names: reports travel, folders do not.
+
+    >>> by_name("/data/a/scan.e57: no unit; /data/a/scan.json is not read", "/data/a/scan.e57")
+    'scan.e57: no unit; scan.json is not read'
+    """
+    for scan in (Path(path), Path(path).resolve()):
+        text = text.replace(str(scan), scan.name)
+        if scan.is_absolute():
+            text = text.replace(f"{scan.parent}/", "")
+    return text

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.numerics.accuracy import psnr_db
+from pipeline.planning.settings import Settings
 from pipeline.stages.pages.codecs import CODECS, DEFAULT_QUALITY
 from pipeline.stages.pages.cut import inner_size, pages_of
 from storage import place
@@ -29,6 +30,11 @@ class PageForm:
     page_px: int = DEFAULT_PAGE_PX
     border_px: int = DEFAULT_BORDER_PX
     quality: int = DEFAULT_QUALITY
+
+
+def form_of(settings: Settings) -> PageForm:
+    """What the settings ask of pages."""
+    return PageForm(settings.page_codec, quality=settings.page_quality)
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ import numpy as np
 from pipeline.maps.light import levels_with
 from pipeline.maps.station_map import NOTHING, MapFrame
 from pipeline.maps.stored import filled
+from pipeline.stages.beside import Given
 from pipeline.stages.maps.panoramas import read_map
 from pipeline.stages.maps.resample_maps import Gains
-from pipeline.stages.pages.coded import PageForm, PagesMade, PictureCoded, code_picture, join_pages
+from pipeline.stages.pages.coded import PageForm, PagesMade, PictureCoded, code_picture, form_of, join_pages
 from pipeline.summaries import MapsDrawn
 from storage.pages.file import PageHeader, stations_digest
 from storage.pages.layout import PageLayout
@@ -53,3 +54,10 @@ class MapPages:
     def _frames(self) -> list[tuple[int, MapFrame]]:
         frames = work.summary(self.maps, MapsDrawn).frames
         return [(i, frame) for i, frame in enumerate(frames) if frame is not None]
+
+
+def asked(given: Given) -> MapPages | None:
+    """The maps of a scan's stations in pages, where the plan has these on and no splat has a photograph."""
+    if "pages" not in given.effects.enabled or given.photos is not None or given.maps is None:
+        return None
+    return MapPages(given.maps, given.log_gain, form_of(given.settings))

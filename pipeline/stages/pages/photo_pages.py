@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.stages.pages.coded import PageForm, PagesMade, PictureCoded, code_picture, join_pages
+from pipeline.stages.beside import Given
+from pipeline.stages.pages.coded import PageForm, PagesMade, PictureCoded, code_picture, form_of, join_pages
 from pipeline.summaries import Photographs
 from storage.packed.schema import Camera
 from storage.pages.file import PageHeader, scan_digest
@@ -47,3 +48,10 @@ class PhotoPages:
 
     def _cameras(self) -> list[Camera]:
         return list(work.summary(self.photos, Photographs).cameras)
+
+
+def asked(given: Given) -> PhotoPages | None:
+    """The photographs of a scan in pages, where the plan has these on."""
+    if "pages" not in given.effects.enabled or given.photos is None:
+        return None
+    return PhotoPages(given.photos, form_of(given.settings), given.in_one_light)

@@ -14,6 +14,7 @@ from pipeline.readers import open_scan
 from pipeline.readers.attributes.counts import PointCounts
 from pipeline.readers.attributes.looks import Looks
 from pipeline.readers.attributes.options import ReadOptions
+from pipeline.readers.files.spelling import by_name
 from pipeline.scan import Piece, ScanSource
 from pipeline.splats.cameras import N_CANDIDATES, rank_candidates
 from pipeline.summaries import ScanRead
@@ -107,7 +108,7 @@ class Ingest:
             stations=tuple(source.stations),
             has_visibility=source.has_visibility,
             has_colors=source.has_colors or source.has_intensity,
-            warnings=tuple(_by_name(text, self.scan_path) for text in (*source.warnings, *counts.warnings(source))),
+            warnings=tuple(by_name(text, self.scan_path) for text in (*source.warnings, *counts.warnings(source))),
             unused=tuple(source.unused),
             seen=points.looks if otherwise else "",
         )
@@ -120,11 +121,6 @@ class Ingest:
 def _opened(scan_path: str, fingerprint: str, reading: ReadOptions, seen: str) -> ScanSource:
     source = open_scan(scan_path, reading)
     return (source.settle(Looks.from_text(seen)) or source) if seen and source.settle else source
-
-
-def _by_name(text: str, scan_path: str) -> str:
-    """A warning that calls the scan by its name: reports travel, folders do not."""
-    return text.replace(scan_path, Path(scan_path).name)
 
 
 def slice_rows(source: ScanSource) -> int:

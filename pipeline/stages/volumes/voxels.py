@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.readers.files.spelling import by_name
 from pipeline.summaries import VolumeRead
 from pipeline.volumes.open import open_volume
 from pipeline.volumes.volume import LARGEST_EXACT, Choice
@@ -72,7 +73,12 @@ class Voxels:
             warnings.append(f"{n_unknown:,} voxels are not finite; surfaces are open around them")
         if volume.dtype.kind in "ui" and max(abs(low), abs(high)) > LARGEST_EXACT:
             warnings.append(f"values reach {max(abs(low), abs(high)):,.0f} and are taken to 24 bits")
-        return ValuesSeen(low=low, high=high, n_unknown=n_unknown, warnings=(*volume.warnings, *warnings))
+        return ValuesSeen(
+            low=low,
+            high=high,
+            n_unknown=n_unknown,
+            warnings=tuple(by_name(text, self.volume_path) for text in (*volume.warnings, *warnings)),
+        )
 
     def finalise(self, folder: Path, results: list[ValuesSeen]) -> VolumeRead:
         volume = open_volume(self.volume_path, self.choice)

@@ -13,7 +13,7 @@ from pipeline.readers.attributes.options import ReadOptions
 from pipeline.stages.pages.coded import PageForm
 from pipeline.stages.pages.photo_pages import PhotoPages
 from pipeline.summaries import Photographs
-from services.flow.pages import place_pages
+from services.flow.beside import place_pages
 from services.flow.points.read import ingest_of
 from services.flow.run import Run
 from storage.errors import InvalidScan

@@ -22,7 +22,6 @@ from services.processes.compress import compress
 from services.processes.report import report
 from storage.errors import InvalidScan, ResourceExhausted
 from storage.packed.packed import PackedFile
-from storage.work.schema import not_of_the_table
 from tests.pipeline.execution.test_stage import Heard
 from tests.pipeline.readers.workspace import write_workspace
 from tests.services.processes.published_schemas import misfits
@@ -154,7 +153,6 @@ def test_workflow__tasks_that_run_twice_or_late_change_no_byte(tmp_path):
         once, haunted = ((tmp_path / name / made).read_bytes() for name in ("once", "haunted"))
         assert once == haunted
     assert not [p for p in (tmp_path / "work haunted").rglob("*") if ".partial" in p.name]
-    assert not_of_the_table(tmp_path / "work once") == []
 
 
 def assert_measured(found: float, made: float) -> None:
