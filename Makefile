@@ -7,7 +7,7 @@ demo: setup
 
 test:
 	@deploy/setup.sh $(VENV) with-tests
-	$(VENV)/bin/python -m pytest --numprocesses 2 --dist loadfile
+	$(VENV)/bin/python -m pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder
 
 setup:
 	@deploy/setup.sh $(VENV)

@@ -17,6 +17,7 @@ import pytest
 import yaml
 
 from services.cli.client import Client
+from tests.services.kernels import give_kernels
 from tests.services.service_process import ROOT, free_port, until
 
 COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
@@ -32,6 +33,7 @@ class Composed:
         self.data.mkdir()
         self._tmp, self._stopping = folder / "tmp", False
         self._tmp.mkdir()
+        give_kernels(self._tmp / "numba")
         self.password = folder / "password"
         self.password.write_text("not looked at by a server that trusts its own machine\n")
         self.logs = {name: folder / f"{name}.log" for name in OURS}

@@ -19,12 +19,14 @@ import httpx
 import pytest
 
 from services.cli.client import Client
+from tests.services.kernels import give_kernels
 from tests.services.scans import photo_scan
 from tests.services.service_process import ROOT, free_port, until
 
 DOCKERFILE = (ROOT / "deploy" / "Dockerfile").read_text()
 USER = int(re.search(r"^USER (\d+)$", DOCKERFILE, re.M)[1])
 COMMAND = json.loads(re.search(r"^CMD (\[.*\])$", DOCKERFILE, re.M)[1])
+LEFT_TO_COMPILE = ("pipeline/splats",)  # by the image's user, into the folder that its environment names
 PASSWD_HOME = "/home" + "/" + re.search(r"useradd .* (\w+) ", DOCKERFILE)[1]  # what Docker gives where ENV has none
 
 
@@ -43,10 +45,12 @@ class Image:
             (root / name).mkdir()
         for room in ("storage", "pipeline", "renderer", "services"):
             shutil.copytree(ROOT / room, root / "app" / room, ignore=shutil.ignore_patterns("__pycache__"))
+        give_kernels(root / "scratch" / "numba", root / "app", but=LEFT_TO_COMPILE)
         for folder in (root / "home", *(p for p in (root / "app").rglob("*") if p.is_dir())):
             folder.chmod(0o555)
         if self.user:
-            [os.chown(root / name, USER, USER) for name in ("data", "scratch")], (root / "tmp").chmod(0o1777)
+            owned = (root / "data", root / "scratch", *(root / "scratch").rglob("*"))
+            [os.chown(path, USER, USER) for path in owned], (root / "tmp").chmod(0o1777)
         self.port = free_port()
 
     def here(self, text: str) -> str:
@@ -124,6 +128,7 @@ def started_image():
         try:
             until(is_ready)
             yield lambda owner: Client(url, image.run("splatpress", "token", owner, "--data", image.here("/data")))
+            assert [*(image.root / "scratch" / "numba").rglob("splats_*/*.nbc")]
         finally:
             process.terminate()
             try:
