@@ -28,8 +28,11 @@ from pathlib import Path
 
 import httpx
 
-from tests.services.scans import photo_scan, point_scan
-from tests.services.service_process import service
+from benchmarks.needs import packages_of_tests
+
+with packages_of_tests():
+    from tests.services.scans import photo_scan, point_scan
+    from tests.services.service_process import service
 
 WORKERS = 2
 ASK_EVERY_S = 0.05

@@ -14,6 +14,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from benchmarks.needs import packages_of_tests
+
 
 def processor_seconds() -> float:
     """Seconds of a processor that programs started from here, and ended, have taken in all."""
@@ -33,8 +35,9 @@ def seconds(arguments: list[str], expected: int) -> tuple[float, float]:
 
 
 def main() -> None:
-    from tests.services.cli.test_wrong_calls import CALLS, places_in
-    from tests.services.cli.test_wrong_files import FILES
+    with packages_of_tests():
+        from tests.services.cli.test_wrong_calls import CALLS, places_in
+        from tests.services.cli.test_wrong_files import FILES
 
     taken: list[tuple[tuple[float, float], str]] = []
     with tempfile.TemporaryDirectory(prefix="falsche Aufrufe ") as name:

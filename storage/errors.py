@@ -26,6 +26,11 @@ class SplatpressError(Exception):
             parts.append(hint)
         super().__init__("; ".join(parts))
 
+    @property
+    def title(self) -> str:
+        """What a line of a terminal calls it."""
+        return f"{self.kind} error"
+
     def __reduce__(self):
         return type(self), (self.where, self.found, self.allowed, self.hint)
 

@@ -7,10 +7,11 @@ from pathlib import PurePosixPath, PureWindowsPath
 
 import httpx
 
-from services.cli.exit_codes import BY_KIND, INTERNAL
+from services.cli.exit_codes import ARGUMENTS, BY_KIND, INTERNAL
 from storage.errors import SplatpressError
 
 PROBLEM_JSON = "application/problem+json"
+OF_THE_CALL = (401, 403, 404, 409)  # a token or an id that the service does not know, or what a job cannot do now
 
 
 class ServiceError(SplatpressError):
@@ -20,7 +21,12 @@ class ServiceError(SplatpressError):
         super().__init__(f"service answered {status}", problem.get("detail", ""), "", problem.get("hint", ""))
         self.status, self.problem = status, problem
         self.kind = problem.get("class", "internal")
-        self.exit_code = BY_KIND.get(self.kind, INTERNAL)
+        self.exit_code = ARGUMENTS if status in OF_THE_CALL else BY_KIND.get(self.kind, INTERNAL)
+
+    @property
+    def title(self) -> str:
+        """What was asked for wrongly by its own name; nothing is wrong with a scan then."""
+        return self.problem.get("title", "refused") if self.status in OF_THE_CALL else super().title
 
     def __reduce__(self):
         return type(self), (self.status, self.problem)

@@ -9,5 +9,5 @@ INVALID_INPUT = 3
 INTERNAL = 4  # a mistake of ours
 UNSUPPORTED = 5
 GATE_MISSED = 7  # a quality gate
-INTERRUPTED = 130  # as shells have it: 128 and SIGINT
+INTERRUPTED, TERMINATED = 130, 143  # as shells have them: 128 and SIGINT, SIGTERM
 BY_KIND = {"data": INVALID_INPUT, "resource": INPUT_OUTPUT, "internal": INTERNAL}  # of an error's `kind`

@@ -9,9 +9,13 @@ from __future__ import annotations
 import argparse
 import io
 import os
+import signal
 import sys
+import threading
 import traceback
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from services.cli.arguments import WrongArgument
 from services.cli.commands.completion import add_completion
@@ -25,8 +29,9 @@ from services.cli.commands.pictures import add_coverage, add_render
 from services.cli.commands.service import add_service
 from services.cli.commands.studies import add_estimate, add_evaluate, add_plan, add_tradeoff
 from services.cli.commands.user import add_user
-from services.cli.exit_codes import ARGUMENTS, INPUT_OUTPUT, INTERNAL, INTERRUPTED, OK
+from services.cli.exit_codes import ARGUMENTS, INPUT_OUTPUT, INTERNAL, INTERRUPTED, OK, TERMINATED
 from services.cli.parser import Parser
+from services.cli.wording import as_options
 from storage.errors import SplatpressError
 from storage.version import VERSION
 
@@ -45,9 +50,10 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     warnings.filterwarnings("ignore", module="zarr")
     try:
-        return options.command(options)
+        with _terminable():
+            return options.command(options)
     except SplatpressError as error:
-        print(f"splatpress: {error.kind} error: {error}", file=sys.stderr)
+        print(f"splatpress: {error.title}: {as_options(str(error))}", file=sys.stderr)
         _print_notes(error)
         return error.exit_code
     except WrongArgument as error:
@@ -66,6 +72,9 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("splatpress: interrupted", file=sys.stderr)
         return INTERRUPTED
+    except Terminated:
+        print("splatpress: terminated", file=sys.stderr)
+        return TERMINATED
     except Exception as error:
         if type(error).__module__.startswith("httpx"):
             print(f"splatpress: no answer from {_asked(error)}: {error}", file=sys.stderr)
@@ -83,6 +92,27 @@ def main(arguments: list[str] | None = None) -> int:
         traceback.print_exc()
         print("splatpress: internal error: please report the lines above", file=sys.stderr)
         return INTERNAL
+
+
+class Terminated(BaseException):
+    """SIGTERM came: what was begun is cleared away, as at Ctrl-C."""
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """SIGTERM raises Terminated meanwhile; commands that run until it comes take it for themselves."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(*_) -> None:
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _print_notes(error: Exception) -> None:

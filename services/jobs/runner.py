@@ -51,7 +51,7 @@ def run_forever(settings: ServiceSettings, stop: threading.Event | None = None) 
     """Until SIGTERM or SIGINT; jobs under way go on at the next start."""
     global _jobs
     stop = stop or threading.Event()
-    import pycolmap  # noqa: F401 (its import takes SIGTERM for itself; the scans' reader would import it later)
+    import pipeline.readers.colmap.library  # noqa: F401 (a thread that imported it could not give SIGTERM back)
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())

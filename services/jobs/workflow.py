@@ -31,7 +31,7 @@ from services.jobs.progress import JobProgress
 from services.jobs.scheduler import SchedulerLink
 from services.problems import is_of_database, problem_of_job
 from services.processes.compress import make
-from services.processes.kinds import TRADEOFF
+from services.processes.kinds import PERFORMANCE, TRADEOFF
 from services.processes.tradeoff import measure_ladder
 from services.settings import ServiceSettings
 from services.store.rows import FAILED, SUCCESSFUL, ArtifactRow, JobRow
@@ -42,7 +42,7 @@ from storage.work.stage_lock import stage_lock
 from storage.work.work import stage_folder, write_json
 
 BUCKET_LOOK_S = 1.0  # a request each
-LEARNING, PERFORMANCE = "learning.json", "dask-performance.html"
+LEARNING = "learning.json"
 
 
 class Dismissed(Exception):

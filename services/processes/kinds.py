@@ -10,6 +10,9 @@ BUDGET_S = 600.0  # of a tradeoff, unless told otherwise
 COMPRESS, TRADEOFF = PROCESSES = ("compress", "tradeoff")
 
 
+PERFORMANCE = "dask-performance.html"  # an artifact for whoever runs the service
+
+
 def check_knobs(process: str, knobs: Mapping[str, Sequence] | None) -> None:
     """Raises ValueError for knobs that are not allowed, or of no use to the process."""
     if process == COMPRESS and knobs is not None:

@@ -111,7 +111,7 @@ def _camera_named(header: Header, name: str, packed: Path) -> Camera:
 
 
 def coverage_of(packed: Path, up: tuple[float, float, float] | None = None, pictures: Path | None = None) -> dict:
-    """`surface`: rows of three orbit views, as `renderer.evaluate.coverage` measures discs; `outline`: of four orbit views as they are drawn,
+    """`surface`: rows of three views from one distance, ring_000 and on, as `renderer.evaluate.coverage` measures discs; `outline`: of four orbit views as they are drawn,
     `camera`, `coverage` and `holes`, the share of pixels without a splat inside the outline closed by 9x9 px, and what part of it the scan has no
     points for: `unscanned`, which discs twice as large leave open too. Into the folder `pictures` goes each view with its holes painted."""
     with PackedFile(packed) as opened:
@@ -136,7 +136,8 @@ def coverage_of(packed: Path, up: tuple[float, float, float] | None = None, pict
         if pictures is not None:
             pictures.mkdir(parents=True, exist_ok=True)
             save_picture(pictures / f"{view.name}.png", painted_holes(drawn.rgb, drawn.coverage, filled))
-    return {"surface": [asdict(row) for row in surface_coverage(scene, up=up)], "outline": outline}
+    ring = (replace(row, camera=row.camera.replace("orbit", "ring")) for row in surface_coverage(scene, up=up))
+    return {"surface": [asdict(row) for row in ring], "outline": outline}
 
 
 def _pictures(renderer: Renderer, scene: PackedScene, views: list[Camera]) -> list[Picture]:

@@ -390,8 +390,14 @@ def test_service__the_command_line_does_it_all(served, scan, tmp_path, capsys, m
     assert code == 0 and status == "successful" and f"next: splatpress fetch {job} --out DIR" in said[-1]
     assert "progress: 100" in run("status", job)[1] and "encode: " in run("logs", job)[1] and job in run("ls")[1]
     assert run("fetch", job, "report.json", "--out", tmp_path / "got")[1] == str(tmp_path / "got" / "report.json")
-    assert run("fetch", job, "nothing", "--out", tmp_path / "got")[0] == 2 and run("status", "0" * 32)[0] == 3
-    assert run("retry", job)[0] == 3 and run("cancel", job) == (0, f"{job} dismissed")
+    assert run("fetch", job, "nothing", "--out", tmp_path / "got")[0] == 2
+    assert [p.name for p in (tmp_path / "got").iterdir()] == ["report.json"]
+    fetched = run("fetch", job, "--out", tmp_path / "all")[1]
+    assert "report.html" in fetched and "dask-performance.html" not in fetched
+    assert run("status", "0" * 32)[0] == 1 and said[-1].startswith(
+        "splatpress: no such job: service answered 404: no job 0"
+    )
+    assert run("retry", job)[0] == 1 and run("cancel", job) == (0, f"{job} dismissed")
     assert run("submit", id, "--option", "iterations=0")[0] == 1 and run("submit", id, "--option", "iterations")[0] == 1
 
 

@@ -20,8 +20,8 @@ from functools import cache
 from typing import BinaryIO
 
 import numpy as np
-import pycolmap
 
+from pipeline.readers.colmap.library import pycolmap
 from pipeline.readers.colmap.text import plain_cameras, plain_images, plain_text
 from pipeline.readers.files.members import Members, escapes
 from pipeline.readers.files.spelling import name_of, shown

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pycolmap
 
+from pipeline.readers.colmap.library import pycolmap
 from pipeline.readers.colmap.model import RegisteredPhoto
 from pipeline.readers.files.members import Members
 from pipeline.readers.files.spelling import composed, shown

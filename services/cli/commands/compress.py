@@ -25,6 +25,7 @@ from services.cli.commands.running import (
     scan_path,
 )
 from services.cli.exit_codes import GATE_MISSED, OK
+from services.cli.wording import as_options
 
 
 def add_compress(commands) -> None:
@@ -190,7 +191,7 @@ def _summary(report: dict, out: Path) -> str:
             f"compression      {sizes['compression_factor_total']:.1f} times in all, "
             f"{sizes['compression_factor_texture']:.1f} times the textures"
         )
-    lines += [f"warning          {w}" for w in report.get("warnings", [])]
+    lines += [f"warning          {as_options(w)}" for w in report.get("warnings", [])]
     if pages := report.get("pages"):
         lossy = "" if pages["psnr_db"] is None else f", {pages['psnr_db']:.2f} dB"
         where = ", ".join(str(path) for path in out.glob("*.pages"))

@@ -12,7 +12,7 @@ from pipeline.planning.knobs import BY_NAME
 from services.cli.arguments import WrongArgument, add_preset
 from services.cli.commands.running import asked_token, program
 from services.cli.exit_codes import BY_KIND, GATE_MISSED, INPUT_OUTPUT, OK
-from services.processes.kinds import COMPRESS, PROCESSES
+from services.processes.kinds import COMPRESS, PERFORMANCE, PROCESSES
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 
@@ -57,7 +57,7 @@ def add_user(commands) -> None:
     logs.add_argument("--level", default="info", choices=("debug", "info", "warning", "error"))
     fetch = _verb(commands, "fetch", "what a job made", _fetch)
     fetch.add_argument("job")
-    fetch.add_argument("names", nargs="*")
+    fetch.add_argument("names", nargs="*", help=f"of artifacts; without any, all but {PERFORMANCE}, of the workers")
     fetch.add_argument("--out", type=Path, required=True, metavar="DIR")
     ls = _verb(commands, "ls", "your jobs, newest first", _ls)
     ls.add_argument("--status", choices=("accepted", "running", "successful", "failed", "dismissed"))
@@ -263,7 +263,8 @@ def _logs(options: argparse.Namespace) -> int:
 
 def _fetch(options: argparse.Namespace) -> int:
     with _client(options) as client:
-        paths = client.fetch(options.job, options.out, options.names or None)
+        made = [] if options.names else [artifact["name"] for artifact in client.artifacts(options.job)]
+        paths = client.fetch(options.job, options.out, options.names or [n for n in made if n != PERFORMANCE])
     missing = set(options.names) - {p.relative_to(options.out).as_posix() for p in paths}
     if missing:
         print(f"splatpress: job {options.job} has no {', '.join(sorted(missing))}", file=sys.stderr)
