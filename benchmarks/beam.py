@@ -25,6 +25,7 @@ from pipeline.numerics.accuracy import psnr_db
 from pipeline.planning.costs import COSTS, kilos_of
 from pipeline.planning.knobs import PURSUITS
 from pipeline.stages.texture.atoms import load_atoms
+from pipeline.stages.texture.colors import average_colors
 from pipeline.texture.patches import centred
 from pipeline.texture.resample import PATCH_DIM
 from storage.work import arrays
@@ -45,7 +46,7 @@ def sampled(work: Path, n: int, size: int) -> tuple[np.ndarray, np.ndarray]:
     rows, energy = [], []
     for start in starts:
         stop = min(n_splats, start + RUN)
-        whole = centred(arrays.read(patches, "texel", start, stop), arrays.read(colors, "average", start, stop))
+        whole = centred(arrays.read(patches, "texel", start, stop), average_colors(colors, start, stop))
         rows.append(coefficients(whole, size))
         energy.append(squared_norms(whole))
     return np.concatenate(rows), np.concatenate(energy)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from benchmarks.gaussian_pictures import picture
 from benchmarks.patches import Silent
+from pipeline.effects.exposure.photographs import read_photo
 from pipeline.execution.executors import SerialExecutor
 from pipeline.exports.cloud import cloud_of
 from pipeline.exports.gaussians import OPACITY, SIGMA_IN_RADII, gaussians_of
@@ -25,7 +26,6 @@ from services.flow.pack import pack
 from services.flow.prepare import prepare
 from services.flow.run import Run
 from storage.packed.packed import PackedFile
-from storage.work import arrays
 
 
 def main() -> None:
@@ -62,7 +62,7 @@ def measure(options: argparse.Namespace) -> list[dict]:
     gpu_scene = GpuScene(scene, renderer.context)
     gaussians, rows = gaussians_of(cloud_of(scene)), []
     for i in held_out:
-        view, photo = scene.header.cameras[i], arrays.read(prepared.photos, f"photo_{i}")
+        view, photo = scene.header.cameras[i], read_photo(prepared.photos, i)
         shown = renderer.render(gpu_scene, view)
         packed_db = psnr_db(shown.rgb, photo, shown.coverage)
         for sigma in options.sigma:

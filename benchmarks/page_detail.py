@@ -17,6 +17,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import binary_erosion, gaussian_filter
 
+from pipeline.effects.exposure.photographs import read_photo
 from pipeline.execution.executors import SerialExecutor
 from pipeline.stages.pages.codecs import decoded
 from pipeline.stages.pages.coded import PageForm
@@ -29,7 +30,6 @@ from services.cli.commands.running import progress_bars
 from services.processes.pages.page_file import make_pages, photos_of
 from storage.packed.packed import PackedFile
 from storage.pages.file import PageFile
-from storage.work import arrays
 
 SIDE_PX, ZOOMS, SIGMA_PX, RIM_PX = 256, (1, 2, 4), 2.0, 6
 
@@ -62,7 +62,7 @@ def measure(packed: Path, pages: Path, photos: Path) -> None:
         for page in range(file.layout.n_pages):
             gpu_pages.put(page, decoded(file.header.codec, file.read(page), file.header.side_px, "a page"))
         for i, camera in enumerate(cameras):
-            photo = arrays.read(photos, f"photo_{i}")
+            photo = read_photo(photos, i)
             for zoom in ZOOMS:
                 side = SIDE_PX
                 left, top = (camera.width_px - side) // 2, (camera.height_px - side) // 2

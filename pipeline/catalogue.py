@@ -160,8 +160,8 @@ CATALOGUE = (
         "a line for each splat that reaches over an edge", ("splats", "nearest-points"), when="the plan has them on",
     ),
     StageEntry(
-        "exposure", "effects/exposure/stage.py", Phase.EFFECTS, Task.PHOTO,
-        "photographs in one light", ("ingest",), when="the plan has it on",
+        "exposure", "effects/exposure/stage.py", Phase.EFFECTS, Task.ONCE,
+        "gains that bring photographs to one light, where they are looked at", when="the plan has it on",
     ),
     StageEntry(
         "panoramas", "stages/maps/panoramas.py", Phase.TEXTURE, Task.STATION,

@@ -34,6 +34,7 @@ DISPATCH_S = 1e-3  # of Dask's scheduler, a call: its documentation says "about 
 CROWDED = 1.10
 MOST_SIMULATED = 20_000  # tasks of a stage; more go on as the last of these did
 SAMPLED = 16  # blocks that effects are measured on
+MEASURED = 16  # bytes a splat of what is said of a patch: average, energy
 KILO, SMALLEST = 1024, min(ATOM_SIZES)  # indices of atoms, and texels to a side of the smallest
 COSTS = Path(__file__).with_name("costs.json")
 
@@ -58,10 +59,30 @@ TASKS = _modelled()
 BEYOND_MEMORY = {entry.name for entry in CATALOGUE if entry.task == Task.PART and entry.when}
 BY_ATOMS = {entry.name for entry in CATALOGUE if entry.by_atoms}  # whose costs go with the number of indices
 READS = {entry.name: entry.reads for entry in CATALOGUE} | {  # the training set reads its own share of patches
-    "exposure": (PHOTOGRAPHS,),
+    "exposure": (),  # fields of gains: photographs are brought to one light where they are looked at
     "resample": ("splats", PHOTOGRAPHS),
+    "colors": ("resample",),
+    "training-set": ("colors", "partition"),
+    "encode": ("colors", "resample"),
+    "pack": ("splats", "colors", "encode"),
     PAGES: (PHOTOGRAPHS,),
 }
+# Bytes a splat of what a stage reads of another's arrays, not all: positions 24, cameras 16, normals 12, numbers 8, colours 3.
+PARTLY_READ = {
+    ("grid-counts", "ingest"): 24,
+    ("neighbours", "partition"): 36,
+    ("sizes", "partition"): 24,
+    ("splats", "partition"): 43,
+    ("nearest-points", "partition"): 40,
+    ("training-set", "colors"): 8,
+    ("training-set", "partition"): 8,
+    ("encode", "colors"): 4,
+    ("encode", "resample"): 0,
+    ("pack", "colors"): 4,
+}
+LONE_PATCH_BYTES = (
+    13_900  # of photographs, for each of five training patches of a block (`fountain_p11`): they are not read whole
+)
 
 
 @dataclass(frozen=True)
@@ -150,7 +171,7 @@ def plan_job(job: Job, costs: dict[str, StageCost]) -> list[StagePlan]:
         for name, cost in costs.items()
     }
     if not job.keeps_patches and "resample" in written:
-        written["resample"] = max(0.0, written["resample"] - PATCH_DIM * _units("resample", job))
+        written["resample"] = float(MEASURED) * job.n_splats
     called_for = (
         name
         for name in TASKS
@@ -171,11 +192,7 @@ def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dic
     n_calls = sum(-(-size // most) for size in calls)
     dispatch_s = DISPATCH_S * n_calls / max(1, n_tasks)
     busy_s = makespan(n_tasks, task_s, job.n_workers, dispatch_s)
-    read = sum(written.get(source, 0.0) for source in READS.get(name, ()))
-    if name == "training-set":
-        read = (written[name] if job.keeps_patches else 0.0) + 4.0 * job.n_splats
-    if name in ("training-set", "encode") and not job.keeps_patches:
-        read += sum(written.get(source, 0.0) for source in READS["resample"])
+    read = _read(name, job, written)
     return StagePlan(
         name,
         passes * n_tasks,
@@ -188,6 +205,21 @@ def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dic
         passes * written[name],
         cost.memory_bytes + cost.memory_bytes_a_unit * min(units, MOST_HELD),
     )
+
+
+def _read(name: str, job: Job, written: dict[str, float]) -> float:
+    """Bytes that a pass of a stage reads, what several of its tasks read counted once."""
+
+    def of(stage: str) -> float:
+        parts = {source: PARTLY_READ.get((stage, source)) for source in READS.get(stage, ())}
+        return sum(written.get(s, 0.0) if part is None else part * job.n_splats for s, part in parts.items())
+
+    if name == "training-set":
+        windows = min(written.get(PHOTOGRAPHS, 0.0), LONE_PATCH_BYTES * _units(name, job)) + written.get("splats", 0.0)
+        return of(name) + (written[name] if job.keeps_patches else windows)
+    if name == "encode":
+        return of(name) + (PATCH_DIM * job.n_splats if job.keeps_patches else of("resample"))
+    return of(name)
 
 
 def _beam_us(cost: StageCost, beam: Beam | None, kilos: float) -> float:

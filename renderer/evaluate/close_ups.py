@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.effects.exposure.photographs import read_photo
 from pipeline.numerics.accuracy import psnr_db as psnr_db_of_error
 from pipeline.stages.packed.measure import SplatErrors, splat_errors
 from pipeline.summaries import Photographs
@@ -25,7 +26,7 @@ from renderer.splats.views import framed_views, view_of
 from storage.packed.packed import PackedFile
 from storage.packed.schema import NO_CAMERA, Camera
 from storage.pages.file import PageFile
-from storage.work import arrays, work
+from storage.work import work
 
 FOLDER = "close-ups"
 SIDE_PX = 96  # of the photograph
@@ -183,6 +184,6 @@ def drawn(renderer: Renderer, variant: Variant) -> Iterator:
             opened.callback(paged.release)
             yield lambda view: paged.draw(renderer, view)
             return
-        whole = PhotoSplats(gpu_scene, lambda i: arrays.read(variant.photos, f"photo_{i}"), variant.pool_bytes, cameras)
+        whole = PhotoSplats(gpu_scene, lambda i: read_photo(variant.photos, i), variant.pool_bytes, cameras)
         opened.callback(whole.release)
         yield lambda view: renderer.render_baseline(whole, view)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.effects.exposure.photographs import read_photo, read_photo_window
 from renderer.evaluate.close_ups import window_view
 from renderer.evaluate.compare import difference, fullest_square, psnr_db
 from renderer.evaluate.previews import even_choice, limited_view
@@ -21,7 +22,6 @@ from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
 from storage.packed.packed import PackedFile, PackedScene
 from storage.packed.schema import EXTRAS, Camera
-from storage.work import arrays
 
 FOLDER = "edges"
 N_CAMERAS = 4  # that are looked through for edges
@@ -60,7 +60,7 @@ def draw_edges(packed: Path, photos: Path, folder: Path) -> list[EdgeShown]:
 
     rows: list[EdgeShown] = []
     for i, left, top, side in _chosen(draw, scene.header.cameras, photos):
-        photo = arrays.read_window(photos, f"photo_{i}", top, top + side, left, left + side)
+        photo = read_photo_window(photos, i, left, top, left + side, top + side)
         rows.append(_row(draw, scene.header.cameras[i], photo, (left, top, side), Path(folder), len(rows)))
     for gpu_scene in scenes.values():
         gpu_scene.release()
@@ -72,7 +72,7 @@ def _chosen(draw, cameras: tuple[Camera, ...], photos: Path) -> list[tuple[int, 
     gained: list[tuple[float, int, int, int, int]] = []
     lost: list[tuple[float, int, int, int, int]] = []
     for i in even_choice(len(cameras), N_CAMERAS):
-        nearer = _nearer(draw, cameras[i], arrays.read(photos, f"photo_{i}"))
+        nearer = _nearer(draw, cameras[i], read_photo(photos, i))
         shrink = nearer.shape[1] / cameras[i].width_px
         for found, values in ((gained, nearer), (lost, -nearer)):
             amount, row, column = fullest_square(values, max(1, round(SIDE_PX * shrink)))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.effects.exposure.photographs import read_photo
 from pipeline.effects.exposure.solve import DARKEST
 from pipeline.numerics.srgb import linear_of, srgb_of
 from renderer.evaluate.compare import flip, psnr_db, ssim
@@ -16,7 +17,6 @@ from renderer.report.evaluation_document import HeldOutView
 from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
 from storage.packed.packed import PackedFile
-from storage.work import arrays
 
 FOLDER = "held-out"
 MAX_SIDE_PX = 1600
@@ -56,7 +56,7 @@ def compare_held_out(held_out: HeldOut, folder: Path) -> list[HeldOutView]:
     ):
         view = limited_view(scene.header.cameras[i], MAX_SIDE_PX)
         picture = renderer.render(gpu_scene, view)
-        photo = resized(arrays.read(held_out.ingest, f"photo_{i}"), view.width_px, view.height_px)
+        photo = resized(read_photo(held_out.ingest, i), view.width_px, view.height_px)
         pictures = {"packed": f"{FOLDER}/{name}.packed.png", "photo": f"{FOLDER}/{name}.photo.jpg"}
         for kind, rgb in (("packed", picture.rgb), ("photo", photo)):
             save_picture(Path(folder) / pictures[kind], rgb)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.effects.exposure.photographs import read_photo
 from pipeline.summaries import Photographs
 from renderer.evaluate.close_ups import Variant, drawn
 from renderer.evaluate.compare import psnr_of_error
@@ -20,7 +21,7 @@ from renderer.splats.renderer import Renderer
 from renderer.splats.views import framed_views
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Camera
-from storage.work import arrays, work
+from storage.work import work
 
 N_VIEWS = 4
 MAX_SIDE_PX = 1024
@@ -59,4 +60,4 @@ def _photographs(photos: Path) -> tuple[list[Camera], list[np.ndarray]]:
     cameras = work.summary(photos, Photographs).cameras
     chosen = even_choice(len(cameras), N_VIEWS)
     views = [limited_view(cameras[i], MAX_SIDE_PX) for i in chosen]
-    return views, [resized(arrays.read(photos, f"photo_{i}"), v.width_px, v.height_px) for i, v in zip(chosen, views)]
+    return views, [resized(read_photo(photos, i), v.width_px, v.height_px) for i, v in zip(chosen, views)]

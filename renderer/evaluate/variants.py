@@ -10,6 +10,7 @@ from statistics import median
 
 import numpy as np
 
+from pipeline.effects.exposure.photographs import read_photo
 from renderer.evaluate.compare import difference, fullest_square, psnr_db
 from renderer.evaluate.previews import even_choice, limited_view, safe_names
 from renderer.pictures import resized, save_picture
@@ -19,7 +20,6 @@ from renderer.splats.scene import GpuScene
 from renderer.splats.views import orbit_views
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Camera
-from storage.work import arrays
 
 N_VIEWS, MAX_SIDE_PX, ORBIT_PX = 4, 1024, (960, 720)
 ROUNDS = 5  # every variant is drawn once a round, so that a machine's mood falls on all alike
@@ -71,7 +71,7 @@ def compare_variants(variants: Sequence[EffectsVariant], folder: Path | None = N
             programs[k] |= set(picture.programs)
             figures[k]["psnr_vs_first_db"].append(psnr_db(picture.rgb, pictures[0].rgb, covered))
             if chosen:
-                photo = resized(arrays.read(variants[k].photos, f"photo_{chosen[i]}"), view.width_px, view.height_px)
+                photo = resized(read_photo(variants[k].photos, chosen[i]), view.width_px, view.height_px)
                 figures[k]["psnr_vs_photos_db"].append(psnr_db(picture.rgb, photo, covered))
     rows = [
         {
@@ -89,7 +89,7 @@ def compare_variants(variants: Sequence[EffectsVariant], folder: Path | None = N
         _, (i, at) = spots[k]
         shown = [renderer.render(scenes[n], views[i]).rgb for n in (k, 0)]
         if chosen:
-            photo = arrays.read(variants[0].photos, f"photo_{chosen[i]}")
+            photo = read_photo(variants[0].photos, chosen[i])
             shown.append(resized(photo, views[i].width_px, views[i].height_px))
         save_picture(folder / f"{safe_names([variants[k].name])[0]}.png", _enlarged(shown, at))
     for scene in scenes:

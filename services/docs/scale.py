@@ -28,6 +28,11 @@ fitted by `benchmarks/fit_costs.py` to: {fitted}. Tasks count by their processor
     python -m benchmarks.scaling ANOTHER --workers 2 --out others.jsonl
     python -m benchmarks.fit_costs others.jsonl --check     # a run outside the fit: predicted beside measured
 
+Bytes are those of the arrays that a stage reads, each once: what several of its tasks ask for comes from the disk cache, or is read
+again. `python -m benchmarks.bytes_moved SCAN` counts all that tasks ask for: of `fountain_p11` (draft) 3,369 bytes a splat, 1,276 of them
+parts of pictures of nearest points as they are unpacked and 430 points that all 11 cameras look through, where they were 15,600 with these
+pictures read as they are; 689 are written, where they were 1,160.
+
 What it does not know: a network store slower than a local disk (the bytes read and written are there to compare with
 one's own), scans whose patches take more or fewer atoms than those it was fitted to, ellipsoids, pictures, coarser levels (a third more of
 all from `splats` on, where a scan has them). A short piece of

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
-import numpy as np
-
+from pipeline.effects.exposure.photographs import read_photo
 from renderer.evaluate.previews import make_previews
 from renderer.report.document import ViewMeasured
 from storage.packed.packed import PackedFile
-from storage.work import arrays
 
 
 def previews_of(
@@ -19,5 +18,5 @@ def previews_of(
     """Previews of a packed file into `out`, beside the photographs that the ingest stage decoded."""
     with PackedFile(packed) as opened:
         scene = opened.load()
-    read_photo = (lambda i: np.asarray(arrays.opened(ingest, f"photo_{i}")[:])) if scene.header.cameras else None
-    return make_previews(scene, out, read_photo, progress=on_view)
+    photo = partial(read_photo, ingest) if scene.header.cameras else None
+    return make_previews(scene, out, photo, progress=on_view)

@@ -16,7 +16,7 @@ from pipeline.effects.block import Sources
 from pipeline.effects.cliplines.eyes import cell_of, eyes_of, seen_by_eye
 from pipeline.execution.compiled import kernel
 from pipeline.summaries import Points
-from storage.work import arrays, work
+from storage.work import arrays, tiles, work
 
 CELLS_A_RADIUS = 3.0
 UNKNOWN = np.float32(np.nan)
@@ -38,11 +38,12 @@ class EyeScaled:
 
 @dataclass(frozen=True)
 class NearestPoints:
-    """A task an eye; it streams the blocks that may lie in its picture. Array nearest_<i> (h, w, 3) float32: the
+    """A task an eye; it streams the blocks that may lie in its picture. Tiles nearest_<i> (h, w, 3) float32: the
     position, against the scan's origin, of the point nearest to each cell of eye i, or NaN throughout where it sees
     nothing."""
 
     sources: Sources
+    tile_px: int = tiles.TILE  # so that a work folder of other tiles is not taken for this one's
     name = "nearest-points"
 
     def init(self, folder: Path) -> int:
@@ -63,7 +64,7 @@ class NearestPoints:
         if np.isfinite(distance).any():
             row, column = distance_transform_edt(~np.isfinite(distance), return_distances=False, return_indices=True)
             position = position[row, column]
-        arrays.store(folder, f"nearest_{index}", position, position.shape)
+        tiles.store_tiles(folder, f"nearest_{index}", position)
         return EyeScaled(scale=scale)
 
     def finalise(self, folder: Path, results: list[EyeScaled]) -> Scales:

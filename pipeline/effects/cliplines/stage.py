@@ -11,9 +11,9 @@ from pipeline.effects.block import Block, Sources
 from pipeline.effects.cliplines.eyes import Eye, cell_of, eye_of_splats, eyes_of
 from pipeline.effects.cliplines.lines import best_lines, disc_points
 from pipeline.effects.cliplines.nearest import Scales
-from pipeline.execution.compiled import kernel
+from pipeline.execution.compiled import kernel, part
 from pipeline.summaries import Clipped
-from storage.work import arrays, work
+from storage.work import arrays, tiles, work
 
 ROWS = 2048  # splats at a time
 # How far from a splat's plane a point belongs to another surface, in radii; and the share of a disc's weight that its
@@ -68,9 +68,14 @@ def cliplines_of(
     eye = np.where(np.arange(len(code)) % every, -1, eye_of_splats(block))
     eyes, scales = eyes_of(block.sources), work.summary(nearest, Scales).scale
     for i in np.unique(eye[eye >= 0]):
-        position = np.asarray(arrays.mapped(nearest, f"nearest_{i}"))
-        for rows in _pieces(np.flatnonzero(eye == i)):
-            foreign = _foreign(block, rows, eyes[i], scales[i], position, foreign_radii)
+        every_row = np.flatnonzero(eye == i)
+        view = View(eyes[i], scales[i], tiles.shape_of(nearest, f"nearest_{i}")[:2])
+        top, bottom, left, right = _cells_of(block, every_row, view)
+        if top >= bottom:
+            continue
+        known = tiles.read_tiles(nearest, f"nearest_{i}", top, bottom, left, right)
+        for rows in _pieces(every_row):
+            foreign = _foreign(block, rows, view, known, (top, left), foreign_radii)
             some = rows[foreign.any(axis=1)]
             code[some], gain = best_lines(foreign[foreign.any(axis=1)])
             has[some] = gain >= least_gain
@@ -78,46 +83,93 @@ def cliplines_of(
     return code, has
 
 
+@dataclass(frozen=True)
+class View:
+    """The picture of nearest points of an eye."""
+
+    eye: Eye
+    scale: float
+    shape: tuple[int, int]  # height and width, in cells
+
+
 def _pieces(rows: np.ndarray) -> list[np.ndarray]:
     return [rows[at : at + ROWS] for at in range(0, len(rows), ROWS)]
 
 
-def _foreign(
-    block: Block, rows: np.ndarray, eye: Eye, scale: float, nearest: np.ndarray, foreign_radii: float
-) -> np.ndarray:
-    """Which of the disc's points belong to another surface, (n, m) bool."""
-    s, points = block.sources, disc_points()[0]
-    foreign = np.zeros((len(rows), len(points)), bool)
-    _look_up(
-        foreign,
-        rows,
-        block.centre,
-        *block.frame,
-        points,
-        block.radius,
-        foreign_radii,
-        eye.numbers,
-        eye.around,
-        scale,
-        s.origin,
-        nearest,
+def _cells_of(block: Block, rows: np.ndarray, view: View) -> tuple[int, int, int, int]:
+    """Top, bottom, left and right of the cells that the points of these discs fall into; none where top is bottom."""
+    bounds = np.array([view.shape[0], 0, view.shape[1], 0])
+    _bound(
+        bounds, rows, *_discs(block), view.eye.numbers, view.eye.around, view.scale, block.sources.origin, view.shape
     )
+    return tuple(bounds.tolist())
+
+
+def _discs(block: Block) -> tuple[np.ndarray, ...]:
+    u, v, _ = block.frame
+    return block.centre, u, v, disc_points()[0], block.radius
+
+
+def _foreign(
+    block: Block, rows: np.ndarray, view: View, known: np.ndarray, corner: tuple[int, int], foreign_radii: float
+) -> np.ndarray:
+    """Which of the disc's points belong to another surface, (n, m) bool; `known` is the part of the view's picture from the
+    cell `corner` (row, column) on that these discs fall into."""
+    foreign = np.zeros((len(rows), len(disc_points()[0])), bool)
+    eye, origin = view.eye, block.sources.origin
+    seen = eye.numbers, eye.around, view.scale, origin, view.shape
+    _look_up(foreign, rows, *_discs(block), block.frame[2], foreign_radii, *seen, known, *corner)
     return foreign
 
 
+@part()
+def _cell_of_point(c, p, q, r, point, eye, around, scale, origin, shape):
+    """Row and column of the cell that a point of a disc falls into."""
+    a, b = point
+    x = c[0] + r * (a * p[0] + b * q[0]) + origin[0]
+    y = c[1] + r * (a * p[1] + b * q[1]) + origin[1]
+    z = c[2] + r * (a * p[2] + b * q[2]) + origin[2]
+    row, column, _ = cell_of(eye, around, scale, shape[1], shape[0], x, y, z)
+    return row, column
+
+
 @kernel()
-def _look_up(foreign, rows, centre, u, v, normal, points, radius, foreign_radii, eye, around, scale, origin, nearest):
-    """Mark the points of discs whose nearest point lies further than `foreign_radii` of theirs from the disc's plane."""
-    height, width, _ = nearest.shape
-    for k, i in enumerate(rows):
-        c, p, q, n, r = centre[i], u[i], v[i], normal[i], radius[i]
+def _bound(bounds, rows, centre, u, v, points, radius, eye, around, scale, origin, shape):
+    """Top, bottom, left and right of the cells of all discs' points, into `bounds` (4,)."""
+    for i in rows:
         for j in range(len(points)):
-            a, b = points[j]
-            x = c[0] + r * (a * p[0] + b * q[0]) + origin[0]
-            y = c[1] + r * (a * p[1] + b * q[1]) + origin[1]
-            z = c[2] + r * (a * p[2] + b * q[2]) + origin[2]
-            row, column, _ = cell_of(eye, around, scale, width, height, x, y, z)
+            row, column = _cell_of_point(centre[i], u[i], v[i], radius[i], points[j], eye, around, scale, origin, shape)
             if row >= 0:
-                found = nearest[row, column]
+                bounds[0], bounds[1] = min(bounds[0], row), max(bounds[1], row + 1)
+                bounds[2], bounds[3] = min(bounds[2], column), max(bounds[3], column + 1)
+
+
+@kernel()
+def _look_up(
+    foreign,
+    rows,
+    centre,
+    u,
+    v,
+    points,
+    radius,
+    normal,
+    foreign_radii,
+    eye,
+    around,
+    scale,
+    origin,
+    shape,
+    known,
+    top,
+    left,
+):
+    """Mark the points of discs whose nearest point lies further than `foreign_radii` of theirs from the disc's plane."""
+    for k, i in enumerate(rows):
+        c, n, r = centre[i], normal[i], radius[i]
+        for j in range(len(points)):
+            row, column = _cell_of_point(c, u[i], v[i], r, points[j], eye, around, scale, origin, shape)
+            if row >= 0:
+                found = known[row - top, column - left]
                 off = (found[0] - c[0]) * n[0] + (found[1] - c[1]) * n[1] + (found[2] - c[2]) * n[2]
                 foreign[k, j] = abs(off) > foreign_radii * r

@@ -7,30 +7,25 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.effects.exposure.light import relit
+from pipeline.effects.exposure.photographs import in_one_light
 from pipeline.summaries import Photographs
-from storage.work import arrays, work
-
-TILE = 512
+from storage.work import work
 
 
 @dataclass(frozen=True)
 class Exposed:
-    """A task a photograph. Arrays photo_<i> (h, w, 3) uint8; its summary has the cameras, so that its folder can stand
-    for the ingest's wherever photographs are looked at."""
+    """One task. Its folder stands for the ingest's wherever photographs are looked at (`photographs.py`): it has the fields
+    of their gains, no pixels; its summary has the cameras."""
 
     ingest: Path
     log_gain: tuple  # (n_photos, 3, N_TERMS) as nested tuples
     name = "exposure"
 
     def init(self, folder: Path) -> int:
-        for i, camera in enumerate(work.summary(self.ingest, Photographs).cameras):
-            arrays.create(folder, f"photo_{i}", (camera.height_px, camera.width_px, 3), "uint8", (TILE, TILE, 3))
-        return len(self.log_gain)
+        return 1
 
     def run(self, folder: Path, index: int) -> None:
-        photo = arrays.read(self.ingest, f"photo_{index}")
-        arrays.write_picture(folder, f"photo_{index}", relit(photo, np.array(self.log_gain[index])))
+        in_one_light(folder, self.ingest, np.array(self.log_gain))
 
     def finalise(self, folder: Path, results: list[None]) -> Photographs:
         return work.summary(self.ingest, Photographs)

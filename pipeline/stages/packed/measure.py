@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.coding.grid import shown, transformed_texels
 from pipeline.coding.omp_kernels import add_atoms
 from pipeline.coding.quantize import dequantize_atoms
+from pipeline.effects.exposure.photographs import read_photo_window
 from pipeline.effects.plan.request import OFF, asked_by
 from pipeline.geometry.ellipsoids import decode_ellipsoids, squares_of
 from pipeline.geometry.frame import tangent_frames
@@ -22,7 +23,7 @@ from pipeline.texture.patches import Block, Patches, make_patches, patch_errors
 from pipeline.texture.resample import PATCH_DIM
 from storage.packed.packed import PackedFile, PackedScene
 from storage.packed.schema import GROUP
-from storage.work import arrays, work
+from storage.work import work
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ class Measure:
         return make_patches(block, first_splat, asked_by(header.settings)["antialiasing"] != OFF)
 
     def _read_window(self, camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
-        return arrays.read_window(self.ingest, f"photo_{camera}", top, bottom, left, right)
+        return read_photo_window(self.ingest, camera, left, top, right, bottom)
 
 
 @dataclass(frozen=True)

@@ -5,19 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from pipeline.effects.exposure.photographs import read_photo
 from pipeline.stages.beside import Given
 from pipeline.stages.pages.coded import PageForm, PagesMade, PictureCoded, code_picture, form_of, join_pages
 from pipeline.summaries import Photographs
 from storage.packed.schema import Camera
 from storage.pages.file import PageHeader, scan_digest
 from storage.pages.layout import PageLayout
-from storage.work import arrays, work
+from storage.work import work
 
 
 @dataclass(frozen=True)
 class PhotoPages:
-    """A task a photograph: its pages, one after the other. `photos` has photo_<i> (h, w, 3) uint8 and, in its summary,
-    their cameras. Makes coded.FILE."""
+    """A task a photograph: its pages, one after the other. `photos` is a folder of photographs, with their cameras in its
+    summary. Makes coded.FILE."""
 
     photos: Path
     form: PageForm = PageForm()
@@ -31,7 +32,7 @@ class PhotoPages:
 
     def run(self, folder: Path, index: int) -> PictureCoded:
         photo = self._chosen()[index]
-        return code_picture(folder, index, arrays.read(self.photos, f"photo_{photo}"), self.form)
+        return code_picture(folder, index, read_photo(self.photos, photo), self.form)
 
     def finalise(self, folder: Path, results: list[PictureCoded]) -> PagesMade:
         cameras = [self._cameras()[photo] for photo in self._chosen()]

@@ -11,10 +11,12 @@ from pipeline.numerics.accuracy import psnr_db
 from pipeline.stages.texture.contrast_octaves import census
 from pipeline.stages.texture.resample import n_coarser_of
 from pipeline.summaries import AverageColors
-from pipeline.texture.colors import decode_colors, encode_colors, fit_color_boxes
+from pipeline.texture.colors import ColorBoxes, decode_colors, encode_colors, fit_color_boxes
 from pipeline.texture.resample import PATCH_DIM
 from storage.packed.schema import CHUNK
-from storage.work import arrays
+from storage.work import arrays, work
+
+STEP = "step.json"  # the code of the largest cell of boxes
 
 
 @dataclass(frozen=True)
@@ -28,9 +30,9 @@ class ColorsBlock:
 
 @dataclass(frozen=True)
 class Colors:
-    """A task a block. Arrays by splat: average (n, 3) float32 in 255ths, as it is decoded, and energy (n,) float32,
-    squared norm of the patch less that; the census, of octaves of it, is of the finest level; with boxes color_code (n,) uint32, and by chunk color_low (c, 3) int16,
-    color_size (c, 3) uint8."""
+    """A task a block. Arrays by splat: energy (n,) float32, squared norm of the patch less its average colour as it is decoded
+    (`average_colors`); with boxes color_code (n,) uint32, and by chunk color_low (c, 3) int16, color_size (c, 3) uint8; without average
+    (n, 3) float32. The census, of octaves of energy, is of the finest level."""
 
     patches: Path
     step: int  # code of the largest cell of boxes; 0: averages are whole bytes
@@ -38,9 +40,11 @@ class Colors:
 
     def init(self, folder: Path) -> int:
         n = arrays.layout_of(self.patches, "energy").shape[0]
-        arrays.create(folder, "average", (n, 3), "float32")
         arrays.create(folder, "energy", (n,), "float32")
-        if self.step:
+        work.write_json(folder / STEP, self.step)
+        if not self.step:
+            arrays.create(folder, "average", (n, 3), "float32")
+        else:
             arrays.create(folder, "color_code", (n,), "uint32")
             for name, dtype in (("color_low", "int16"), ("color_size", "uint8")):
                 arrays.create(folder, name, (-(-n // CHUNK), 3), dtype, (arrays.BLOCK // CHUNK, 3))
@@ -50,10 +54,11 @@ class Colors:
         start, stop = arrays.block_range(index, arrays.layout_of(self.patches, "energy").shape[0])
         exact = arrays.read(self.patches, "average", start, stop).astype(np.float64)
         average = self._in_boxes(folder, start, exact) if self.step else np.floor(exact + 0.5).astype(np.float32)
+        if not self.step:
+            arrays.write(folder, "average", start, average)
         lost = ((average - exact) ** 2).sum(axis=1) * (PATCH_DIM // 3 / 255**2)
         energy = (arrays.read(self.patches, "energy", start, stop) + lost).astype(np.float32)
         finest = max(0, n_coarser_of(self.patches) - start)
-        arrays.write(folder, "average", start, average)
         arrays.write(folder, "energy", start, energy)
         return ColorsBlock(n_splats=stop - start, lost=float(lost.sum()), census=census(energy[finest:]).tolist())
 
@@ -69,3 +74,13 @@ class Colors:
         arrays.write(folder, "color_low", start // CHUNK, boxes.low)
         arrays.write(folder, "color_size", start // CHUNK, boxes.size)
         return decode_colors(code, boxes)
+
+
+def average_colors(colors: Path, start: int, stop: int) -> np.ndarray:
+    """Average colours (m, 3) float32 in 255ths of splats start..stop, as they are decoded."""
+    if arrays.exists(colors, "average"):
+        return arrays.read(colors, "average", start, stop)
+    first, end = start // CHUNK, -(-stop // CHUNK)
+    low, size = (arrays.read(colors, name, first, end) for name in ("color_low", "color_size"))
+    code = arrays.read(colors, "color_code", first * CHUNK, stop)
+    return decode_colors(code, ColorBoxes(low, size, work.read_json(colors / STEP)))[start - first * CHUNK :]

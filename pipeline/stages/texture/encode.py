@@ -12,6 +12,7 @@ from pipeline.coding.omp import Codes, Pursuit, reconstruct
 from pipeline.coding.omp_kernels import squared_norms
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.stages.texture.atoms import load_atoms
+from pipeline.stages.texture.colors import average_colors
 from pipeline.stages.texture.resample import n_coarser_of
 from pipeline.stages.texture.texels import texel_pieces
 from pipeline.summaries import CodesMade
@@ -64,7 +65,7 @@ class Encode:
     def run(self, folder: Path, index: int) -> BlockCoded:
         start, stop = arrays.block_range(index, arrays.layout_of(self.patches, "energy").shape[0])
         encode = self._encoder()
-        average = arrays.read(self.colors, "average", start, stop)
+        average = average_colors(self.colors, start, stop)
         n_atoms = np.zeros(stop - start, np.uint8)
         atom = np.zeros((stop - start, self._n_ranks), np.uint16)
         weight_code, error = np.zeros((stop - start, self._n_ranks), np.uint8), np.zeros(stop - start, np.float32)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.numerics.hashing import uniform_hash
+from pipeline.stages.texture.colors import average_colors
 from pipeline.summaries import Counted
 from storage.work import arrays
 
@@ -29,13 +30,14 @@ class PatchSample:
 
     def run(self, folder: Path, index: int) -> Counted:
         n = arrays.layout_of(self.patches, "energy").shape[0]
-        sources = {"texel": self.patches, "average": self.colors, "energy": self.colors, "point": self.patches}
-        kept: dict[str, list[np.ndarray]] = {name: [] for name in sources}
+        sources = {"texel": self.patches, "energy": self.colors, "point": self.patches}
+        kept: dict[str, list[np.ndarray]] = {name: [] for name in (*sources, "average")}
         for block in range(arrays.n_blocks(n)):
             start, stop = arrays.block_range(block, n)
             chosen = uniform_hash(arrays.read(self.patches, "point", start, stop), SEED) < self.n_wanted / n
-            for name, rows in kept.items():
-                rows.append(arrays.read(sources[name], name, start, stop)[chosen])
+            for name, source in sources.items():
+                kept[name].append(arrays.read(source, name, start, stop)[chosen])
+            kept["average"].append(average_colors(self.colors, start, stop)[chosen])
         for name, rows in kept.items():
             joined = np.concatenate(rows)
             arrays.store(folder, name, joined)

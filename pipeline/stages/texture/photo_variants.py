@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.cameras.pinhole import resized
+from pipeline.effects.exposure.photographs import read_photo
 from pipeline.geometry.frame import Direction
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.stages.texture.photo_codecs import CODECS, halved
@@ -62,7 +63,7 @@ class PhotoVariant:
         return len(self._cameras())
 
     def run(self, folder: Path, index: int) -> PhotoCoded:
-        rgb = halved(arrays.read(self.ingest, f"photo_{index}"), self.lod)
+        rgb = halved(read_photo(self.ingest, index), self.lod)
         budget = None if self.bytes_per_pixel is None else self.bytes_per_pixel * rgb.shape[0] * rgb.shape[1]
         decoded, n_bytes = CODECS[self.codec].coded(rgb, budget)
         arrays.write_picture(folder, f"photo_{index}", decoded)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.effects.exposure.photographs import read_photo_window
 from pipeline.geometry.frame import Direction
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.splats.coarser import first_finest
@@ -37,7 +38,8 @@ class Resample:
     """A task a block. Arrays: texel (n, PATCH_DIM) uint8, average (n, 3) float32 in 255ths, energy (n,) float32, point
     (n,) int64 as the partition's.
 
-    Not `kept`, there are no texels, 3 kB a splat: `texels` makes them again from the file AGAIN, in which this stage stands.
+    Not `kept`, there are no texels, 3 kB a splat, and no points: `texels` makes them again from the file AGAIN, in which this stage
+    stands, and reads the partition's.
     """
 
     ingest: Path
@@ -54,11 +56,11 @@ class Resample:
         n = work.summary(self.splats, Counted).n_splats
         if self.kept:
             arrays.create(folder, "texel", (n, PATCH_DIM), "uint8")
+            arrays.create(folder, "point", (n,), "int64")
         else:
             work.write_json(folder / AGAIN, self._to_json())
         arrays.create(folder, "average", (n, 3), "float32")
         arrays.create(folder, "energy", (n,), "float32")
-        arrays.create(folder, "point", (n,), "int64")
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> BlockResampled:
@@ -67,9 +69,9 @@ class Resample:
         patches = resampled_block(*sources, self.antialiased, None if self.kept else block_memory())
         if self.kept:
             arrays.write(folder, "texel", start, patches.texel)
+            arrays.write(folder, "point", start, arrays.read(self.partition, "point", start, stop))
         arrays.write(folder, "average", start, patches.average)
         arrays.write(folder, "energy", start, patches.energy)
-        arrays.write(folder, "point", start, arrays.read(self.partition, "point", start, stop))
         return BlockResampled(
             n_splats=stop - start,
             resampling_error=patches.resampling_error,
@@ -121,7 +123,7 @@ def resampled_block(
     antialiased: bool = True,
     into: np.ndarray | None = None,
 ) -> Patches:
-    """The patches of block `index`; `photos` is a stage's folder with photo_<i> and their cameras in its summary."""
+    """The patches of block `index`; `photos` is a folder of photographs, with their cameras in its summary."""
     start = index * arrays.BLOCK
     block = _block(photos, partition, splats, radius, up, ahead, index)
     return make_patches(block, start, antialiased, into)
@@ -135,7 +137,7 @@ def _block(
     centre, tangents, radii = decoded_squares(splats, up, ahead, radius, start, stop)
 
     def read_window(camera: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
-        return arrays.read_window(photos, f"photo_{camera}", top, bottom, left, right)
+        return read_photo_window(photos, camera, left, top, right, bottom)
 
     return Block(
         work.summary(photos, Photographs).cameras,

@@ -37,5 +37,10 @@ def texel_rows(patches: Path, rows: np.ndarray) -> np.ndarray:
     return texel
 
 
+def points_of(patches: Path, start: int = 0, stop: int | None = None) -> np.ndarray:
+    """Places of splats start..stop in the scan's files, (m,) int64 or uint32."""
+    return arrays.read(patches if _kept(patches) else Resample.of(patches).partition, "point", start, stop)
+
+
 def _kept(patches: Path) -> bool:
     return arrays.exists(patches, "texel")

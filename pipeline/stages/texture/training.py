@@ -15,9 +15,10 @@ from pipeline.coding.omp_kernels import squared_norms
 from pipeline.coding.subspace import HALF, find_components, halves_suffice, project
 from pipeline.numerics.accuracy import psnr_db
 from pipeline.numerics.hashing import uniform_hash
+from pipeline.stages.texture.colors import average_colors
 from pipeline.stages.texture.contrast_octaves import octave_of, shares
 from pipeline.stages.texture.resample import n_coarser_of
-from pipeline.stages.texture.texels import texel_rows
+from pipeline.stages.texture.texels import points_of, texel_rows
 from pipeline.summaries import AverageColors, CoefficientsFound, InParts, SubspaceFound, Training
 from pipeline.texture.patches import centred
 from storage.packed.schema import ATOM_SIZES, PATCH_SIZE
@@ -78,13 +79,10 @@ class TrainingSet:
         start, stop = first + rows[0], first + rows[1]
         energy = arrays.read(self.colors, "energy", start, stop)
         active = energy > self.tolerance
-        draw = uniform_hash(arrays.read(self.patches, "point", start, stop), self.seed)
+        draw = uniform_hash(points_of(self.patches, start, stop), self.seed)
         chosen = np.flatnonzero(active & (draw < share[octave_of(energy)]))
         order = np.argsort(draw[chosen])
-        average, texel = (
-            arrays.read_rows(self.colors, "average", start + chosen),
-            texel_rows(self.patches, start + chosen),
-        )
+        average, texel = average_colors(self.colors, start, stop)[chosen], texel_rows(self.patches, start + chosen)
         for name, taken in (("texel", texel), ("average", average)):
             arrays.store(folder, f"{name}_{index}", taken[order], taken.shape)
         luck = (draw / np.maximum(share[octave_of(energy)], 1e-300))[chosen][order]
@@ -208,7 +206,7 @@ def membership(stage: TrainingSet, folder: Path) -> tuple[np.ndarray, np.ndarray
     energy = arrays.read(stage.colors, "energy")
     octave, share = octave_of(energy), np.array(work.read_json(folder / "share.json")["share"])
     active = energy > stage.tolerance
-    draw = uniform_hash(arrays.read(stage.patches, "point"), stage.seed)
+    draw = uniform_hash(points_of(stage.patches), stage.seed)
     return active, active & (draw < share[octave]), octave
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from pipeline.effects.exposure import exposed
 from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS, relit, terms
+from pipeline.effects.exposure.photographs import read_photo
 from pipeline.effects.exposure.solve import Observations, _by_splat, _medians, solve_fields, spread
 from pipeline.execution.executors import SerialExecutor
 from pipeline.numerics.srgb import linear_of, srgb_of
@@ -41,7 +42,11 @@ def test_light__a_field_is_applied_to_half_a_level():
     y, x = np.meshgrid((np.arange(60) + 0.5) / 30 - 1, (np.arange(80) + 0.5) / 40 - 1, indexing="ij")
     gain = np.exp(np.clip(terms(x, y) @ log_gain.T, -np.log(MOST_GAIN), np.log(MOST_GAIN)))
     exact = 255 * srgb_of(np.clip(linear_of(pixels / 255) * gain, 0, 1))
-    assert np.abs(relit(pixels, log_gain) - exact).max() < 0.6
+    whole = relit(pixels, log_gain)
+    assert np.abs(whole - exact).max() < 0.6
+    for left, top, right, bottom in ((0, 0, 1, 1), (13, 7, 80, 60), (5, 31, 38, 60), (60, 0, 77, 9)):
+        part = np.ascontiguousarray(pixels[top:bottom, left:right])
+        assert np.array_equal(relit(part, log_gain, (left, top), (80, 60)), whole[top:bottom, left:right])
 
 
 def observations(fields: np.ndarray, wrong: float = 0.0, n: int = 1500) -> Observations:
@@ -107,7 +112,7 @@ def test_exposure__is_found_from_the_splats_of_a_scan(unlike):
     gain = np.exp(np.array(outcome(prepared)["log_gain"])[:, :, 0])
     assert gain / gain[1] == pytest.approx(np.outer(1 / np.array(GAIN), np.ones(3)), rel=0.03)
     assert outcome(prepared)["spread_after"] < 0.2 * outcome(prepared)["spread_before"]
-    photos = [arrays.read(prepared.photos, f"photo_{i}").astype(float) for i in range(3)]
+    photos = [read_photo(prepared.photos, i).astype(float) for i in range(3)]
     splats = arrays.read(prepared.splats.folder, "camera")
     assert (
         len(np.unique(splats)) > 1
@@ -121,7 +126,7 @@ def test_exposure__a_photograph_that_is_held_out_has_no_say_and_stays_as_it_is(u
     prepared = prepare(Run(folder, SerialExecutor(), Heard()), scan, None, "exposure=on", held_out=(2,))
     gain = np.exp(np.array(outcome(prepared)["log_gain"])[:, :, 0])
     np.testing.assert_allclose(gain[2], 1.0)
-    assert np.array_equal(arrays.read(prepared.photos, "photo_2"), arrays.read(prepared.scan.folder, "photo_2"))
+    assert np.array_equal(read_photo(prepared.photos, 2), arrays.read(prepared.scan.folder, "photo_2"))
     # The two that are left agree half-way between them: a gain of 0.7 and of 1 meet at their geometric mean.
     np.testing.assert_allclose(gain[0], 0.7**-0.5, rtol=0.03)
     np.testing.assert_allclose(gain[1], 0.7**0.5, rtol=0.03)

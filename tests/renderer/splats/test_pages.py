@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from pipeline.effects.exposure.photographs import read_photo
 from pipeline.execution.executors import SerialExecutor
 from pipeline.planning.settings import settings_for
 from pipeline.stages.pages.codecs import decoded
@@ -31,7 +32,6 @@ from services.processes.pages.page_file import make_pages
 from storage.errors import InvalidPackedFile, ResourceExhausted
 from storage.packed.packed import PackedFile, PackedScene
 from storage.pages.file import PageFile
-from storage.work import arrays
 from tests.effects_scans import wall_scan
 from tests.pipeline.execution.test_stage import Heard
 
@@ -104,7 +104,7 @@ def looked(renderer, gpu_scene, view):
 
 def baseline_of(made, renderer, view):
     gpu_scene = GpuScene(made.scene, renderer.context)
-    photos = PhotoSplats(gpu_scene, lambda i: arrays.read(made.photos, f"photo_{i}"))
+    photos = PhotoSplats(gpu_scene, lambda i: read_photo(made.photos, i))
     picture = renderer.render_baseline(photos, view)
     photos.release()
     gpu_scene.release()
