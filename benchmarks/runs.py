@@ -21,6 +21,7 @@ from pipeline.geometry.normals import decode_normals
 from pipeline.geometry.runs.cells import average_normals, in_grid, mean_spacing, search_size
 from pipeline.geometry.runs.codes import RunCodes, cones, decode_runs, encode_runs, turn_across
 from pipeline.geometry.runs.gaps import close_gaps
+from pipeline.geometry.runs.starts import bits_of
 from pipeline.geometry.runs.walks import RUN_LENGTH, runs_of
 from pipeline.readers import open_scan
 from pipeline.splats.normals import NEIGHBOURS, estimate_normals, usable_normals
@@ -109,7 +110,7 @@ def row_of(name: str, key: np.ndarray, normal: np.ndarray, facts: dict, gpu: boo
     packed_s = time.process_time() - begun
     _, code = decode_runs(codes)
     off = np.degrees(np.arccos(np.clip((decode_normals(code) * normal[place]).sum(axis=1), -1, 1)))
-    bits = codes.bits()
+    bits = bits_of(codes)
     row = {"name": name, **facts, "cells": len(key), "runs": len(codes.start), "efficiency": runs.mean_length / RUN_LENGTH,
            "twice": len(runs.cells) / len(key) - 1, "gpu_bits": sum(bits.values()), **{f"gpu_bits_{k}": v for k, v in bits.items()},
            "disk_bits": 8 * (n_bytes + codes.codebook.nbytes) / codes.n_cells, "normals_off_degrees": float(off.mean()),

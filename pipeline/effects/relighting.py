@@ -5,11 +5,13 @@ from __future__ import annotations
 from pipeline.effects.block import Sources
 from pipeline.effects.effect import Effect, Measured, Worth
 
-UNLIT = "colours of iso-surfaces have no light in them"  # why it is on where nobody asked
+UNLIT = "its colours have no light in them"  # why it is on where nobody asked
 
 
 def _conclude(sums: list[dict], sources: Sources) -> Measured:
-    return Measured(1.0, 1.0, {"lamp": True} if sources.scan.is_albedo else {})
+    strays = {} if sources.scan.volume else {"strays": True}
+    outcome = {"lamp": True} | strays if sources.scan.is_albedo else {}
+    return Measured(1.0, 1.0, outcome)
 
 
 EFFECT = Effect(

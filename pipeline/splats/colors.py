@@ -1,4 +1,4 @@
-"""The one colour of a point: the scan's own, else grey from its intensity, else grey from its normal."""
+"""The one colour of a point: the scan's own, else grey from its intensity, else that of plaster."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 from pipeline.summaries import ScanRead
 from storage.work import arrays
 
-# A scan with neither colour nor intensity is shown as grey plaster under a lamp above and to the side: a flat grey
-# would show its outline only.
+# A scan with neither colour nor intensity nor photographs is plaster, which a renderer lights (renderer/effects/relighting.py); beside
+# photographs, which have light in them, plaster under a lamp above and to the side: a flat grey would show its outline only.
+PLASTER = 190
 LAMP = np.array([0.42, 0.28, 0.86])
 DARKEST, BRIGHTEST = 0.15, 0.85
 
@@ -20,6 +21,8 @@ def point_colors(scan: ScanRead, partition: Path, normal: np.ndarray, start: int
     turned to the viewer."""
     if arrays.exists(partition, "color"):
         return arrays.read(partition, "color", start, stop)
+    if scan.is_albedo:
+        return np.full((stop - start, 3), PLASTER, np.uint8)
     if scan.intensity_range is not None:
         low, high = scan.intensity_range
         intensity = arrays.read(partition, "intensity", start, stop).astype(np.float64)

@@ -11,7 +11,6 @@ from pipeline.geometry.frame import Direction, tangent_frames
 from pipeline.geometry.positions import Boxes, decode_positions
 from pipeline.geometry.quadrics.frames import decode_quadrics, frames_of_arrays
 from pipeline.geometry.sizes import Scales, decode_sizes
-from pipeline.splats.runs import bounds_of, decoded_splats
 from pipeline.splats.visibility import seen_points
 from storage.packed.scene import PackedScene
 from storage.packed.schema import BOXES, CHUNK, FRAMES, Camera
@@ -92,16 +91,24 @@ def scene_normal_codes(scene: PackedScene) -> np.ndarray:
 def scene_bounds(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
     """Low and high corner (c, 3) float64 against the origin of a box that holds the centres of each chunk."""
     if scene.header.geometry != BOXES:
-        low, high = bounds_of(_decoded_splats(scene)[0])
+        low, high = _bounds_of(_decoded_splats(scene)[0])
         return low.astype(np.float64), high.astype(np.float64)
     low = scene.arrays["box_low"].astype(np.float64)
     return low, low + scene.arrays["box_size"]
+
+
+def _bounds_of(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Low and high corner (c, 3) float32 of the splats of each chunk."""
+    starts = np.arange(0, len(position), CHUNK)
+    return np.minimum.reduceat(position, starts), np.maximum.reduceat(position, starts)
 
 
 def _decoded_splats(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
     """Positions and normals of runs or quadrics, decoded once a scene: every reader of a file asks for them."""
     if "splats" not in scene.decoded:
         if scene.header.runs:
+            from pipeline.splats.runs import decoded_splats  # loops that compile: for runs alone
+
             scene.decoded["splats"] = decoded_splats(scene)
         else:
             scene.decoded["splats"] = decode_quadrics(scene.numbers, frames_of_arrays(scene.arrays))

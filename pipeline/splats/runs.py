@@ -7,7 +7,6 @@ import numpy as np
 from pipeline.geometry.runs.codes import RunCodes, decode_runs, positions_of, turned
 from storage.packed.runs.tables import cell_order, lengths_of
 from storage.packed.scene import PackedScene
-from storage.packed.schema import CHUNK
 
 
 def codes_of(scene: PackedScene) -> RunCodes:
@@ -44,9 +43,3 @@ def decoded_splats(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
     index, normal = decode_runs(codes_of(scene))
     order = cell_order(scene.arrays.get("run_batch"), scene.header.n_splats)
     return turned(positions_of(index, grid.cell), grid.turn)[order], normal[order]
-
-
-def bounds_of(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Low and high corner (c, 3) float32 of the splats of each chunk."""
-    starts = np.arange(0, len(position), CHUNK)
-    return np.minimum.reduceat(position, starts), np.maximum.reduceat(position, starts)

@@ -25,8 +25,10 @@ _READERS = {
     ".mha": ("metaimage", "open_metaimage"),
     ".mhd": ("metaimage", "open_metaimage"),
     ".raw": ("raw", "open_raw"),
+    ".dcm": ("dicom", "open_dicom"),
 }
-HANDLED = "NRRD (.nrrd, .nhdr), NIfTI (.nii, .nii.gz), MetaImage (.mha, .mhd), TIFF (one file of pages, or a folder of files), OME-Zarr or zarr (folder), .raw with a .json beside it"
+LOOKED_AT = 32  # files of a folder, to tell whether it is a DICOM series
+HANDLED = "NRRD (.nrrd, .nhdr), NIfTI (.nii, .nii.gz), MetaImage (.mha, .mhd), TIFF (one file of pages, or a folder of files), DICOM (a folder of a series), OME-Zarr or zarr (folder), .raw with a .json beside it"
 
 
 def _reader(path: Path) -> tuple[str, str] | None:
@@ -35,9 +37,20 @@ def _reader(path: Path) -> tuple[str, str] | None:
             return "ome_zarr", "open_ome_zarr"
         if not (path / "sparse").is_dir() and any(p.suffix.lower() in (".tif", ".tiff") for p in path.iterdir()):
             return "tiff", "open_tiff"
-        return None
+        return ("dicom", "open_dicom") if _has_dicom(path) else None
     name = path.name.lower()
     return next((reader for suffix, reader in _READERS.items() if name.endswith(suffix)), None)
+
+
+def _has_dicom(folder: Path) -> bool:
+    """By the first bytes of its first files, without pydicom: folders of scans are looked at too."""
+    files = sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith("."))
+    return any(_begins_as_dicom(file) for file in files[:LOOKED_AT])
+
+
+def _begins_as_dicom(file: Path) -> bool:
+    with open(file, "rb") as opened:
+        return opened.read(132)[128:] == b"DICM"
 
 
 def volume_suffixes() -> tuple[str, ...]:

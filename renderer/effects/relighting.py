@@ -41,5 +41,10 @@ def usual_light(header: Header) -> Light:
 
 
 def has_own_lamp(header: Header) -> bool:
-    """Whether colours have no light in them, as those of iso-surfaces."""
+    """Whether colours have no light in them, as those of iso-surfaces and of scans without colours."""
     return bool(header.effects.get("relighting", {}).get("lamp"))
+
+
+def may_have_strays(header: Header) -> bool:
+    """Whether points were scanned; a volume's surfaces have none that lie by themselves for no reason."""
+    return not has_own_lamp(header) or bool(header.effects["relighting"].get("strays"))

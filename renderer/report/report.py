@@ -18,6 +18,7 @@ from storage.packed.schema import BY_NAME, Camera, Header
 
 REPORT_NAME = "report.json"
 GPU_PARTS = ("geometry", "codes", "colors", "dictionary", "maps")
+OF_STARTS = dict.fromkeys(("run_sections", "run_starts"), "geometry")  # pipeline/geometry/runs/starts.py
 SOURCE_BYTES_PER_PIXEL = 4  # three channels, times 4/3 for the mip levels
 
 
@@ -104,7 +105,9 @@ def sizes_of(scene: PackedScene, file_bytes: int) -> Sizes:
     }
     if "splat_word" in arrays:
         arrays["splat_word"] = 4 * scene.header.n_groups  # those of chunks stand in their frames' 9 words
-    part_of = FIRST_WORDS | {name: array.part for name, array in BY_NAME.items()}
+    if scene.header.runs:
+        arrays = _as_runs_are_uploaded(scene, arrays)
+    part_of = OF_STARTS | FIRST_WORDS | {name: array.part for name, array in BY_NAME.items()}
     part = {p: sum(size for name, size in arrays.items() if part_of[name] == p) for p in (*GPU_PARTS, "provenance")}
     gpu_bytes = sum(part[p] for p in GPU_PARTS)
     source = source_texture_bytes(scene.header.cameras)
@@ -118,6 +121,17 @@ def sizes_of(scene: PackedScene, file_bytes: int) -> Sizes:
         compression_factor_texture=None if source is None else source / (gpu_bytes - part["geometry"]),
         arrays=arrays,
     )
+
+
+def _as_runs_are_uploaded(scene: PackedScene, arrays: dict[str, int]) -> dict[str, int]:
+    """Bytes by array with those of OF_STARTS in the place of what they are made of."""
+    from pipeline.geometry.runs.starts import pack_starts  # compiles loops: for runs alone
+    from pipeline.splats.runs import codes_of
+
+    starts = pack_starts(codes_of(scene))
+    made_of = ("run_base", "run_first", "run_start", "run_normal", "run_section")
+    kept = {name: size for name, size in arrays.items() if name not in made_of}
+    return kept | {"run_sections": int(starts.sections.nbytes), "run_starts": int(starts.words.nbytes)}
 
 
 def source_texture_bytes(cameras: Sequence[Camera]) -> int | None:

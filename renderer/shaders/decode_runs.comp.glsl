@@ -3,15 +3,16 @@
 
 layout(local_size_x = 256) in;
 
-struct Section { int column, row, slice; uint first_run, first_step; };
+#include "bits.glsl"
+
+struct Section { int column, row, slice; uint first_run, first_step, first_word, bits; };  // pipeline/geometry/runs/starts.py
 layout(std430, binding = 0) readonly buffer Sections { Section sections[]; };  // one more at the end, of the ends
 layout(std430, binding = 1) readonly buffer Starts { uint starts[]; };
-layout(std430, binding = 2) readonly buffer StartNormals { uint start_normals[]; };  // two of 2 bytes a word
-layout(std430, binding = 3) readonly buffer Steps { uint steps[]; };                 // four a word
-layout(std430, binding = 4) readonly buffer Codebook { ivec2 codebook[32]; };
-layout(std430, binding = 5) writeonly buffer Splats { uint splats[]; };  // x, y, z as floats; octahedral a in the lowest byte, then b
+layout(std430, binding = 2) readonly buffer Steps { uint steps[]; };                 // four a word
+layout(std430, binding = 3) readonly buffer Codebook { ivec2 codebook[32]; };
+layout(std430, binding = 4) writeonly buffer Splats { uint splats[]; };  // x, y, z as floats; octahedral a in the lowest byte, then b
 #ifdef BY_PLACE
-layout(std430, binding = 6) readonly buffer Places { uint places[]; };  // the splat that each cell is, of its chunk, four a word
+layout(std430, binding = 5) readonly buffer Places { uint places[]; };  // the splat that each cell is, of its chunk, four a word
 uint place_of(uint cell) { return (cell & ~127u) + ((places[cell >> 2] >> (8u * (cell & 3u))) & 127u); }
 #else
 uint place_of(uint cell) { return cell; }
@@ -28,9 +29,19 @@ float along(vec3 row, vec3 p) {
 
 shared uint ends[256];  // running sums of the lengths of the section's runs
 
-ivec2 octahedral(uint run) {
-    uint word = start_normals[run >> 1] >> (16u * (run & 1u));
-    return ivec2(bitfieldExtract(int(word), 0, 8), bitfieldExtract(int(word), 8, 8));
+uint bits_of(Section own, int field) { return bitfieldExtract(own.bits, 4 * field, 4); }
+
+// Column, row, slice, length - 1, and the normal, of the section's run `lane`.
+int[6] start_of(Section own, uint lane) {
+    uint at = 0u;
+    for (int i = 0; i < 6; ++i) at += lane * bits_of(own, i);
+    int found[6] = int[6](bitfieldExtract(own.column, 0, 22), bitfieldExtract(own.row, 0, 22), bitfieldExtract(own.slice, 0, 22), 0,
+                          bitfieldExtract(own.column, 22, 8), bitfieldExtract(own.row, 22, 8));
+    for (int i = 0; i < 6; ++i) {
+        found[i] += int(READ_BITS(starts, own.first_word, at, bits_of(own, i)));
+        at += bits_of(own, i);
+    }
+    return found;
 }
 
 ivec2 wrapped(ivec2 p) {
@@ -53,8 +64,8 @@ void main() {
     Section own = sections[gl_WorkGroupID.x], next = sections[gl_WorkGroupID.x + 1u];
     uint lane = gl_LocalInvocationID.x, run = own.first_run + lane;
     bool active_lane = run < next.first_run;
-    uint word = active_lane ? starts[run] : 0u;
-    uint n_cells = active_lane ? (word >> 27) + 1u : 0u;
+    int start[6] = start_of(own, active_lane ? lane : 0u);
+    uint n_cells = active_lane ? uint(start[3]) + 1u : 0u;
     ends[lane] = n_cells;
     for (uint reach = 1u; reach < 256u; reach <<= 1) {
         barrier();
@@ -66,8 +77,8 @@ void main() {
     uint before = ends[lane] - n_cells;                 // cells of the section's earlier runs
     uint cell = own.first_run + own.first_step + before;  // a cell for each run and each step
     uint byte_ = own.first_step + before - lane;
-    ivec3 at = ivec3(own.column, own.row, own.slice) + ivec3(word & 2047u, (word >> 11) & 2047u, (word >> 22) & 31u);
-    ivec2 normal = octahedral(run);
+    ivec3 at = ivec3(start[0], start[1], start[2]);
+    ivec2 normal = ivec2(start[4], start[5]);
     write_cell(cell, at, normal);
     uint direction = 0u;
     for (uint i = 1u; i < n_cells; ++i, ++byte_) {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import moderngl
 import numpy as np
@@ -15,7 +16,6 @@ from renderer.splats.pages import GpuPages
 from renderer.splats.stacks import has_stacks
 from renderer.splats.targets import NARROW, WIDE
 from renderer.splats.upload.maps import GpuMaps, map_frames, upload_maps
-from renderer.splats.upload.runs import GpuRuns, upload_runs
 from renderer.splats.upload.tables import (
     box_words,
     color_box_words,
@@ -31,6 +31,9 @@ from storage.errors import ResourceExhausted
 from storage.packed.packed import PackedScene
 from storage.packed.schema import BOXES as IN_BOXES
 from storage.packed.schema import MIP_SIZES, QUADRICS, RUNS, Camera, Header
+
+if TYPE_CHECKING:
+    from renderer.splats.upload.runs import GpuRuns
 
 # Bindings of the shader storage blocks; the shaders say the same numbers.
 SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS, ELLIPSOIDS, COLORS, SHARES = (
@@ -188,6 +191,8 @@ class GpuScene:
 
     def _decode_runs(self) -> None:
         """Positions and normals for the passes; what they take decoded is not counted, for the card can decode them again."""
+        from renderer.splats.upload.runs import upload_runs  # for runs alone
+
         self.runs = upload_runs(self.context, self.scene)
         self.runs.decode()
         self.context.memory_barrier(moderngl.Context.SHADER_STORAGE_BARRIER_BIT)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.cameras.pinhole import resized
 from pipeline.splats.decoded import scene_bounds
-from renderer.effects.relighting import has_own_lamp
+from renderer.effects.relighting import may_have_strays
 from storage.packed.batches import CHUNKS_PER_GROUP
 from storage.packed.packed import PackedScene
 from storage.packed.schema import CHUNK, Camera, Header
@@ -118,7 +118,7 @@ def bulk_of(scene: PackedScene, spared: float = 1.0) -> tuple[np.ndarray, np.nda
     elif scene.header.n_groups > MOST_OUTLINED_BY_CHUNKS:
         groups = np.arange(0, len(low), CHUNKS_PER_GROUP)
         low, high = np.minimum.reduceat(low, groups), np.maximum.reduceat(high, groups)
-    if has_own_lamp(scene.header):
+    if not may_have_strays(scene.header):
         return low, high
     centre = (low + high) / 2
     middle = np.quantile(centre, [TRIMMED_SHARE, 1 - TRIMMED_SHARE], axis=0).mean(axis=0)

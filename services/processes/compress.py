@@ -165,7 +165,7 @@ def _scan_record(prepared: Prepared, settings: Settings) -> ScanKnown:
         )
     if not (scan.has_colors or scan.cameras):
         warnings.append(
-            "the scan has neither colours nor intensity nor photographs; its splats are grey, shaded by "
+            "the scan has neither colours nor intensity nor photographs; its splats are grey, lit by "
             + ("its normals" if arrays.exists(prepared.scan.folder, "normal") else "normals that were estimated")
         )
     n_blind = prepared.splats.summary.n_without_camera

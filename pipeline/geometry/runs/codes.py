@@ -9,21 +9,21 @@ A run's start is one word: 11 bits of column, 11 of row, 5 of slice against the 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.execution.compiled import kernel
-from pipeline.geometry.hcp import ROW, SLICE, index_of, key_of, neighbour
+from pipeline.geometry.hcp import INDEX_BITS, ROW, SLICE, index_of, key_of, neighbour
 from pipeline.geometry.normals import decode_normals, encode_normals
-from pipeline.geometry.runs.normals import UNIT, decode_steps, encode_steps, learn_steps
+from pipeline.geometry.runs.normals import decode_steps, encode_steps, learn_steps
 from pipeline.geometry.runs.walks import RUN_LENGTH, Runs
 from storage.packed.schema import COLUMN_BITS, GROUP, LENGTH_BITS, MOST_RUNS, ROW_BITS, SLICE_BITS
 
 MOST_LENGTH = 1 << LENGTH_BITS
-RUNS_A_SECTOR = 128  # on average: fewer would make tables of more than a tenth of a bit a cell
-MOST_SECTORS = 8  # of the octahedral map, either way: runs of a section have normals of one of them
+BLOCK_BITS = (
+    4  # of cells either way that runs start in before those of the next block: of 0 to 5 the fewest bits on disk
+)
 
 
 @dataclass(frozen=True)
@@ -41,18 +41,6 @@ class RunCodes:
     @property
     def n_cells(self) -> int:
         return len(self.step) + len(self.start)
-
-    def bits(self) -> dict[str, float]:
-        """Bits a cell on a graphics card, by part."""
-        n = self.n_cells
-        tables = self.base.nbytes + self.first_run.nbytes + self.first_step.nbytes + self.codebook.nbytes
-        return {
-            "start": 32 * len(self.start) / n,
-            "start_normal": 16 * len(self.start) / n,
-            "steps": 3 * len(self.step) / n,
-            "normals": 5 * len(self.step) / n,
-            "tables": 8 * tables / n,
-        }
 
 
 @kernel()
@@ -100,25 +88,29 @@ class _Ordered:
     first_run: np.ndarray  # (n_sections,)
 
 
-def _ordered(keys: np.ndarray, normal: np.ndarray, runs: Runs, first_cell: int) -> _Ordered:
-    """Runs box by box and in it by their mean normals, cut where a group of splats ends; `first_cell` cells stand before them."""
-    box = _boxes(_index(keys[runs.cells[runs.start[:-1]]]))
-    n_boxes = len(np.unique(box, axis=1).T)
-    sectors = int(np.clip(math.sqrt(box.shape[1] / (n_boxes * RUNS_A_SECTOR)), 1, MOST_SECTORS))
-    mean = _mean_normals(normal[runs.cells], runs.start)
-    square = ((encode_normals(mean).astype(np.int64) + 127) * sectors // 255).T
-    order = np.lexsort([keys[runs.cells[runs.start[:-1]]], *square[::-1], *box[::-1]])
+def _ordered(keys: np.ndarray, runs: Runs, first_cell: int) -> _Ordered:
+    """Runs box by box and in it block by block along a Morton curve, cut where a group of splats ends; `first_cell` cells stand before them."""
+    starts = keys[runs.cells[runs.start[:-1]]]
+    index = _index(starts)
+    order = np.lexsort([starts, _morton(index >> BLOCK_BITS), *_boxes(index)[::-1]])
     length = np.diff(runs.start)[order]
     whole = np.concatenate([[0], np.cumsum(length)])
     cells = runs.cells[np.repeat(runs.start[:-1][order] - whole[:-1], length) + np.arange(whole[-1])]
     ends = np.arange(GROUP - first_cell % GROUP, whole[-1], GROUP)
     begin = np.union1d(whole, ends)
-    parent = np.searchsorted(whole, begin[:-1], side="right") - 1
     first = _index(keys[cells[begin[:-1]]])
-    part = np.stack([*_boxes(first), *square[:, order][:, parent], (begin[:-1] + first_cell) // GROUP])
+    part = np.stack([*_boxes(first), (begin[:-1] + first_cell) // GROUP])
     changes = (np.diff(part, axis=1) != 0).any(axis=0)
     edges = np.concatenate([[0], np.flatnonzero(changes) + 1, [len(first)]])
     return _Ordered(cells, begin, first, np.concatenate([np.arange(a, b, MOST_RUNS) for a, b in zip(edges, edges[1:])]))
+
+
+def _morton(block: np.ndarray) -> np.ndarray:
+    """Where blocks (n, 3) int64, of at most 21 bits, stand on a curve of Morton's (1966): their bits, interleaved; (n,) int64."""
+    at = np.zeros(len(block), np.int64)
+    for bit in range(INDEX_BITS - BLOCK_BITS):
+        at |= ((block >> bit & 1) << np.arange(3) + 3 * bit).sum(axis=1)
+    return at
 
 
 def _index(keys: np.ndarray) -> np.ndarray:
@@ -140,7 +132,7 @@ def encode_runs(
     the end of a group of splats.
     """
     assert len(keys) and RUN_LENGTH <= MOST_LENGTH
-    ordered = _ordered(keys, normal, runs, first_cell)
+    ordered = _ordered(keys, runs, first_cell)
     cells, begin, first_run = ordered.cells, ordered.begin, ordered.first_run
     turn = np.empty(len(cells), np.uint8)
     joined = _turns(keys, cells, begin, turn)
@@ -148,7 +140,7 @@ def encode_runs(
     target, goal = normal[cells], encode_normals(normal[cells])
     book = learn_steps(target, goal, begin) if codebook is None else codebook
     step, place = np.empty(len(cells), np.uint8), np.empty((len(cells), 2), np.int8)
-    encode_steps(target, goal[begin[:-1]], begin, book, UNIT, step, place)
+    encode_steps(target, goal, goal[begin[:-1]], begin, book, step, place)
     inner = np.ones(len(cells), bool)
     inner[begin[:-1]] = False
     base = ordered.first[first_run] & [-1 << COLUMN_BITS, -1 << ROW_BITS, -1 << SLICE_BITS]
@@ -171,13 +163,6 @@ def encode_runs(
         book,
     )
     return codes, cells
-
-
-def _mean_normals(normal: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Of each run (n_runs, 3), unit; that of its start where they cancel."""
-    total = np.add.reduceat(normal, start[:-1], axis=0)
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.where(length > 1e-9, total / np.maximum(length, 1e-9), normal[start[:-1]])
 
 
 def decode_runs(codes: RunCodes) -> tuple[np.ndarray, np.ndarray]:

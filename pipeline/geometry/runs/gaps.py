@@ -12,10 +12,11 @@ import numpy as np
 
 from pipeline.execution.compiled import kernel, part
 from pipeline.geometry.hcp import index_of, key_of, neighbour
-from pipeline.geometry.runs.walks import BRIDGE, RUN_LENGTH, Runs, _find, neighbours_in_slice, runs_of
+from pipeline.geometry.runs.walks import BRIDGE, RUN_LENGTH, Runs, _find, neighbours_in_slice, runs_over
 
 ENOUGH = 0.7  # of the full length, from which mean on nothing is closed
 ROUNDS = 4
+FEW = 0.002  # of all cells: where a round adds no more it is the last
 
 
 @dataclass(frozen=True)
@@ -70,17 +71,20 @@ def close_gaps(keys: np.ndarray, run_length: int = RUN_LENGTH, bridge: int = BRI
 
     Guarantees: all given cells are there; runs are no shorter on average than without; deterministic, slice by slice.
     """
-    plain = runs_of(keys, run_length, bridge)
+    graph = neighbours_in_slice(keys)
+    plain = runs_over(graph, run_length, bridge)
     best = Closed(keys, np.zeros(len(keys), bool), plain)
-    now, runs = keys, plain
+    now, runs, n_added = keys, plain, len(keys)
     for _ in range(ROUNDS):
-        if runs.mean_length >= enough * run_length:
+        if runs.mean_length >= enough * run_length or n_added <= FEW * len(now):
             break
-        added = _closing(now, neighbours_in_slice(now), runs.cells, runs.start, run_length // 2)
-        if not len(added):
+        added = np.unique(_closing(now, graph, runs.cells, runs.start, run_length // 2))
+        n_added = len(added)
+        if not n_added:
             break
-        now = np.union1d(now, added)
-        runs = runs_of(now, run_length, bridge)
+        now = np.insert(now, np.searchsorted(now, added), added)
+        graph = neighbours_in_slice(now)
+        runs = runs_over(graph, run_length, bridge)
         if runs.mean_length > best.runs.mean_length:
             best = Closed(now, ~np.isin(now, keys, assume_unique=True), runs)
     return best

@@ -23,6 +23,8 @@ WIDEST = (
     0.98,
     0.995,
 )  # shares of the wanted steps that are no longer than the first codebook's: bunny takes the second, other scans the first
+NEAREST = 10  # steps that are tried of a cell whose normal lies no further than WINDOW from that before, along a and b
+WINDOW = 47
 WAYS = 4  # ways to a cell that are kept: 3.1 degrees off on volume_iguana_ct where the nearest step each time is 3.6, 8 ways 3.0
 
 
@@ -69,11 +71,30 @@ def _kept(front, origin, n, a, b, cost, before, step):
 
 
 @kernel()
-def encode_steps(target, first, start, codebook, unit, step, place, ways=WAYS):
-    """Choose the steps to all cells of each run but its first, whose place is given: of the `ways` cheapest ways to each cell those that go on
-    to the least sum of sin(angle / 2) to `target` (m, 3), unit. With one way each step is the nearest.
+def _nearest_steps(codebook):
+    """The NEAREST steps, nearest first, to each move of at most WINDOW along a and b, (2 WINDOW + 1, 2 WINDOW + 1, NEAREST) uint8."""
+    side = 2 * WINDOW + 1
+    found, far = np.empty((side, side, NEAREST), np.uint8), np.empty(len(codebook), np.int64)
+    for i in range(side):
+        for j in range(side):
+            for s in range(len(codebook)):
+                far[s] = (codebook[s, 0] - i + WINDOW) ** 2 + (codebook[s, 1] - j + WINDOW) ** 2
+            for k in range(NEAREST):
+                s = np.argmin(far)
+                found[i, j, k], far[s] = s, 1 << 30
+    return found
 
-    `first` (n_runs, 2) int8, `unit` is UNIT; writes `step` (m,) uint8, 0 at starts, and `place` (m, 2) int8, what is decoded."""
+
+def encode_steps(target, goal, first, start, codebook, step, place, ways=WAYS):
+    """Choose the steps to all cells of each run but its first, whose place is given: of the `ways` cheapest ways to each cell those that go on
+    to the least sum of sin(angle / 2) to `target` (m, 3), unit, whose places are `goal` (m, 2) int8. With one way each step is the nearest.
+
+    `first` (n_runs, 2) int8; writes `step` (m,) uint8, 0 at starts, and `place` (m, 2) int8, what is decoded."""
+    _encode_steps(target, goal, first, start, codebook, _nearest_steps(codebook), UNIT, step, place, ways)
+
+
+@kernel()
+def _encode_steps(target, goal, first, start, codebook, nearest, unit, step, place, ways):
     longest = 1
     for r in range(len(start) - 1):
         longest = max(longest, start[r + 1] - start[r])
@@ -87,7 +108,10 @@ def encode_steps(target, first, start, codebook, unit, step, place, ways=WAYS):
             n = 0
             for before in range(n_before):
                 a, b, so_far = int(fronts[i - 1, before, 0]), int(fronts[i - 1, before, 1]), fronts[i - 1, before, 2]
-                for s in range(len(codebook)):
+                i_a, i_b = goal[begin + i, 0] - a + WINDOW, goal[begin + i, 1] - b + WINDOW
+                is_near = 0 <= i_a <= 2 * WINDOW and 0 <= i_b <= 2 * WINDOW
+                for tried in range(NEAREST if is_near else len(codebook)):
+                    s = int(nearest[i_a, i_b, tried]) if is_near else tried
                     ta, tb = wrapped(a + codebook[s, 0], b + codebook[s, 1])
                     ux, uy, uz = unit[ta + STEPS, tb + STEPS]
                     off = max(0.0, 1.0 - (ux * x + uy * y + uz * z))
@@ -161,7 +185,7 @@ def learn_steps(target: np.ndarray, goal: np.ndarray, start: np.ndarray) -> np.n
     for widest in WIDEST:
         book = _rings(middle / 2, max(8.0, float(np.quantile(length, widest))))
         for _ in range(ROUNDS):
-            encode_steps(target, first, start, book, UNIT, step, place, 1)
+            encode_steps(target, goal, first, start, book, step, place, 1)
             off = _degrees(place, target)[inner].mean()
             if off < least:
                 best, least = book, off

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.stages.maps.map_pictures import NAMES, stored_maps
-from pipeline.stages.runs.packing import runs_of_group
 from pipeline.summaries import Packed
 from storage.packed.batches import CHUNKS_PER_GROUP, count_batches, rows_of
 from storage.packed.bits import pack_bits, pack_sizes
@@ -87,6 +86,8 @@ class Pack:
             part |= {name: streams[place] for name, streams in words.items()}
             if self.runs:
                 at = start + place * GROUP
+                from pipeline.stages.runs.packing import runs_of_group
+
                 part |= runs_of_group(*self.runs, at, min(at + GROUP, stop)) | {"run_codebook": self._codebook()}
             groups.append(write_group(folder / "packed", self.header, index * TASK_GROUPS + place, part))
         return PackedGroups(n_splats=stop - start, groups=groups)

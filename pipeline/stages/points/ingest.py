@@ -111,6 +111,7 @@ class Ingest:
             warnings=tuple(by_name(text, self.scan_path) for text in (*source.warnings, *counts.warnings(source))),
             unused=tuple(source.unused),
             seen=points.looks if otherwise else "",
+            is_albedo=not (source.has_colors or source.has_intensity or source.cameras),
         )
 
     def _source(self) -> ScanSource:

@@ -9,9 +9,10 @@ import numpy as np
 
 from pipeline.geometry.normals import decode_normals
 from pipeline.geometry.runs.codes import decode_runs, encode_runs, positions_of, turned
+from pipeline.geometry.runs.normals import N_STEPS
+from pipeline.geometry.runs.starts import SECTION_WORDS, pack_starts
 from pipeline.geometry.runs.walks import Runs
 from pipeline.stages.runs.found import CellsFilled, GridFound, RunsCoded
-from storage.packed.schema import GROUP
 from storage.work import arrays, work
 
 
@@ -22,6 +23,8 @@ class BrickCoded:
     n_splats: int
     n_runs: int
     n_sections: int
+    place_bits: int  # of all starts on a graphics card
+    start_normal_bits: int
     normal_error: float  # degrees, summed
 
 
@@ -40,7 +43,7 @@ class RunCoding:
     def run(self, folder: Path, index: int) -> BrickCoded:
         first, end = work.summary(self.cells, CellsFilled).first_cell[index : index + 2]
         if first == end:
-            return BrickCoded(n_splats=0, n_runs=0, n_sections=0, normal_error=0.0)
+            return BrickCoded(n_splats=0, n_runs=0, n_sections=0, place_bits=0, start_normal_bits=0, normal_error=0.0)
         key, normal, point, cells, start = (
             arrays.read(self.cells, f"{name}_{index}") for name in ("key", "normal", "point", "cell", "start")
         )
@@ -61,26 +64,30 @@ class RunCoding:
         }
         for name, values in rows.items():
             arrays.store(folder, f"{name}_{index}", values)
+        starts = pack_starts(codes)
         cosine = np.clip((decode_normals(normal_code) * normal[place]).sum(axis=1), -1, 1)
         return BrickCoded(
             n_splats=len(place),
             n_runs=len(codes.start),
             n_sections=len(codes.base),
+            place_bits=starts.place_bits,
+            start_normal_bits=starts.normal_bits,
             normal_error=float(np.degrees(np.arccos(cosine)).sum()),
         )
 
     def finalise(self, folder: Path, results: list[BrickCoded]) -> RunsCoded:
-        n_cells, n_runs, n_sections = (
-            sum(getattr(r, k) for r in results) for k in ("n_splats", "n_runs", "n_sections")
+        n_cells, n_runs, n_sections, place_bits, start_normal_bits = (
+            sum(getattr(r, k) for r in results)
+            for k in ("n_splats", "n_runs", "n_sections", "place_bits", "start_normal_bits")
         )
-        tables = 128 * n_sections + 32 * -(-n_cells // GROUP) + 512
+        tables = 32 * SECTION_WORDS * (n_sections + 1) + 64 + 8 * 2 * N_STEPS
         return RunsCoded(
             n_splats=n_cells,
             n_runs=n_runs,
             n_sections=n_sections,
-            start_bits=(32 * n_runs + tables) / n_cells,
+            start_bits=(place_bits + tables) / n_cells,
             steps_bits=3 * (n_cells - n_runs) / n_cells,
-            normals_bits=(16 * n_runs + 5 * (n_cells - n_runs)) / n_cells,
+            normals_bits=(start_normal_bits + 5 * (n_cells - n_runs)) / n_cells,
             mean_normal_error_degrees=sum(r.normal_error for r in results) / n_cells,
             mean_length=n_cells / n_runs,
         )

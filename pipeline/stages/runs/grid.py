@@ -7,9 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.geometry.hcp import keys_of
+from pipeline.geometry.normals import decode_normals
 from pipeline.geometry.runs.bricks import split
 from pipeline.geometry.runs.cells import MOST_HIT_RATE, Cells, fill, mean_spacing, search_size
 from pipeline.geometry.runs.codes import encode_runs, turn_across
+from pipeline.geometry.runs.starts import bits_of
 from pipeline.geometry.runs.walks import runs_of
 from pipeline.stages.runs.found import GridFound
 from pipeline.summaries import Points
@@ -39,11 +42,15 @@ class RunGridChoice:
 
     def run(self, folder: Path, index: int) -> GridFound:
         points = work.summary(self.points, Points)
-        position = _sample(self.points, points.n_splats)
+        position, code = (
+            _sample(folder, name, points.n_splats)
+            for folder, name in ((self.points, "position"), (self.splats, "normal_code"))
+        )
         sampled = [(turn, self._cells(position, turn)) for turn in self._turns()]
         found = [(turn, cells, runs_of(cells.key, self.run_length)) for turn, cells in sampled]
         turn, cells, runs = max(found, key=lambda x: x[2].mean_length)
-        codes, _ = encode_runs(cells.key, np.tile([0.0, 0.0, 1.0], (len(cells.key), 1)), runs)
+        near = np.unique(keys_of(in_grid(position, turn), cells.size), return_index=True)[1]
+        codes, _ = encode_runs(cells.key, decode_normals(code[near]), runs)
         low, high = boxes_in_grid(points, turn)
         count = np.diff([*range(0, points.n_splats, arrays.BLOCK), points.n_splats])
         arrays.store(folder, "bricks", split((low + high) / 2, count, cells.size))
@@ -53,7 +60,7 @@ class RunGridChoice:
             hit_rate=cells.hit_rate,
             efficiency=runs.mean_length / self.run_length,
             spacing=mean_spacing(position),
-            gpu_bits_a_point=sum(codes.bits().values()) * codes.n_cells / len(position),
+            gpu_bits_a_point=sum(bits_of(codes).values()) * codes.n_cells / len(position),
             n_splats=points.n_splats,
         )
 
@@ -81,10 +88,10 @@ def boxes_in_grid(points: Points, turn: tuple[float, ...]) -> tuple[np.ndarray, 
     return middle - half, middle + half
 
 
-def _sample(points: Path, n: int) -> np.ndarray:
-    """Positions of all points, or of PIECES pieces, spread evenly."""
+def _sample(folder: Path, name: str, n: int) -> np.ndarray:
+    """Rows of all points, or of PIECES pieces, spread evenly."""
     rows = PIECE_BLOCKS * arrays.BLOCK
     if n <= PIECES * rows:
-        return arrays.read(points, "position")
+        return arrays.read(folder, name)
     starts = np.linspace(0, n - rows, PIECES).astype(int) // arrays.BLOCK * arrays.BLOCK
-    return np.concatenate([arrays.read(points, "position", int(at), int(at) + rows) for at in starts])
+    return np.concatenate([arrays.read(folder, name, int(at), int(at) + rows) for at in starts])

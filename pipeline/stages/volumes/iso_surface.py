@@ -59,6 +59,7 @@ class IsoSurface:
     on_cells: bool = (
         False  # points stay at the centres of their cells, for runs of these; their normals are those of the surface
     )
+    looks_like_labels: bool = False  # whatever the header says
     name = "iso-surface"
 
     def init(self, folder: Path) -> int:
@@ -115,6 +116,11 @@ class IsoSurface:
         check_bounds(volume.path, low, high)
         surfaces = [self._surface(i, results) for i in range(len(self.isos))]
         warnings = [*volume.warnings, *self._warnings(surfaces, volume)]
+        if volume.is_labels or self.looks_like_labels:
+            warnings.append(
+                "values look like names of regions, not like grey: a surface lies between all that are higher and all that are lower; "
+                "a region alone takes a volume of its own"
+            )
         if self.is_proposed:
             warnings.append(f"no iso value was given: {self.isos[0].value:g} is what the volume proposes first")
         surfaces_of = VolumeSurfaces(

@@ -8,13 +8,14 @@ import moderngl
 import numpy as np
 
 from pipeline.geometry.runs.codes import pitch_of
+from pipeline.geometry.runs.starts import pack_starts
 from pipeline.splats.runs import codes_of, places_of
 from renderer.splats.glsl import shader_source
 from storage.packed.scene import PackedScene
 from storage.packed.schema import CHUNK
 
 SPLAT_BYTES = 16  # of a decoded splat: x, y, z as floats, a word of normal
-_SECTIONS, _STARTS, _START_NORMALS, _STEPS, _CODEBOOK, _SPLATS, _PLACES = range(7)
+_SPLATS = 4  # binding; before it sections, starts, steps, codebook, after it places
 
 
 @dataclass
@@ -62,11 +63,8 @@ def upload_runs(context: moderngl.Context, scene: PackedScene) -> GpuRuns:
     """The runs as they are packed, the sections' tables side by side, and the program. Inside `with context:`."""
     codes, grid = codes_of(scene), scene.header.runs
     assert grid is not None
-    sections = np.zeros((len(codes.base) + 1, 5), np.uint32)
-    sections[:-1, :3] = codes.base.view(np.uint32)
-    sections[:, 3] = [*codes.first_run, len(codes.start)]
-    sections[:, 4] = [*codes.first_step, len(codes.step)]
-    contents = (sections, codes.start, codes.normal, codes.step, codes.codebook.astype(np.int32))
+    starts = pack_starts(codes)
+    contents = (starts.sections, starts.words, codes.step, codes.codebook.astype(np.int32))
     buffers = [context.buffer(_whole_words(array)) for array in contents]
     buffers.append(context.buffer(reserve=SPLAT_BYTES * scene.header.n_splats))
     by_place = int("run_batch" in scene.arrays)

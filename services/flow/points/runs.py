@@ -11,13 +11,8 @@ from zipfile import ZipFile
 from pipeline.effects.plan.plan import EffectPlan, Row, with_reason
 from pipeline.effects.plan.request import OFF, canonical_request
 from pipeline.execution.stage import StageRecord
-from pipeline.geometry.runs.walks import RUN_LENGTH
 from pipeline.planning.settings import Settings
-from pipeline.stages.runs.cells import RunCells
-from pipeline.stages.runs.codes import RunCoding
 from pipeline.stages.runs.found import CellsAsPoints, CellsFilled, GridFound, RunsCoded
-from pipeline.stages.runs.grid import RunGridChoice
-from pipeline.stages.runs.points import RunPoints
 from pipeline.summaries import Points, ScanRead, Spacings
 from renderer.report.document import RunBits, RunsMade
 from services.flow.run import Run
@@ -36,7 +31,7 @@ class GeometryRequest:
 
     form: str = BOXES
     cell: float | None = None
-    run_length: int = RUN_LENGTH
+    run_length: int = Settings().run_length
     error: float | None = None  # mean one of positions over quadrics, in radii
 
 
@@ -58,6 +53,8 @@ def geometry_request(settings: Settings) -> GeometryRequest:
 
 def grid_for(run: Run, asked: GeometryRequest, ingest: ScanRead, points: Path, splats: Path) -> StageRecord[GridFound]:
     """The grid of a scan's runs; of a volume its own."""
+    from pipeline.stages.runs.grid import RunGridChoice  # loops that compile: for runs alone
+
     turn = ingest.grid.turn if ingest.grid else None
     cell = ingest.volume.cell if ingest.grid and ingest.volume else asked.cell
     return run.do(RunGridChoice(points, splats, asked.run_length, cell, turn))
@@ -67,6 +64,10 @@ def runs_of_splats(
     run: Run, asked: GeometryRequest, grid: StageRecord[GridFound], points: Path, neighbours: Path, splats: Path
 ) -> RunGeometry:
     """Cells, codes and decoded points of splats that were made as boxes, which tell how normals are turned."""
+    from pipeline.stages.runs.cells import RunCells
+    from pipeline.stages.runs.codes import RunCoding
+    from pipeline.stages.runs.points import RunPoints
+
     cells = run.do(RunCells(points, splats, grid.folder, asked.run_length))
     codes = run.do(RunCoding(cells.folder, grid.folder))
     made = run.do(RunPoints(points, neighbours, cells.folder, codes.folder, grid.summary.cell))

@@ -45,7 +45,7 @@ def surface_points(run: Run, path: Path, asked: SurfaceRequest, on_cells: bool =
     Raises: InvalidScan where it proposes none.
     """
     if asked.isos:
-        voxels, isos = voxels_of(run, path, asked.choice), asked.isos
+        voxels, isos, labels = voxels_of(run, path, asked.choice), asked.isos, False
     else:
         voxels, values = iso_values_of(run, path, asked.choice)
         proposals = values.summary.proposals
@@ -56,8 +56,10 @@ def surface_points(run: Run, path: Path, asked: SurfaceRequest, on_cells: bool =
                 else "no value that voxels pass steeply"
             )
             raise InvalidScan(str(path), found, "values that differ", "give one with --iso")
-        isos = (Iso(proposals[0].iso, PALETTE[0]),)
-    return run.do(IsoSurface(voxels.folder, isos, asked.cell, asked.method, asked.border, not asked.isos, on_cells))
+        isos, labels = (Iso(proposals[0].iso, PALETTE[0]),), values.summary.is_labels
+    return run.do(
+        IsoSurface(voxels.folder, isos, asked.cell, asked.method, asked.border, not asked.isos, on_cells, labels)
+    )
 
 
 def refuse_surfaces(scan: Path, asked: SurfaceRequest) -> None:

@@ -151,7 +151,7 @@ function bulkOf({ outline: { low, high, n }, header }) {
   const half = (i) => Math.hypot(...[0, 1, 2].map((axis) => high[3 * i + axis] - low[3 * i + axis])) / 2;
   const reach = boxes.map((i) => off(i) + half(i));
   const usual = Math.min(quantile(reach, 1 - STRAYS), LONGEST_TAIL * quantile(reach, 1 - TRIMMED));
-  const most = header.effects.relighting?.lamp ? Infinity : Math.max(usual, reach.reduce((a, b) => Math.min(a, b))); // a volume has no strays
+  const most = header.effects.relighting?.lamp && !header.effects.relighting.strays ? Infinity : Math.max(usual, reach.reduce((a, b) => Math.min(a, b))); // a volume has no strays
   return boxes.filter((i) => reach[i] <= most).flatMap((i) => Array.from({ length: 8 }, (_, k) => [0, 1, 2].map((axis) => ((k >> axis) & 1 ? high : low)[3 * i + axis])));
 }
 

@@ -68,7 +68,7 @@ export class Viewer {
     $("measure").onclick = () => this.toggleMeasuring();
     $("save").onclick = () => this.save();
     this.canvas.addEventListener("keydown", (event) => this.key(event));
-    this.light(Boolean(header.effects.relighting?.lamp)); // colours that have no light in them, as those of iso-surfaces
+    this.light(Boolean(header.effects.relighting?.lamp)); // colours that have no light in them
   }
 
   // --- what one does

@@ -84,6 +84,10 @@ def test_compress__takes_the_value_that_the_volume_proposes_and_says_so(tmp_path
     told = made(write_nrrd(tmp_path / "a.nrrd", voxels, extra=LPS), tmp_path / "out")
     assert 100 < told["scan"]["volume"]["surfaces"][0]["iso"] < 1000
     assert any("no iso value was given" in text for text in told["warnings"])
+    assert not any("names of regions" in text for text in told["warnings"])
+    regions = 3 * (ball(SHAPE, SPACING, radius=5.0) > 50).astype(np.uint8)
+    told = made(write_nrrd(tmp_path / "b.nrrd", regions, extra=LPS), tmp_path / "labels")
+    assert any("values look like names of regions" in text for text in told["warnings"])
 
 
 def test_compress__a_border_is_open_or_closed_as_asked(tmp_path):

@@ -10,6 +10,7 @@ from pipeline.geometry.normals import decode_normals, encode_normals
 from pipeline.geometry.runs.cells import search_size
 from pipeline.geometry.runs.codes import MOST_RUNS, cones, decode_runs, encode_runs
 from pipeline.geometry.runs.normals import N_STEPS, wrapped
+from pipeline.geometry.runs.starts import bits_of, pack_starts
 from pipeline.geometry.runs.walks import runs_of
 from tests.pipeline.geometry.runs.test_cells import sphere
 
@@ -43,11 +44,38 @@ def test_codes__decode_to_the_same_cells_and_to_normals_within_degrees(coded):
 
 def test_codes__take_few_bits_and_say_which(coded):
     _, _, codes, _ = coded
-    bits = codes.bits()
-    arrays = (codes.base, codes.first_run, codes.first_step, codes.start, codes.normal, codes.step, codes.codebook)
-    assert np.isclose(sum(bits.values()) * codes.n_cells, 8 * sum(a.nbytes for a in arrays))
-    assert bits["steps"] < 3 and bits["normals"] < 5 and sum(bits.values()) < 11
+    bits, starts = bits_of(codes), pack_starts(codes)
+    arrays = (starts.sections, starts.words, codes.step, codes.codebook)
+    assert np.isclose(sum(bits.values()) * codes.n_cells, 8 * sum(a.nbytes for a in arrays), rtol=1e-4)
+    assert bits["steps"] < 3 and bits["normals"] < 5 and sum(bits.values()) < 9.7
+    assert bits["start"] + bits["start_normal"] < 0.75 * 48 * len(codes.start) / codes.n_cells
     assert codes.codebook.shape == (N_STEPS, 2) and not codes.codebook[0].any()
+
+
+@pytest.mark.parametrize("far", [0, 2**20 - 2100, -(2**20) + 2])
+def test_starts__are_read_back_bit_by_bit_as_the_shader_reads_them(far):
+    rng = np.random.default_rng(3)
+    index = rng.integers(0, 2048, (300, 3)) * [1, 1, 0] + far
+    keys = np.unique(keys_of_index(np.concatenate([index, index[:9] + [1, 0, 0]])))
+    codes, _ = encode_runs(keys, sphere(len(keys)), runs_of(keys))
+    starts = pack_starts(codes)
+    stream = int.from_bytes(starts.words.tobytes(), "little")
+    index, _ = decode_runs(codes)
+    cell = 0
+    for section, after in zip(starts.sections[:-1].tolist(), starts.sections[1:].tolist()):
+        least = [(word & (1 << 22) - 1) - (word >> 21 & 1) * (1 << 22) for word in section[:3]] + [0]
+        least += [(word >> 22 & 255) - (word >> 29 & 1) * 256 for word in section[:2]]
+        at = 32 * section[5]
+        for run in range(section[3], after[3]):
+            found = []
+            for i in range(6):
+                n = section[6] >> 4 * i & 15
+                found.append(least[i] + (stream >> at & (1 << n) - 1))
+                at += n
+            assert found[:3] == index[cell].tolist() and found[4:] == codes.normal[run].tolist()
+            cell += found[3] + 1
+        assert at <= 32 * after[5] and cell == after[3] + after[4]
+    assert cell == codes.n_cells
 
 
 def test_codes__groups_hold_at_most_256_runs_and_their_cones_all_normals(coded):
