@@ -3,7 +3,7 @@
     python -m benchmarks.beam WORK_FOLDER [--pursuits omp 2x2 ...] [--patches 8192] [--write] [--json]
 
 The folder is one of `splatpress compress --work` with the default coder. Patches are taken from all of the scan, and coded with the last
-dictionary of the folder at the price of its encoding and four times as low and high, so that each pursuit is compared with
+dictionary of the folder at the multiplier of its encoding and four times as low and high, so that each pursuit is compared with
 OMP at equal bytes of codes. Microseconds are a thread's, the least of the rounds, taken in turns; `--write` puts the fit of
 what OMP does not take into pipeline/planning/costs.json, as two costs of the stage `encode`.
 """
@@ -30,7 +30,7 @@ from pipeline.texture.patches import centred
 from pipeline.texture.resample import PATCH_DIM
 from storage.work import arrays
 
-PRICES = (4.0, 2.0, 1.0, 0.5, 0.25)  # times the price at hand; the middle one is timed
+MULTIPLIERS = (4.0, 2.0, 1.0, 0.5, 0.25)  # times the multiplier at hand; the middle one is timed
 RUN = 32  # patches that are taken together
 
 
@@ -52,7 +52,7 @@ def sampled(work: Path, n: int, size: int) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(rows), np.concatenate(energy)
 
 
-def measure(work: Path, pursuits: list[str], n: int, price: float, max_atoms: int, rounds: int) -> dict:
+def measure(work: Path, pursuits: list[str], n: int, multiplier: float, max_atoms: int, rounds: int) -> dict:
     quantised = last(work, "quantise")
     atoms, levels = load_atoms(quantised), arrays.read(quantised, "weight_levels")
     size = round((atoms.dictionary.shape[1] / 3) ** 0.5)
@@ -61,11 +61,11 @@ def measure(work: Path, pursuits: list[str], n: int, price: float, max_atoms: in
     bits = (len(atoms.dictionary) - 1).bit_length() + (levels.shape[1] - 1).bit_length()
 
     def coded(pursuit: str, factor: float = 1.0) -> Pursuit:
-        return atoms.pursue(rows, max_atoms, 0.0, levels, factor * price, pursuit=pursuit)
+        return atoms.pursue(rows, max_atoms, 0.0, levels, factor * multiplier, pursuit=pursuit)
 
     curves = {}
     for pursuit in dict.fromkeys(("omp", *pursuits)):
-        found = [coded(pursuit, factor) for factor in PRICES]
+        found = [coded(pursuit, factor) for factor in MULTIPLIERS]
         curves[pursuit] = [
             (f.codes.n_atoms.sum() * bits / 8 / len(rows), psnr_db((f.residual + rest).sum(), len(rows) * PATCH_DIM))
             for f in found
@@ -74,7 +74,7 @@ def measure(work: Path, pursuits: list[str], n: int, price: float, max_atoms: in
     plain = np.array(curves["omp"])
     result = []
     for pursuit, curve in curves.items():
-        n_bytes, db = curve[len(PRICES) // 2]
+        n_bytes, db = curve[len(MULTIPLIERS) // 2]
         result.append(
             {
                 "pursuit": pursuit,
@@ -114,14 +114,16 @@ def main() -> None:
     parser.add_argument("--pursuits", nargs="+", default=list(PURSUITS))
     parser.add_argument("--patches", type=int, default=8192)
     parser.add_argument(
-        "--price", type=float, default=0.1, help="squared error that an atom must mend; 0.1: of `balanced`"
+        "--multiplier", type=float, default=0.1, help="squared error that an atom must mend; 0.1: of `balanced`"
     )
     parser.add_argument("--max-atoms", type=int, default=8)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    found = measure(options.work, options.pursuits, options.patches, options.price, options.max_atoms, options.rounds)
+    found = measure(
+        options.work, options.pursuits, options.patches, options.multiplier, options.max_atoms, options.rounds
+    )
     found["fit"] = fitted(found)
     if options.write:
         costs = json.loads(COSTS.read_text())

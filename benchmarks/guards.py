@@ -58,7 +58,7 @@ def pursuits(patches: np.ndarray, dictionary: np.ndarray) -> dict:
         omp_kernels,
         ("SMALLEST_PIVOT = 2e-3", "SMALLEST_PIVOT = 0.0"),
         ("SMALLEST_CORRELATION = 1e-6", "SMALLEST_CORRELATION = 0.0"),
-        ("            if lowered >= error - price:\n                break\n", ""),
+        ("            if lowered >= error - multiplier:\n                break\n", ""),
     )
     y, d = patches.astype(np.float32), dictionary.astype(np.float32)
     initial, gram, energy = y @ d.T, d @ d.T, omp_kernels.squared_norms(y)

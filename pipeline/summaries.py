@@ -276,9 +276,9 @@ class Quantised:
 
 @dataclass(frozen=True)
 class Ladder:
-    """Of a sample coded at each Lagrange multiplier (`price`); error and atoms are those of a patch on average."""
+    """Of a sample coded at each Lagrange `multiplier`; error and atoms are those of a patch on average."""
 
-    price: tuple[float, ...]
+    multiplier: tuple[float, ...]
     error: tuple[float, ...]
     n_atoms: tuple[float, ...]
 

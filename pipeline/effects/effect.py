@@ -1,4 +1,4 @@
-"""What an effect is to the pipeline: what is measured, from where on it is worth its price, and its encoder's stage.
+"""What an effect is to the pipeline: what is measured, from where on it is worth its cost, and its encoder's stage.
 
 An effect is one module or folder of `pipeline/effects` with an `EFFECT`; its shader part, if it has one, is the module
 of the same name in `renderer/effects`. Nothing lists them: they are found (`registry.py`).

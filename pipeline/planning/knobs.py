@@ -194,7 +194,7 @@ KNOBS = (
         "bytes a splat, of all that a GPU holds, in place of the target's error: an atom costs what makes the "
         "packed file keep it, and use 98 % or more of it",
         "a file of known size, its atoms where they mend most; the target is what the dictionary is learned for",
-        "all patches are coded once more for each price that is tried, two or three times in all",
+        "all patches are coded once more for each Lagrange multiplier that is tried, two or three times in all",
         "encode",
         low=0.0,
         optional=True,

@@ -118,6 +118,6 @@ def settings_for(preset: str = DEFAULT_PRESET, **changes) -> Settings:
     settings = replace(settings, **{knob.name: knob.checked(getattr(settings, knob.name)) for knob in KNOBS})
     if settings.budget_bytes is not None and settings.coder == "paper":
         raise ValueError(
-            f"budget_bytes is {settings.budget_bytes:g} with coder paper, which has a cut-off and no price; allowed: coder default"
+            f"budget_bytes is {settings.budget_bytes:g} with coder paper, which has a cut-off and no Lagrange multiplier; allowed: coder default"
         )
     return settings

@@ -16,6 +16,15 @@ from pipeline.execution.compiled import kernel
 
 
 @dataclass(frozen=True)
+class Blocks:
+    """The points of a scan in blocks, each in its box."""
+
+    load: Callable[[int], np.ndarray]  # positions (m, 3) float64 of a block
+    low: np.ndarray  # (n_blocks, 3) lowest corners of the blocks' boxes
+    high: np.ndarray  # (n_blocks, 3)
+
+
+@dataclass(frozen=True)
 class Neighbours:
     """The k nearest other positions of each point, nearest first; where there are fewer, distance is inf."""
 
@@ -26,12 +35,11 @@ class Neighbours:
 def find_neighbours(
     block: int,
     k: int,
-    load: Callable[[int], np.ndarray],  # positions (m, 3) float64 of a block
-    low: np.ndarray,  # (n_blocks, 3) lowest corners of the blocks' boxes
-    high: np.ndarray,  # (n_blocks, 3)
+    blocks: Blocks,
 ) -> Neighbours:
     """The k nearest of every point of `block` among all blocks' distinct positions, the point's own left out."""
-    points, inverse = _distinct(load(block))
+    low, high = blocks.low, blocks.high
+    points, inverse = _distinct(blocks.load(block))
     distance = np.full((len(points), k), np.inf)
     position = np.repeat(points[:, None], k, axis=1)
     _ask(points, np.arange(len(points)), points, distance, position)
@@ -45,7 +53,7 @@ def find_neighbours(
         needy = np.flatnonzero(away < distance[:, -1])
         if len(needy):
             reach = distance[needy, -1].max() * (1 + 1e-9)  # beyond it none of them can be served
-            there = load(other)
+            there = blocks.load(other)
             there = there[_box_distance(there, there, points[needy].min(axis=0), points[needy].max(axis=0)) <= reach]
             if len(there):
                 _ask(_distinct(there)[0], needy, points, distance, position)
@@ -55,16 +63,13 @@ def find_neighbours(
 def points_around(
     block: int,
     reach: float,
-    load: Callable[[int], np.ndarray],  # positions (m, 3) float64 of a block
-    low: np.ndarray,  # (n_blocks, 3) lowest corners of the blocks' boxes
-    high: np.ndarray,  # (n_blocks, 3)
+    blocks: Blocks,
 ) -> np.ndarray:
     """The positions (m, 3) float64 of other blocks that lie within `reach` of the block's box, in order of blocks."""
-    near = np.flatnonzero(_box_distance(low[block], high[block], low, high) <= reach)
-    there = [load(int(other)) for other in near if other != block]
-    return np.concatenate(
-        [np.empty((0, 3)), *(p[_box_distance(p, p, low[block], high[block]) <= reach] for p in there)]
-    )
+    low, high = blocks.low[block], blocks.high[block]
+    near = np.flatnonzero(_box_distance(low, high, blocks.low, blocks.high) <= reach)
+    there = [blocks.load(int(other)) for other in near if other != block]
+    return np.concatenate([np.empty((0, 3)), *(p[_box_distance(p, p, low, high) <= reach] for p in there)])
 
 
 def _ask(there: np.ndarray, needy: np.ndarray, points: np.ndarray, distance: np.ndarray, position: np.ndarray) -> None:

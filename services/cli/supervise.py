@@ -4,7 +4,6 @@ one supervisor a data folder."""
 from __future__ import annotations
 
 import errno
-import fcntl
 import json
 import os
 import signal
@@ -17,6 +16,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from storage.file_lock import try_to_hold
+
 RESTART_S = 1.0
 STOP_S = 10.0
 TRIES, HARDLY_BEGUN_S = 5, 20.0  # a part that ends so often so soon after its start has no way to run
@@ -26,12 +27,8 @@ TRIES, HARDLY_BEGUN_S = 5, 20.0  # a part that ends so often so soon after its s
 def alone_on(data: Path, url: str) -> Iterator[None]:
     """Raises OSError naming the service that has the folder already."""
     with open(data / "serve.lock", "a+") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise OSError(
-                errno.EBUSY, f"{data} is served already, {_first(data)}; stop it, or take another --data"
-            ) from None
+        if not try_to_hold(lock):
+            raise OSError(errno.EBUSY, f"{data} is served already, {_first(data)}; stop it, or take another --data")
         lock.truncate(0)
         lock.write(json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "url": url}))
         lock.flush()

@@ -1,7 +1,7 @@
-"""A budget of bytes in place of a target: the price of an atom at which the packed file keeps it.
+"""A budget of bytes in place of a target: the Lagrange multiplier of atoms at which the packed file keeps it.
 
-Bytes fall as the price rises, nearly as a power of it, so each trial's straight line of logarithms tells the next
-price.
+Bytes fall as the multiplier rises, nearly as a power of it, so each trial's straight line of logarithms tells the next
+multiplier.
 """
 
 from __future__ import annotations
@@ -15,21 +15,25 @@ from storage.errors import InvalidScan
 
 LEAST, AIM = 0.98, 0.992  # of a budget: what is good enough, and what is tried for
 MOST_TRIALS = 8
-NO_ATOMS = math.inf  # the price that nobody pays
-SLOPE = -0.6  # of log(bytes of atoms) over log(price), for the second trial: -0.35 to -0.6 on fountain_p11 and monstree
+NO_ATOMS = math.inf  # at it no patch takes an atom
+SLOPE = (
+    -0.6
+)  # of log(bytes of atoms) over log(multiplier), for the second trial: -0.35 to -0.6 on fountain_p11 and monstree
 STEEPEST, FLATTEST = -2.0, -0.3
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What a price gave."""
+    """What a multiplier gave."""
 
-    price: float
+    multiplier: float
     n_bytes: float  # on the GPU
     result: Any
 
 
-def within_budget(budget_bytes: float, n_splats: int, first_price: float, attempt: Callable[[float], Trial]) -> Trial:
+def within_budget(
+    budget_bytes: float, n_splats: int, first_multiplier: float, attempt: Callable[[float], Trial]
+) -> Trial:
     """The best trial that keeps `budget_bytes` a splat: from LEAST of it on, or what splats take when atoms cost next
     to nothing.
 
@@ -38,17 +42,17 @@ def within_budget(budget_bytes: float, n_splats: int, first_price: float, attemp
     budget = budget_bytes * n_splats
     bare = attempt(NO_ATOMS)
     check_budget(budget_bytes, n_splats, bare.n_bytes)
-    room, price, trials = AIM * budget - bare.n_bytes, first_price, [bare]
+    room, multiplier, trials = AIM * budget - bare.n_bytes, first_multiplier, [bare]
     while room > 0 and len(trials) <= MOST_TRIALS:
-        trials.append(attempt(price))
+        trials.append(attempt(multiplier))
         if LEAST * budget <= trials[-1].n_bytes <= budget or _takes_no_more(trials[1:]):
             break
-        price = _next_price(trials[1:], bare.n_bytes, room)
+        multiplier = _next_multiplier(trials[1:], bare.n_bytes, room)
     return max((t for t in trials if t.n_bytes <= budget), key=lambda t: t.n_bytes)
 
 
 def check_budget(budget_bytes: float, n_splats: int, n_bytes: float) -> None:
-    """Raises InvalidScan where `n_bytes`, which no price lowers, exceed the budget."""
+    """Raises InvalidScan where `n_bytes`, which no multiplier lowers, exceed the budget."""
     if n_bytes > budget_bytes * n_splats:
         raise InvalidScan(
             "budget_bytes",
@@ -58,10 +62,10 @@ def check_budget(budget_bytes: float, n_splats: int, n_bytes: float) -> None:
         )
 
 
-def _next_price(trials: list[Trial], bare: float, room: float) -> float:
+def _next_multiplier(trials: list[Trial], bare: float, room: float) -> float:
     """Where the line of logarithms through two trials has the room: the nearest on either side of it, or the last
     two."""
-    points = [(math.log(t.price), math.log(max(1.0, t.n_bytes - bare) / room)) for t in trials]
+    points = [(math.log(t.multiplier), math.log(max(1.0, t.n_bytes - bare) / room)) for t in trials]
     over, under = (
         max((p for p in points if p[1] > 0), default=None),
         min((p for p in points if p[1] <= 0), default=None),
@@ -80,8 +84,8 @@ def _root(a: tuple[float, float], b: tuple[float, float]) -> float:
 
 
 def _takes_no_more(trials: list[Trial]) -> bool:
-    """Whether a much lower price has bought hardly anything: splats have all the atoms that they may have."""
+    """Whether a much lower multiplier has bought hardly anything: splats have all the atoms that they may have."""
     if len(trials) < 2:
         return False
     before, last = trials[-2:]
-    return last.price < before.price / 4 and last.n_bytes < 1.002 * before.n_bytes
+    return last.multiplier < before.multiplier / 4 and last.n_bytes < 1.002 * before.n_bytes

@@ -9,7 +9,7 @@ from pipeline.geometry.frame import directions_of
 from pipeline.planning.settings import Settings
 from pipeline.stages.maps.map_pictures import PicturesMade
 from pipeline.stages.maps.resample_maps import ResampleMaps
-from pipeline.stages.texture.multipliers import price_for
+from pipeline.stages.texture.multipliers import multiplier_for
 from pipeline.stages.texture.resample import Resample
 from pipeline.summaries import Ladder, PatchesMade, Training
 from services.flow.budget import NO_ATOMS, Trial, check_budget, within_budget
@@ -30,9 +30,7 @@ def resample(run: Run, prepared: Prepared, kept: bool = True) -> StageRecord[Pat
     """Sample the photographs, or the maps of stations, into patches; of photographs not `kept`, but made again where they are used."""
     scan, maps = prepared.scan, prepared.maps
     if maps is not None:
-        splats, directions = prepared.splats.folder, directions_of(scan.summary.cameras)
-        partition, radius = prepared.partition.folder, prepared.radius
-        return run.do(ResampleMaps(maps.folder, partition, splats, radius, *directions, maps.log_gain))
+        return run.do(ResampleMaps(prepared.on_maps(maps.folder), maps.log_gain))
     return run.do(
         Resample(
             prepared.photos,
@@ -91,9 +89,7 @@ def chosen_maps(run: Run, prepared: Prepared, settings: Settings) -> tuple[Stage
 def mapped_by(run: Run, prepared: Prepared, pictures: StageRecord[PicturesMade]) -> Mapped:
     """The splats, which have maps, with these as their texture."""
     assert prepared.maps is not None
-    directions = directions_of(prepared.scan.summary.cameras)
-    partition, splats = prepared.partition.folder, prepared.splats.folder
-    return map_textures(run, prepared.maps, pictures, partition, splats, prepared.radius, directions)
+    return map_textures(run, prepared.maps, prepared.on_maps(prepared.maps.folder), pictures)
 
 
 def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
@@ -111,21 +107,24 @@ def code_prepared(
         return code_patches(run, patches, settings, n_splats, most_texels)
     share, first = n_sample / (n_splats or n_sample), []
 
-    def attempt(price: float) -> Trial:
-        def priced(ladder: Ladder, training: Training) -> float:
-            first.append(price_for(ladder, training))
-            return price
+    def attempt(multiplier: float) -> Trial:
+        def multiplier_of(ladder: Ladder, training: Training) -> float:
+            first.append(multiplier_for(ladder, training))
+            return multiplier
 
         n_before = len(run.records)
-        coded = code_patches(run, patches, settings, n_splats, most_texels, priced)
+        coded = code_patches(run, patches, settings, n_splats, most_texels, multiplier_of)
         known = {record.folder for record in run.records[:n_before]}
         run.records[n_before:] = [record for record in run.records[n_before:] if record.folder not in known]
-        return Trial(price, packed_gpu_bytes(pack(run, prepared, coded, settings, "trial", None), share), coded)
+        return Trial(multiplier, packed_gpu_bytes(pack(run, prepared, coded, settings, "trial", None), share), coded)
 
     bare = attempt(NO_ATOMS)
     if not first:  # nothing calls for atoms, or none are allowed
         check_budget(settings.budget_bytes, n_sample, bare.n_bytes)
         return bare.result
     return within_budget(
-        settings.budget_bytes, n_sample, first[0], lambda price: bare if price == NO_ATOMS else attempt(price)
+        settings.budget_bytes,
+        n_sample,
+        first[0],
+        lambda multiplier: bare if multiplier == NO_ATOMS else attempt(multiplier),
     ).result

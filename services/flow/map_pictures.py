@@ -11,10 +11,10 @@ from pipeline.readers.attributes.options import ReadOptions
 from pipeline.stages.maps.panoramas import read_map
 from pipeline.stages.points.neighbours import Neighbourhoods
 from services.flow.maps import draw_maps
-from services.flow.outputs import placed_whole
 from services.flow.points.read import points_of
 from services.flow.run import Run
 from storage.errors import InvalidScan
+from storage.whole import placed_whole
 
 
 def map_scan(

@@ -7,17 +7,16 @@ from pathlib import Path
 
 from pipeline.effects.exposure.stations import StationGains, StationLight
 from pipeline.execution.stage import StageRecord
-from pipeline.geometry.frame import Direction
 from pipeline.stages.maps.edited_maps import EditedMaps
 from pipeline.stages.maps.map_pictures import MapPictures, PicturesMade
 from pipeline.stages.maps.mapped_splats import StationOfSplats, StationsChosen
 from pipeline.stages.maps.panoramas import Panoramas
+from pipeline.stages.maps.resample_maps import MappedSplats
 from pipeline.summaries import MapsDrawn
 from services.flow.fingerprint import fingerprint
 from services.flow.run import Run
 from storage.errors import InvalidScan
 from storage.maps import MOST_MAPS
-from storage.work import work
 
 
 @dataclass(frozen=True)
@@ -56,15 +55,12 @@ def with_edits(run: Run, maps: Path, edited: Path | None) -> Path:
     return run.do(EditedMaps(maps, str(edited.resolve()), fingerprint(edited))).folder
 
 
-def maps_for(
-    run: Run, maps: Path, partition: Path, splats: Path, radius: float, directions: tuple[Direction, Direction]
-) -> StationMaps:
+def maps_for(run: Run, splats: MappedSplats) -> StationMaps:
     """Maps as texture: the light of several stations brought together."""
-    n_stations = len(work.summary(maps, MapsDrawn).frames)
-    if n_stations < 2:
-        return StationMaps(maps, ((0.0, 0.0, 0.0),) * n_stations, None)
-    light = run.do(StationLight(maps, partition, splats, radius, *directions)).summary
-    return StationMaps(maps, light.log_gain, light)
+    if splats.n_stations < 2:
+        return StationMaps(splats.maps, ((0.0, 0.0, 0.0),) * splats.n_stations, None)
+    light = run.do(StationLight(splats)).summary
+    return StationMaps(splats.maps, light.log_gain, light)
 
 
 def map_pictures(run: Run, maps: StationMaps, target_psnr_db: float) -> StageRecord[PicturesMade]:
@@ -72,20 +68,11 @@ def map_pictures(run: Run, maps: StationMaps, target_psnr_db: float) -> StageRec
     return run.do(MapPictures(maps.folder, maps.log_gain, target_psnr_db))
 
 
-def map_textures(
-    run: Run,
-    maps: StationMaps,
-    pictures: StageRecord[PicturesMade],
-    partition: Path,
-    splats: Path,
-    radius: float,
-    directions: tuple[Direction, Direction],
-) -> Mapped:
+def map_textures(run: Run, maps: StationMaps, splats: MappedSplats, pictures: StageRecord[PicturesMade]) -> Mapped:
     """The maps themselves as texture.
 
     Raises: InvalidScan for more stations than a packed file has numbers for.
     """
     if len(maps.log_gain) > MOST_MAPS:
         raise InvalidScan("texture", f"maps of {len(maps.log_gain)} stations", f"at most {MOST_MAPS}", "take atoms")
-    stations = StationOfSplats(maps.folder, partition, splats, radius, *directions, maps.log_gain)
-    return Mapped(pictures, run.do(stations))
+    return Mapped(pictures, run.do(StationOfSplats(splats, maps.log_gain)))

@@ -1,13 +1,8 @@
-"""What lies beside a packed file: previews, edges, report.json and report.html, put in place whole."""
+"""What lies beside a packed file: previews, edges, report.json and report.html."""
 
 from __future__ import annotations
 
-import os
-import shutil
-import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,34 +86,3 @@ def stage_row(record: StageRecord) -> StageCost:
         tasks=record.n_tasks,
         reused=record.reused,
     )
-
-
-@contextmanager
-def placed_whole(out: Path) -> Iterator[Path]:
-    """A folder beside `out` to make things in, which becomes `out` at the end; where making fails nothing is left, and
-    an older `out` stays."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    made = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    try:
-        yield made
-        put_in_place(made, out)
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
-
-
-def put_in_place(made: Path, out: Path) -> None:
-    """Let `out` be what was made; an older `out` goes only when the new one is whole."""
-    made.chmod(0o777 & ~_umask())  # mkdtemp makes folders for their owner alone
-    old = made.with_name(made.name + ".old")
-    if out.exists():
-        os.replace(out, old)
-    os.replace(made, out)
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def _umask() -> int:
-    """What the process takes from the rights of new files. Reading it sets it for a moment: not beside threads that
-    make files."""
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return mask

@@ -8,25 +8,24 @@ from pathlib import Path
 
 from pipeline.effects.block import Sources
 from pipeline.effects.levels import possible_levels
-from pipeline.effects.plan.plan import EffectPlan, Row, measured_effects, plan_effects, with_reason
+from pipeline.effects.plan.plan import EffectPlan, Row
 from pipeline.effects.plan.registry import effects
-from pipeline.effects.plan.request import AUTO, OFF, ON, canonical_request, parse_request
-from pipeline.effects.relighting import UNLIT
+from pipeline.effects.plan.request import AUTO, OFF, canonical_request, parse_request
 from pipeline.effects.station_maps import has_maps
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.stages.maps.map_cliplines import MapCliplines
+from pipeline.stages.maps.resample_maps import MappedSplats
 from pipeline.stages.points.depth_maps import DepthMaps
 from pipeline.stages.points.levels import with_levels
-from pipeline.stages.points.measure_effects import MeasureEffects
 from pipeline.stages.points.neighbours import Neighbourhoods, radius_of, signs_are_open
 from pipeline.stages.points.sizes import Sizes
 from pipeline.stages.points.splats import Splats
-from pipeline.summaries import Points, ScanRead, SizesNeeded, Spacings, SplatsMade
+from pipeline.summaries import Points, ScanRead, Spacings, SplatsMade
 from pipeline.volumes.request import SurfaceRequest
 from services.flow.maps import StationMaps, draw_maps, maps_for, with_edits
-from services.flow.points.called_for import calls_for_levels, calls_for_sizes
+from services.flow.points.called_for import calls_for_levels, calls_for_sizes, plan_scan
 from services.flow.points.quadrics import quadric_error, quadrics_row
 from services.flow.points.read import in_chunk_order, points_of
 from services.flow.points.runs import (
@@ -43,7 +42,6 @@ from services.flow.points.runs import (
 from services.flow.run import Run
 from storage.errors import InvalidScan
 from storage.packed.schema import RUNS
-from storage.work import work
 
 
 @dataclass(frozen=True)
@@ -68,6 +66,11 @@ class Prepared:
     def photos(self) -> Path:
         """The folder of the photographs that splats are textured from, and compared with: like with like."""
         return dict(self.built).get("exposure", self.scan.folder)
+
+    def on_maps(self, maps: Path) -> MappedSplats:
+        """Its splats, with the maps of stations in that folder."""
+        directions = directions_of(self.scan.summary.cameras)
+        return MappedSplats(maps, self.partition.folder, self.splats.folder, self.radius, *directions)
 
 
 def prepare(
@@ -105,13 +108,11 @@ def with_maps(run: Run, prepared: Prepared, edited: Path | None = None) -> Prepa
             )
         return prepared
     drawn = draw_maps(run, prepared.scan, *_all_points(run, prepared))
-    splats, directions = prepared.splats.folder, directions_of(prepared.scan.summary.cameras)
-    folder = with_edits(run, drawn.folder, edited)
-    maps = maps_for(run, folder, prepared.partition.folder, splats, prepared.radius, directions)
+    splats = prepared.on_maps(with_edits(run, drawn.folder, edited))
+    maps = maps_for(run, splats)
     built = dict(prepared.built)
     if "cliplines" in built:
-        lines = MapCliplines(folder, prepared.partition.folder, splats, prepared.radius, *directions)
-        built["cliplines"] = run.do(lines).folder
+        built["cliplines"] = run.do(MapCliplines(splats)).folder
     return replace(prepared, maps=maps, built=tuple(built.items()))
 
 
@@ -249,21 +250,6 @@ def _sized_splats(
     )
     made = Prepared(ingest, partition, neighbours, splats, radius, sources, held_out)
     return replace(made, quadric_error=quadric_error)
-
-
-def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[EffectPlan, dict[str, Path]]:
-    """Measure the scan for every effect that the request leaves open, and plan; and what the surveys of effects made."""
-    if unlit := sources.scan.is_albedo and request["relighting"] == AUTO:
-        request = request | {"relighting": ON}  # colours without light in them show no shape
-    if not sources.sizes or work.summary(sources.sizes, SizesNeeded).large_share is None:
-        request = request | {"sizes": OFF}  # who fixed one radius asked for no other
-    names = measured_effects(request)
-    if not names:
-        return plan_effects({}, request, sources.n_splats), {}
-    stages = ((name, effects()[name].survey(sources)) for name in names)
-    surveys = tuple((name, run.do(stage).folder) for name, stage in stages if stage is not None)
-    plan = plan_effects(run.do(MeasureEffects(sources, names, surveys)).summary, request, sources.n_splats)
-    return (with_reason(plan, "relighting", UNLIT) if unlit else plan), dict(surveys)
 
 
 def has_photographs(prepared: Prepared) -> bool:

@@ -1,5 +1,5 @@
-"""The order of the stages that code patches: average colours, what a dictionary is learned from, learning, the price of
-an atom, codes."""
+"""The order of the stages that code patches: average colours, what a dictionary is learned from, learning, the Lagrange
+multiplier, codes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pipeline.planning.settings import Settings
 from pipeline.stages.texture.colors import Colors
 from pipeline.stages.texture.dictionary import DictionarySeed, KsvdUpdate
 from pipeline.stages.texture.encode import Encode
-from pipeline.stages.texture.multipliers import WHILE_LEARNING, Multipliers, price_for
+from pipeline.stages.texture.multipliers import WHILE_LEARNING, Multipliers, multiplier_for
 from pipeline.stages.texture.quantise import Quantization
 from pipeline.stages.texture.training import Coefficients, Components, TrainingSet
 from pipeline.summaries import AverageColors, CodesMade, Ladder, PatchesMade, Quantised, Training, Updated
@@ -42,10 +42,10 @@ FEWEST_INDEX_BITS, MOST_INDEX_BITS = 8, 12
 
 @dataclass(frozen=True)
 class Stop:
-    """When a patch has enough atoms: at a squared error, or where the next lowers it by no more than a price."""
+    """When a patch has enough atoms: at a squared error, or where the next lowers it by no more than the Lagrange multiplier."""
 
     tolerance: float
-    price: float = 0.0
+    multiplier: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,11 @@ def code_patches(
     settings: Settings,
     n_splats: int | None = None,
     most_texels: int = PATCH_SIZE,
-    priced: Callable[[Ladder, Training], float] = price_for,
+    multiplier_of: Callable[[Ladder, Training], float] = multiplier_for,
 ) -> Coded:
     """Learn a dictionary if any patch calls for one, and code all patches; with as many atoms as a scan of `n_splats`
     pays for, where the patches are a sample of it, of `most_texels` to a side at most, where that is left to the scan.
-    `priced` makes the price of an atom of the ladder of prices and the training set, which are summaries."""
+    `multiplier_of(ladder, training)` is the Lagrange multiplier that patches are coded with; both are summaries."""
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
     stop = Stop(tolerance) if settings.coder == "paper" else Stop(0.0, WHILE_LEARNING * tolerance)
     colors = run.do(Colors(patches.folder, color_step(settings)))
@@ -79,7 +79,7 @@ def code_patches(
         TrainingSet(
             patches.folder,
             colors.folder,
-            max(stop.tolerance, stop.price),
+            max(stop.tolerance, stop.multiplier),
             settings.training_splats,
             settings.seed,
             tolerance,
@@ -96,14 +96,14 @@ def code_patches(
     learned, learning = _learn(run, training, space, settings, stop, form, bits)
     quantized, n_taken_back = _quantize_best(run, space, learned, settings, stop, form)
     n_taken_back += sum(not row.accepted for row in learning)
-    price = 0.0
+    multiplier = 0.0
     if form is not None:
         stage = Multipliers(
             space.folder, training.folder, quantized.folder, settings.max_atoms, tolerance, settings.pursuit
         )
         ladder = run.do(stage).summary
-        price = priced(ladder, training.summary)
-    codes = encode(run, patches.folder, colors.folder, quantized, settings, price)
+        multiplier = multiplier_of(ladder, training.summary)
+    codes = encode(run, patches.folder, colors.folder, quantized, settings, multiplier)
     return Coded(patches, colors, codes, quantized, learning, quantized.summary.n_atoms, n_taken_back)
 
 
@@ -139,7 +139,7 @@ def index_bits(settings: Settings, form: AtomForm | None, n_splats: int) -> int:
 
 
 def encode(
-    run: Run, patches: Path, colors: Path, quantized: StageRecord | None, settings: Settings, price: float = 0.0
+    run: Run, patches: Path, colors: Path, quantized: StageRecord | None, settings: Settings, multiplier: float = 0.0
 ) -> StageRecord[CodesMade]:
     """Code patches by a dictionary that is there; None gives every splat its average colour alone."""
     if settings.coder == "paper":
@@ -162,7 +162,7 @@ def encode(
             quantized.folder if quantized else None,
             settings.max_atoms,
             0.0,
-            price,
+            multiplier,
             form,
             settings.atom_search,
             settings.pursuit,
@@ -190,7 +190,7 @@ def _learn(
     curve: list[LearningPass] = []
     for iteration in range(settings.iterations):
         record = run.do(
-            KsvdUpdate(space.folder, learned, settings.max_atoms, stop.tolerance, iteration, stop.price, of_turns)
+            KsvdUpdate(space.folder, learned, settings.max_atoms, stop.tolerance, iteration, stop.multiplier, of_turns)
         )
         seconds += record.made_seconds
         learned, found = record.folder, record.summary
@@ -225,7 +225,7 @@ def _quantize_best(
             stop.tolerance,
             settings.weight_bits,
             name,
-            stop.price,
+            stop.multiplier,
             form,
         )
         for name in ("dictionary", "best")

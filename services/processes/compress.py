@@ -28,7 +28,7 @@ from services.flow.beside import Beside, make_beside
 from services.flow.budget import check_budget
 from services.flow.code import Texture, texture
 from services.flow.estimate_cache import against, known_estimate
-from services.flow.outputs import placed_whole, write_outputs
+from services.flow.outputs import write_outputs
 from services.flow.pack import pack, packed_gpu_bytes
 from services.flow.points.runs import runs_report
 from services.flow.prepare import Prepared, has_photographs
@@ -38,6 +38,7 @@ from storage.packed.levels import FEWER
 from storage.packed.packed import SUFFIX, PackedFile
 from storage.packed.schema import BOXES, GROUP, RUNS
 from storage.pages.file import SUFFIX as PAGES_SUFFIX
+from storage.whole import placed_whole
 from storage.work import arrays
 
 

@@ -17,7 +17,8 @@ from renderer.files import write_json
 from services.flow.asked import prepare_asked, splats_asked
 from services.flow.code import code
 from services.flow.pack import pack
-from services.flow.prepare import has_photographs, plan_scan
+from services.flow.points.called_for import plan_scan
+from services.flow.prepare import has_photographs
 from services.flow.run import Run
 from storage.packed.packed import SUFFIX
 

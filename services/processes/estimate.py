@@ -23,7 +23,7 @@ from pipeline.stages.points.sampled import Sampled
 from pipeline.stages.texture.contrast_octaves import shares
 from pipeline.stages.texture.dictionary import KsvdUpdate
 from pipeline.stages.texture.encode import Encode
-from pipeline.stages.texture.multipliers import Multipliers, least_price, price_for
+from pipeline.stages.texture.multipliers import Multipliers, least_multiplier, multiplier_for
 from pipeline.stages.texture.resample import Resample
 from pipeline.stages.texture.training import TrainingSet, membership
 from pipeline.summaries import AverageColors
@@ -377,10 +377,12 @@ def _job_for_pilot(pilot: _Pilot, settings: Settings, learning: dict) -> tuple[f
     stage, record = next((stage, record) for stage, record in pilot.stages if isinstance(stage, TrainingSet))
     active, learned, octave = membership(stage, record.folder)
     error, n_atoms = (arrays.read(pilot.coded.codes.folder, name).astype(float) for name in ("error", "n_atoms"))
-    prices = next((r.summary for _, r in pilot.stages if r.name == Multipliers.name), None)
+    multipliers = next((r.summary for _, r in pilot.stages if r.name == Multipliers.name), None)
     slope = Slope(None)
-    if prices:
-        slope = slope_at(price_for(prices, record.summary), prices, least_price(prices, record.summary))
+    if multipliers:
+        slope = slope_at(
+            multiplier_for(multipliers, record.summary), multipliers, least_multiplier(multipliers, record.summary)
+        )
     census = np.array(work.summary(stage.colors, AverageColors).census) / pilot.share
     a_patch = (learning["n_atoms"] / learning["n_patches"]) / (learning["n_atoms_pilot"] / learning["n_patches_pilot"])
     job = outcome_in_job(

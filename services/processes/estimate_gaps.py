@@ -5,9 +5,9 @@ Splats that a dictionary was learned from do better with it than others, and the
 as much; both gaps shrink as patches an atom grow. What the pilot's two sorts of splats lose and take tells the gaps,
 octave by octave of contrast, for the training set prefers the higher ones.
 
-The price of an atom is set such that the splats learned from have the error that the target promises. Theirs is too
-good in the pilot by more than in the job, so the job's price is lower: fewer errors, more atoms. With a budget in place
-of a target the price is such that atoms are as many.
+The multiplier of an atom is set such that the splats learned from have the error that the target promises. Theirs is too
+good in the pilot by more than in the job, so the job's multiplier is lower: fewer errors, more atoms. With a budget in place
+of a target the multiplier is such that atoms are as many.
 
 A dictionary gains in proportion to the logarithm of the passes that it was learned in, which the pilot's curve tells:
 on `monstree` 40 passes gained 0.75 dB after the fourth, where the second to the fourth tell 0.63.
@@ -47,7 +47,7 @@ class Sorts:
 
 @dataclass(frozen=True)
 class Slope:
-    """Of the ladder of prices where the pilot's price lies; None where it is the least, and no job's is lower."""
+    """Of the ladder of multipliers where the pilot's multiplier lies; None where it is the least, and no job's is lower."""
 
     atoms_an_error: float | None  # d log(atoms) / d log(error), negative
 
@@ -86,13 +86,13 @@ def outcome_in_job(
     return Outcome(fall * error, n_atoms * fall**slope.atoms_an_error)
 
 
-def slope_at(price: float, ladder: Ladder, least: float) -> Slope:
-    """Of the summary of `Multipliers`; `least` is the lowest price that any target makes it."""
-    prices, error, n_atoms = map(np.array, (ladder.price, ladder.error, ladder.n_atoms))
-    if price <= least * 1.001 or min(error.min(), n_atoms.min()) <= 0:
+def slope_at(multiplier: float, ladder: Ladder, least: float) -> Slope:
+    """Of the summary of `Multipliers`; `least` is the lowest multiplier that any target makes it."""
+    multipliers, error, n_atoms = map(np.array, (ladder.multiplier, ladder.error, ladder.n_atoms))
+    if multiplier <= least * 1.001 or min(error.min(), n_atoms.min()) <= 0:
         return Slope(None)
-    order = np.argsort(prices)
-    at = int(np.clip(np.searchsorted(prices[order], price), 1, len(prices) - 1))
+    order = np.argsort(multipliers)
+    at = int(np.clip(np.searchsorted(multipliers[order], multiplier), 1, len(multipliers) - 1))
     below, above = order[at - 1], order[at]
     rise = np.log(error[above] / error[below])
     return Slope(float(np.log(n_atoms[above] / n_atoms[below]) / rise) if rise > 1e-9 else 0.0)

@@ -3,8 +3,6 @@ loses."""
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterable
@@ -23,7 +21,6 @@ from renderer.report.evaluation_document import AtomsByTarget, EvaluationDocumen
 from renderer.splats.baseline import PHOTO_BUDGET_BYTES, texture_bytes
 from services.flow.asked import prepare_asked
 from services.flow.code import code, resample
-from services.flow.outputs import put_in_place
 from services.flow.pack import pack
 from services.flow.prepare import Prepared, has_photographs
 from services.flow.run import Run
@@ -45,6 +42,7 @@ from services.processes.evaluated_rows import (
 )
 from storage.errors import InvalidScan, SplatpressError
 from storage.packed.packed import SUFFIX
+from storage.whole import aside, put_in_place
 from storage.work import work as work_folder
 
 FIGURE_9_TARGETS_DB = tuple(range(28, 49, 2))
@@ -77,29 +75,16 @@ def evaluate(
 
     Raises: InvalidScan for a scan without photographs, and where `hold_out` leaves none.
     """
-    out.parent.mkdir(parents=True, exist_ok=True)
-    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    try:
-        return _measure(
-            Run(work or aside / "work", executor, progress),
-            scan,
-            out,
-            aside,
-            settings,
-            list(rows),
-            hold_out,
-            render,
-            pool_bytes,
-        )
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
+    with aside(out) as made:
+        run = Run(work or made / "work", executor, progress)
+        return _measure(run, scan, out, made, settings, list(rows), hold_out, render, pool_bytes)
 
 
 def _measure(
     run: Run,
     scan: Path,
     out: Path,
-    aside: Path,
+    beside: Path,
     settings: Settings,
     wanted: list[str],
     hold_out: int | None,
@@ -114,11 +99,11 @@ def _measure(
             "a scan with photographs: there is no texture to evaluate",
         )
     held_out = _held_out_photos(scan, prepared, hold_out) if hold_out and render else ()
-    packed = aside / "packed"
+    packed = beside / "packed"
     packed.mkdir()
     e = Evaluation(run, scan, packed, settings, prepared, resample(run, prepared), pool_bytes=pool_bytes)
     average_row(e)
-    _begin(aside / "out", out, document_of(e, wanted))
+    _begin(beside / "out", out, document_of(e, wanted))
 
     def attempt(name: str, step: Callable, *arguments) -> None:
         _attempt(e, name, step, *arguments)
@@ -167,7 +152,7 @@ def _attempt(e: Evaluation, name: str, step: Callable, *arguments) -> None:
 
 def _figure_9(e: Evaluation) -> None:
     """How many splats of a random sample have how many atoms, by target quality, with the largest dictionary here of
-    the published coder: the default one's atoms are no patches, and it has a price in place of a cut-off."""
+    the published coder: the default one's atoms are no patches, and it has a multiplier in place of a cut-off."""
     of_paper = [(name, coded) for name, coded in e.coded.items() if coded.quantized and e.rows[name].coder == "paper"]
     if not of_paper:
         return

@@ -22,13 +22,13 @@ from renderer.evaluate.picture_psnr import picture_psnrs
 from renderer.report.report import sizes_of
 from services.flow.asked import prepare_asked
 from services.flow.code import code_prepared, resample
-from services.flow.outputs import placed_whole
 from services.flow.pack import pack
 from services.flow.prepare import has_photographs
 from services.flow.run import Run
 from services.processes.kinds import BUDGET_S
 from storage.errors import InvalidScan
 from storage.packed.packed import SUFFIX, PackedFile
+from storage.whole import placed_whole
 
 OF_POINTS = {
     "density",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +13,7 @@ from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 from storage.errors import SplatpressError
+from storage.file_lock import hold
 
 FIRST = "1"
 _LOCK_KEY = 0x73706C6174  # of PostgreSQL's advisory lock
@@ -72,6 +72,6 @@ def _alone(engine: sa.Engine) -> Iterator[sa.Connection]:
                 connection.commit()
         return
     with open(f"{database}.migrating", "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        hold(lock)
         with engine.connect() as connection:
             yield connection

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import fcntl
 import hashlib
 import hmac
 import os
@@ -22,6 +21,7 @@ from pathlib import Path
 from starlette.requests import ClientDisconnect, Request
 
 from services.uploads.tus import refusal
+from storage.file_lock import try_to_hold
 
 LOCK, WANTED = "lock", "wanted"
 POLL_S, PATIENCE_S = 0.1, 5.0  # a holder looks every POLL_S; what it does with its last byte may take longer
@@ -39,16 +39,12 @@ async def only_writer(folder: Path) -> AsyncIterator[None]:
         return
     deadline = time.monotonic() + PATIENCE_S
     with open(folder / LOCK, "w") as lock:
-        while True:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if time.monotonic() > deadline:
-                    raise refusal(423, "locked", "another request is writing this upload", retryable=True) from None
-                with suppress(FileNotFoundError):  # the holder may have discarded it
-                    (folder / WANTED).touch()
-                await asyncio.sleep(POLL_S)
+        while not try_to_hold(lock):
+            if time.monotonic() > deadline:
+                raise refusal(423, "locked", "another request is writing this upload", retryable=True)
+            with suppress(FileNotFoundError):  # the holder may have discarded it
+                (folder / WANTED).touch()
+            await asyncio.sleep(POLL_S)
         (folder / WANTED).unlink(missing_ok=True)
         yield
 

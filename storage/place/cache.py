@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import atexit
 import errno
-import fcntl
 import os
 import shutil
 import tempfile
@@ -16,6 +15,7 @@ import uuid
 from collections import OrderedDict
 from pathlib import Path
 
+from storage.file_lock import hold, try_to_hold
 from storage.place import objects
 
 FOLDER, BYTES = "SPLATPRESS_CACHE", "SPLATPRESS_CACHE_BYTES"
@@ -117,7 +117,7 @@ def _begun() -> Cache:
     folder = root / uuid.uuid4().hex
     folder.mkdir(mode=0o700)
     alive = open(folder / _ALIVE, "w")  # held until the process ends
-    fcntl.flock(alive, fcntl.LOCK_EX)
+    hold(alive)
     atexit.register(_end, folder, alive)
     return Cache(folder, int(os.environ.get(BYTES) or DEFAULT_BYTES))
 
@@ -131,7 +131,7 @@ def _clear_the_dead(root: Path) -> None:
     for folder in root.iterdir():
         try:
             with open(folder / _ALIVE) as alive:
-                fcntl.flock(alive, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(folder, ignore_errors=True)
-        except OSError:  # it lives, is just being made, or is none of ours
+                if try_to_hold(alive):
+                    shutil.rmtree(folder, ignore_errors=True)
+        except OSError:  # it is just being made, or is none of ours
             continue

@@ -8,7 +8,6 @@ its successor's.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import threading
 import time
@@ -18,6 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from storage.file_lock import try_to_hold
 from storage.place import objects
 from storage.place.objects import Taken, is_remote
 
@@ -48,16 +48,7 @@ def try_alone(path: Path) -> Iterator[Callable[[], bool]]:
             lease.free()
         return
     with open(path, "w") as lock:
-        yield lambda: _locked(lock)
-
-
-def _locked(lock) -> bool:
-    """The kernel frees the lock of a process that died."""
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return True
-    except BlockingIOError:
-        return False
+        yield lambda: try_to_hold(lock)
 
 
 @dataclass

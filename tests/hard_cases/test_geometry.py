@@ -9,7 +9,7 @@ from pipeline.geometry.chunks import median_split
 from pipeline.geometry.normals import decode_normals, encode_normals
 from pipeline.geometry.positions import decode_positions, encode_positions, fit_boxes
 from pipeline.numerics.limits import LARGEST_COORDINATE
-from pipeline.splats.neighbours import find_neighbours
+from pipeline.splats.neighbours import Blocks, find_neighbours
 from pipeline.splats.normals import NEIGHBOURS, estimate_normals, turned_to, usable_normals
 from storage.packed.schema import CHUNK, GROUP
 from tests import reference
@@ -25,7 +25,7 @@ def rough_plane(n: int, seed: int = 0) -> np.ndarray:
 
 
 def neighbours_of(points: np.ndarray, k: int = NEIGHBOURS):
-    return find_neighbours(0, k, lambda _: points, points.min(axis=0)[None], points.max(axis=0)[None])
+    return find_neighbours(0, k, Blocks(lambda _: points, points.min(axis=0)[None], points.max(axis=0)[None]))
 
 
 def degrees_apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:

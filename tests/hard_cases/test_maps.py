@@ -10,7 +10,7 @@ import pytest
 from pipeline.execution.executors import SerialExecutor
 from pipeline.planning.settings import settings_for
 from pipeline.stages.maps.panoramas import read_map
-from pipeline.stages.maps.resample_maps import LEAST_SHARE, MappedSplats
+from pipeline.stages.maps.resample_maps import LEAST_SHARE
 from pipeline.texture.resample import PATCH_DIM
 from services.flow.code import resample
 from services.flow.prepare import Prepared, prepare
@@ -135,11 +135,7 @@ def test_maps__splats_that_no_map_shows_have_their_own_colour(tmp_path):
     )
     prepared, found, texel, position = patches_of(tmp_path, joined(seen, hidden))
     behind = np.abs(position[:, 0]) > 2 * HALF[0]
-    block = MappedSplats(
-        prepared.maps.folder, prepared.partition.folder, prepared.splats.folder, prepared.radius,
-        prepared.sources.up, prepared.sources.ahead, 0, len(texel),
-    )  # fmt: skip
-    assert block.n_stations == 1 and LEAST_SHARE < 0.1
+    assert prepared.on_maps(prepared.maps.folder).n_stations == 1 and LEAST_SHARE < 0.1
     assert behind.any() and (texel[behind] == 77).all() and found.n_blind >= behind.sum()
 
 

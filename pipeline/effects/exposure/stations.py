@@ -9,16 +9,14 @@ import numpy as np
 
 from pipeline.effects.exposure.light import MOST_GAIN, N_TERMS
 from pipeline.effects.exposure.solve import Observations, solve_fields, spread
-from pipeline.geometry.frame import Direction
 from pipeline.maps.choice import sharpness
 from pipeline.maps.sample import Squares, sample_patches, seen_at_centre
 from pipeline.maps.station_map import StationMap
 from pipeline.numerics.srgb import LINEAR_OF_LEVEL
 from pipeline.stages.maps.resample_maps import MappedSplats
-from pipeline.summaries import Counted, MapsDrawn
 from pipeline.texture.resample import disc_weights
 from storage.packed.schema import PATCH_SIZE
-from storage.work import arrays, work
+from storage.work import arrays
 
 MOST_BLOCKS = 16
 EVERY = 32  # splats of a block
@@ -54,27 +52,22 @@ class StationLight:
     """A task a block, of at most MOST_BLOCKS blocks. The summary has `log_gain` (n_stations, 3): zeros where gains solved
     from half of the splats do not bring the other half together by LEAST_FALL."""
 
-    maps: Path
-    partition: Path
-    splats: Path
-    radius: float
-    up: Direction
-    ahead: Direction
+    of: MappedSplats
     name = "station-light"
 
     def init(self, folder: Path) -> int:
-        return min(MOST_BLOCKS, arrays.n_blocks(work.summary(self.splats, Counted).n_splats))
+        return min(MOST_BLOCKS, arrays.n_blocks(self.of.n_splats))
 
     def run(self, folder: Path, index: int) -> LightSeen:
-        n = work.summary(self.splats, Counted).n_splats
+        n = self.of.n_splats
         n_blocks = arrays.n_blocks(n)
         chosen = index * n_blocks // min(MOST_BLOCKS, n_blocks)
         start, stop = arrays.block_range(chosen, n)
-        block = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
+        block = self.of.block(start, stop)
         rows = np.arange(0, stop - start, EVERY)
         seen = LightSeen(stop - start, [], [], [])
-        for station in range(block.n_stations):
-            station_map = block.map_of(station)
+        for station in range(self.of.n_stations):
+            station_map = self.of.map_of(station)
             if station_map is None:
                 continue
             found, light = _light_of(station_map, block.squares(station_map).only(rows))
@@ -84,7 +77,7 @@ class StationLight:
         return seen
 
     def finalise(self, folder: Path, results: list[LightSeen]) -> StationGains:
-        n_stations = len(work.summary(self.maps, MapsDrawn).frames)
+        n_stations = self.of.n_stations
         splat = np.concatenate([np.array(r.splat, np.int64) + (i << 20) for i, r in enumerate(results)])
         station = np.concatenate([np.array(r.station, np.int64) for r in results])
         light = np.concatenate([np.array(r.light, float).reshape(-1, 3) for r in results])

@@ -13,13 +13,12 @@ import numpy as np
 
 from pipeline.effects.cliplines.lines import best_lines, disc_points
 from pipeline.effects.cliplines.stage import LEAST_GAIN, ClippedBlock
-from pipeline.geometry.frame import Direction
-from pipeline.maps.choice import NO_STATION, best_stations
+from pipeline.maps.choice import NO_STATION
 from pipeline.maps.sample import Squares, foreign_points
 from pipeline.maps.station_map import StationMap
 from pipeline.stages.maps.resample_maps import MappedSplats
-from pipeline.summaries import Clipped, Counted
-from storage.work import arrays, work
+from pipeline.summaries import Clipped
+from storage.work import arrays
 
 ROWS = 2048  # splats at a time
 
@@ -28,27 +27,22 @@ ROWS = 2048  # splats at a time
 class MapCliplines:
     """A task a block. Arrays as those of `Cliplines`: has_clipline (n,) bool, clipline (n,) uint32."""
 
-    maps: Path
-    partition: Path
-    splats: Path
-    radius: float
-    up: Direction
-    ahead: Direction
+    of: MappedSplats
     name = "map-cliplines"
 
     def init(self, folder: Path) -> int:
-        n = work.summary(self.splats, Counted).n_splats
+        n = self.of.n_splats
         arrays.create(folder, "has_clipline", (n,), "bool")
         arrays.create(folder, "clipline", (n,), "uint32")
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> ClippedBlock:
-        start, stop = arrays.block_range(index, work.summary(self.splats, Counted).n_splats)
-        splats = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
-        best = best_stations(splats.map_of, splats.n_stations, splats.squares, splats.own)
+        start, stop = arrays.block_range(index, self.of.n_splats)
+        splats = self.of.block(start, stop)
+        best = splats.best_stations()
         code, has = np.zeros(stop - start, np.uint32), np.zeros(stop - start, bool)
         for station in np.unique(best[best != NO_STATION]):
-            station_map = splats.map_of(int(station))
+            station_map = self.of.map_of(int(station))
             squares, rows = splats.squares(station_map), np.flatnonzero(best == station)
             for at in range(0, len(rows), ROWS):
                 some = rows[at : at + ROWS]

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.geometry.frame import Direction
-from pipeline.maps.choice import NO_STATION, best_stations
+from pipeline.maps.choice import NO_STATION
 from pipeline.maps.light import levels_with
 from pipeline.maps.sample import sample_patches
 from pipeline.stages.maps.resample_maps import LEAST_SHARE, Gains, MappedSplats
-from pipeline.summaries import Counted, MapsDrawn, Points
+from pipeline.summaries import MapsDrawn
 from pipeline.texture.resample import PATCH_DIM, disc_weights
 from storage.maps import NO_MAP
 from storage.work import arrays, work
@@ -41,30 +40,25 @@ class StationOfSplats:
     """A task a block. Arrays: station (n,) uint8, numbers of stations with maps in their order, NO_MAP where no map shows the
     splat; average (n, 3) uint8."""
 
-    maps: Path  # as those of `Panoramas`
-    partition: Path
-    splats: Path
-    radius: float
-    up: Direction
-    ahead: Direction
+    of: MappedSplats
     log_gain: Gains
     name = "mapped-splats"
 
     def init(self, folder: Path) -> int:
-        n = work.summary(self.splats, Counted).n_splats
+        n = self.of.n_splats
         arrays.create(folder, "station", (n,), "uint8")
         arrays.create(folder, "average", (n, 3), "uint8")
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> StationsBlock:
-        start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
-        splats = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
-        average = arrays.read(self.splats, "color", start, stop).astype(np.uint8)
+        start, stop = arrays.block_range(index, self.of.n_splats)
+        splats = self.of.block(start, stop)
+        average = arrays.read(self.of.splats, "color", start, stop).astype(np.uint8)
         station = np.full(stop - start, NO_MAP, np.uint8)
-        has_map = [frame is not None for frame in work.summary(self.maps, MapsDrawn).frames]
-        best = best_stations(splats.map_of, splats.n_stations, splats.squares, splats.own)
+        has_map = [frame is not None for frame in work.summary(self.of.maps, MapsDrawn).frames]
+        best = splats.best_stations()
         for i in np.unique(best[best != NO_STATION]):
-            station_map, rows = splats.map_of(int(i)), np.flatnonzero(best == i)
+            station_map, rows = self.of.map_of(int(i)), np.flatnonzero(best == i)
             squares, levels = splats.squares(station_map), levels_with(self.log_gain[i])
             for at in range(0, len(rows), ROWS):
                 some = rows[at : at + ROWS]

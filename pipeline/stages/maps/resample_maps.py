@@ -26,6 +26,63 @@ Gains = tuple[tuple[float, float, float], ...]
 
 
 @dataclass(frozen=True)
+class MappedSplats:
+    """Splats of a scan and the maps of its stations, as they look at each other."""
+
+    maps: Path  # as those of `Panoramas`
+    partition: Path
+    splats: Path
+    radius: float
+    up: Direction
+    ahead: Direction
+
+    @property
+    def n_splats(self) -> int:
+        return work.summary(self.splats, Counted).n_splats
+
+    @property
+    def n_stations(self) -> int:
+        return len(work.summary(self.maps, MapsDrawn).frames)
+
+    def map_of(self, station: int) -> StationMap | None:
+        return read_map(self.maps, station)
+
+    def block(self, start: int, stop: int) -> MappedBlock:
+        """Those of whole chunks."""
+        return MappedBlock(self, start, stop)
+
+
+@dataclass(frozen=True)
+class MappedBlock:
+    """Splats start..stop."""
+
+    of: MappedSplats
+    start: int
+    stop: int
+
+    @property
+    def own(self) -> np.ndarray:  # (n,) int64
+        if not arrays.exists(self.of.partition, "station"):
+            return np.full(self.stop - self.start, NO_STATION)
+        return arrays.read(self.of.partition, "station", self.start, self.stop).astype(np.int64)
+
+    def squares(self, station_map: StationMap) -> Squares:
+        """All of them, against the map's station."""
+        centre, (u, v), radii = self._decoded
+        offset = np.array(work.summary(self.of.partition, Points).origin) - np.array(station_map.frame.centre)
+        return Squares(centre + offset, u, v, radii)
+
+    def best_stations(self) -> np.ndarray:
+        """(n,): the station whose map shows each splat best, NO_STATION where none does."""
+        return best_stations(self.of.map_of, self.of.n_stations, self.squares, self.own)
+
+    @cached_property
+    def _decoded(self) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
+        s = self.of
+        return decoded_squares(s.splats, s.up, s.ahead, s.radius, self.start, self.stop)
+
+
+@dataclass(frozen=True)
 class BlockFromMaps:
     """What a task tells of its block."""
 
@@ -40,17 +97,12 @@ class BlockFromMaps:
 class ResampleMaps:
     """A task a block. Arrays as those of `Resample`: texel, average, energy, point."""
 
-    maps: Path  # as those of `Panoramas`
-    partition: Path
-    splats: Path
-    radius: float
-    up: Direction
-    ahead: Direction
+    of: MappedSplats
     log_gain: Gains  # of each station's light, by channel
     name = "resample-maps"
 
     def init(self, folder: Path) -> int:
-        n = work.summary(self.splats, Counted).n_splats
+        n = self.of.n_splats
         arrays.create(folder, "texel", (n, PATCH_DIM), "uint8")
         arrays.create(folder, "average", (n, 3), "float32")
         arrays.create(folder, "energy", (n,), "float32")
@@ -58,23 +110,23 @@ class ResampleMaps:
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> BlockFromMaps:
-        start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
-        splats = MappedSplats(self.maps, self.partition, self.splats, self.radius, self.up, self.ahead, start, stop)
+        start, stop = arrays.block_range(index, self.of.n_splats)
+        splats = self.of.block(start, stop)
         texel = np.empty((stop - start, PATCH_DIM), np.uint8)
         shown = np.zeros(stop - start)
-        best = best_stations(splats.map_of, splats.n_stations, splats.squares, splats.own)
+        best = splats.best_stations()
         for station in np.unique(best[best != NO_STATION]):
-            station_map, rows = splats.map_of(int(station)), np.flatnonzero(best == station)
+            station_map, rows = self.of.map_of(int(station)), np.flatnonzero(best == station)
             levels = levels_with(self.log_gain[station])
             patches, shown[rows] = sample_patches(station_map, splats.squares(station_map).only(rows), levels)
             texel[rows] = patches.reshape(len(rows), PATCH_DIM)
         blind = shown < LEAST_SHARE
-        color = arrays.read(self.splats, "color", start, stop)[blind]
+        color = arrays.read(self.of.splats, "color", start, stop)[blind]
         texel[blind] = np.tile(color, PATCH_SIZE * PATCH_SIZE)
         average, energy = measured(texel)
         for name, rows in (("texel", texel), ("average", average), ("energy", energy)):  # type: ignore[assignment]
             arrays.write(folder, name, start, rows)
-        arrays.write(folder, "point", start, arrays.read(self.partition, "point", start, stop))
+        arrays.write(folder, "point", start, arrays.read(self.of.partition, "point", start, stop))
         return BlockFromMaps(
             n_splats=stop - start,
             n_flagged=int((shown < 1).sum()),
@@ -86,40 +138,3 @@ class ResampleMaps:
     def finalise(self, folder: Path, results: list[BlockFromMaps]) -> PatchesMade:
         sums = {k: sum(getattr(r, k) for r in results) for k in ("energy", "n_flagged", "n_blind", "n_other_station")}
         return PatchesMade(**sums)
-
-
-@dataclass(frozen=True)
-class MappedSplats:
-    """The splats of a block of whole chunks, as maps look at them."""
-
-    maps: Path
-    partition: Path
-    splats: Path
-    radius: float
-    up: Direction
-    ahead: Direction
-    start: int
-    stop: int
-
-    @property
-    def n_stations(self) -> int:
-        return len(work.summary(self.maps, MapsDrawn).frames)
-
-    @property
-    def own(self) -> np.ndarray:  # (n,) int64
-        if not arrays.exists(self.partition, "station"):
-            return np.full(self.stop - self.start, NO_STATION)
-        return arrays.read(self.partition, "station", self.start, self.stop).astype(np.int64)
-
-    def map_of(self, station: int) -> StationMap | None:
-        return read_map(self.maps, station)
-
-    def squares(self, station_map: StationMap) -> Squares:
-        """All of them, against the map's station."""
-        centre, (u, v), radii = self._decoded
-        offset = np.array(work.summary(self.partition, Points).origin) - np.array(station_map.frame.centre)
-        return Squares(centre + offset, u, v, radii)
-
-    @cached_property
-    def _decoded(self) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
-        return decoded_squares(self.splats, self.up, self.ahead, self.radius, self.start, self.stop)

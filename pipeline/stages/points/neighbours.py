@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.numerics.limits import check_radius
-from pipeline.splats.neighbours import find_neighbours
+from pipeline.splats.neighbours import Blocks, find_neighbours
 from pipeline.splats.normals import NEIGHBOURS, estimate_normals, usable_normals
 from pipeline.splats.signs import MOST_POINTS, settled_signs
 from pipeline.summaries import Points, ScanRead, Spacings
@@ -25,6 +25,16 @@ class SpacingBlock:
 
     n_splats: int
     n_degenerate: int
+
+
+def blocks_of(partition: Path) -> Blocks:
+    """The points of a scan in chunk order, by blocks."""
+    points = work.summary(partition, Points)
+
+    def load(block: int) -> np.ndarray:
+        return arrays.read(partition, "position", *arrays.block_range(block, points.n_splats))
+
+    return Blocks(load, np.array(points.block_low), np.array(points.block_high))
 
 
 @dataclass(frozen=True)
@@ -46,19 +56,11 @@ class Neighbourhoods:
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> SpacingBlock:
-        points = work.summary(self.partition, Points)
-        n = points.n_splats
-        start, stop = arrays.block_range(index, n)
+        start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
         normal, bad = np.zeros((stop - start, 3)), np.ones(stop - start, bool)
         if arrays.exists(self.partition, "normal"):
             normal, bad = usable_normals(arrays.read(self.partition, "normal", start, stop))
-        found = find_neighbours(
-            index,
-            NEIGHBOURS if bad.any() else SPACING_RANK,
-            lambda b: arrays.read(self.partition, "position", *arrays.block_range(b, n)),
-            np.array(points.block_low),
-            np.array(points.block_high),
-        )
+        found = find_neighbours(index, NEIGHBOURS if bad.any() else SPACING_RANK, blocks_of(self.partition))
         missing = np.flatnonzero(bad)
         degenerate = np.zeros(stop - start, bool)
         if len(missing):

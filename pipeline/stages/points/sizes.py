@@ -11,6 +11,7 @@ from pipeline.geometry.sizes import MOST_MEDIANS, decode_sizes, encode_sizes, fi
 from pipeline.splats.gaps import MOST, gap_radii, neighbours_in_reach
 from pipeline.splats.neighbours import points_around
 from pipeline.splats.sizes import areas, needed_sizes
+from pipeline.stages.points.neighbours import blocks_of
 from pipeline.summaries import Points, SizesNeeded
 from storage.packed.schema import CHUNK
 from storage.work import arrays, work
@@ -63,15 +64,9 @@ class Sizes:
         )
 
     def _gaps(self, index: int, position: np.ndarray, size: np.ndarray) -> np.ndarray:
-        points = work.summary(self.partition, Points)
-        start, stop = arrays.block_range(index, points.n_splats)
-        around = points_around(
-            index,
-            2 * self.closed * min(size.max(), MOST_MEDIANS * np.median(size)),
-            lambda b: arrays.read(self.partition, "position", *arrays.block_range(b, points.n_splats)),
-            np.array(points.block_low),
-            np.array(points.block_high),
-        )
+        start, stop = arrays.block_range(index, work.summary(self.partition, Points).n_splats)
+        reach = 2 * self.closed * min(size.max(), MOST_MEDIANS * np.median(size))
+        around = points_around(index, reach, blocks_of(self.partition))
         normal = arrays.read(self.neighbours, "normal", start, stop).astype(np.float64)
         return gap_radii(*neighbours_in_reach(position, around), normal, size, self.closed)
 

@@ -48,7 +48,7 @@ class Atoms:
         max_atoms: int,
         tolerance: float | np.ndarray,
         levels: np.ndarray | None = None,
-        price: float = 0.0,
+        multiplier: float = 0.0,
         search: str = "certified",
         pursuit: str = "omp",
     ) -> Pursuit:
@@ -60,7 +60,7 @@ class Atoms:
             self.searched,
             max_atoms=min(max_atoms, len(self.dictionary)),
             tolerance=tolerance,
-            multiplier=price,
+            multiplier=multiplier,
             weight_levels=levels,
             search=search,
             pursuit=pursuit,

@@ -73,7 +73,7 @@ class KsvdUpdate:
     max_atoms: int
     tolerance: float
     iteration: int
-    price: float = 0.0
+    multiplier: float = 0.0
     form: AtomForm = AtomForm()
     name = "ksvd-update"
 
@@ -83,7 +83,7 @@ class KsvdUpdate:
     def run(self, folder: Path, index: int) -> PartPursued:
         atoms = load_atoms(self.previous)
         patches, rest = training_part(self.training, index)
-        found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0), price=self.price)
+        found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0), multiplier=self.multiplier)
         pursuit = found.beside(rest)  # errors are those of whole patches
         sums = _of_atoms(block_sums(patches, atoms.dictionary, pursuit), self.form)
         _store_sums(work.parts(folder), f"sums-{index}", sums)

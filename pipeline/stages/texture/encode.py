@@ -21,7 +21,7 @@ from pipeline.texture.resample import PATCH_DIM, disc_weights
 from storage.work import arrays
 
 # Of an atom on a splat of a coarser level, which is drawn where it is some pixels wide: on fountain_p11, draft, 36.8 dB, its
-# splats take 8.4 bytes each and those of the finest level 9.1; at the same price 13 and more.
+# splats take 8.4 bytes each and those of the finest level 9.1; at the same multiplier 13 and more.
 COARSER_PRICE = 4.0
 ROWS = 1024  # patches in float32 at a time: 12 MiB
 
@@ -48,7 +48,7 @@ class Encode:
     quantized: Path | None  # None where nothing calls for a dictionary: every splat has 0 atoms
     max_atoms: int
     tolerance: float
-    price: float = 0.0
+    multiplier: float = 0.0
     form: AtomForm | None = None  # None: atoms are coded with as patches, else as coefficients
     search: str = "certified"  # of pipeline.coding.omp.SEARCHES
     pursuit: str = "omp"  # a word of pipeline.coding.beam.form
@@ -114,8 +114,8 @@ class Encode:
                 return found, reconstruct(found.codes, atoms.dictionary)
             size = self.form.size
             short = coefficients(patches, size)
-            price = dearer * self.price
-            found = atoms.pursue(short, self.max_atoms, self.tolerance, levels, price, self.search, self.pursuit)
+            multiplier = dearer * self.multiplier
+            found = atoms.pursue(short, self.max_atoms, self.tolerance, levels, multiplier, self.search, self.pursuit)
             beyond = np.maximum(squared_norms(patches) - squared_norms(short), 0)  # what atoms of this size cannot show
             return found.beside(beyond), patches_of(reconstruct(found.codes, atoms.dictionary), size)
 

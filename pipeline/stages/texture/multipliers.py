@@ -1,10 +1,10 @@
-"""What an atom must be worth: one price for all splats, such that the whole scan has the error that its target
+"""What an atom must be worth: one Lagrange multiplier for all splats, such that the whole scan has the error that its target
 promises.
 
 The promise is the cut-off's: a splat that its average colour leaves below the target's error keeps what it has, every
-other comes down to that error. Which splats then pay for it is left to the price.
+other comes down to that error. Which splats then pay for it is left to the multiplier.
 
-An atom is taken where it lowers a splat's squared error by more than the price. With one price for all, no atom moved
+An atom is taken where it lowers a splat's squared error by more than the multiplier. With one multiplier for all, no atom moved
 from one splat to another would lower the sum (a Lagrange multiplier, Everett 1963; Shoham and Gersho 1988), where one
 cut-off for all spends atoms on splats that are hardly mended by them.
 """
@@ -26,7 +26,7 @@ from storage.work import arrays, work
 # Prices as shares of the squared error that a patch has at the target: where they lie on fountain_p11 and monstree
 # with targets of 34 to 48 dB.
 LADDER = tuple(2.0**-i for i in range(-1, 7))
-# What an atom more a splat must gain between two prices, else the lower one is not taken, however far the target:
+# What an atom more a splat must gain between two multipliers, else the lower one is not taken, however far the target:
 # splats have run out of atoms then. monstree with 8 atoms a splat and a target of 40 dB: 0.44, 0.24 and 0.14 dB on its
 # last rungs.
 LEAST_GAIN_DB = 0.3
@@ -47,10 +47,10 @@ class PartPriced:
 @dataclass(frozen=True)
 class Multipliers:
     """A task a part of the training set: some of it, by hash, so that it is the same splats however the scan is turned,
-    is coded at every price of the ladder.
+    is coded at every multiplier of the ladder.
 
     A patch counts as many times as its octave of contrast has others that were not chosen: octaves with few patches are
-    learned from whole, and would else set the price. Of fountain_p11 with 10,000 patches they raised the PSNR of
+    learned from whole, and would else set the multiplier. Of fountain_p11 with 10,000 patches they raised the PSNR of
     `draft` by 0.4 dB above the one promised.
     """
 
@@ -77,7 +77,7 @@ class Multipliers:
         share = np.array(work.read_json(self.chosen / "share.json")["share"])
         weight = 1 / share[octave_of(squared_norms(patches) + rest)].clip(share[share > 0].min())
         atoms, levels = load_atoms(self.quantized), arrays.read(self.quantized, "weight_levels")
-        least = min(LADDER) * self.tolerance  # at other prices it ends on the way
+        least = min(LADDER) * self.tolerance  # at other multipliers it ends on the way
         found = atoms.pursue(patches, self.max_atoms, 0.0, levels, least, pursuit=self.pursuit)
         error, n_atoms = [], []
         for rung in LADDER:
@@ -89,36 +89,36 @@ class Multipliers:
     def finalise(self, folder: Path, results: list[PartPriced]) -> Ladder:
         weight = sum(r.weight for r in results) or 1.0
         error, n_atoms = (np.sum([getattr(r, k) for r in results], axis=0) / weight for k in ("error", "n_atoms"))
-        price = tuple(share * self.tolerance for share in LADDER)
-        return Ladder(price, tuple(error.tolist()), tuple(n_atoms.tolist()))
+        multiplier = tuple(share * self.tolerance for share in LADDER)
+        return Ladder(multiplier, tuple(error.tolist()), tuple(n_atoms.tolist()))
 
 
-def price_for(ladder: Ladder, training: Training) -> float:
-    """The price at which all patches together have the error that a cut-off promises; both are summaries.
+def multiplier_for(ladder: Ladder, training: Training) -> float:
+    """The multiplier at which all patches together have the error that a cut-off promises; both are summaries.
 
     The least of the ladder that is worth its atoms where none is low enough: what a decibel then costs is out of
     proportion.
     """
     patch_error = training.cutoff_error / training.n_splats
-    log_error, log_price = np.log(np.maximum(_error_of_all(ladder, training), 1e-30)), np.log(ladder.price)
+    log_error, log_multiplier = np.log(np.maximum(_error_of_all(ladder, training), 1e-30)), np.log(ladder.multiplier)
     order = np.argsort(log_error)
-    found = np.exp(np.interp(np.log(patch_error), log_error[order], log_price[order]))
-    return max(float(found), least_price(ladder, training))
+    found = np.exp(np.interp(np.log(patch_error), log_error[order], log_multiplier[order]))
+    return max(float(found), least_multiplier(ladder, training))
 
 
-def least_price(ladder: Ladder, training: Training) -> float:
-    """The price, found between the middles of the ladder's steps, down to which an atom more gains LEAST_GAIN_DB."""
+def least_multiplier(ladder: Ladder, training: Training) -> float:
+    """The multiplier, found between the middles of the ladder's steps, down to which an atom more gains LEAST_GAIN_DB."""
     n_atoms = np.array(ladder.n_atoms) * training.n_active / training.n_splats
     fall_db = -10 * np.diff(np.log10(np.maximum(_error_of_all(ladder, training), 1e-30)))
-    gain_db, log_price = fall_db / np.maximum(np.diff(n_atoms), 1e-9), np.log(ladder.price)
-    middle = (log_price[1:] + log_price[:-1]) / 2
+    gain_db, log_multiplier = fall_db / np.maximum(np.diff(n_atoms), 1e-9), np.log(ladder.multiplier)
+    middle = (log_multiplier[1:] + log_multiplier[:-1]) / 2
     bad = np.flatnonzero(gain_db < LEAST_GAIN_DB)
     if not len(bad):
-        return float(np.exp(log_price[-1]))
+        return float(np.exp(log_multiplier[-1]))
     i = bad[0]
     return float(np.exp(middle[0] if i == 0 else np.interp(LEAST_GAIN_DB, gain_db[[i, i - 1]], middle[[i, i - 1]])))
 
 
 def _error_of_all(ladder: Ladder, training: Training) -> np.ndarray:
-    """The error of a patch of the scan at each price, those that their average settles among them."""
+    """The error of a patch of the scan at each multiplier, those that their average settles among them."""
     return (np.array(ladder.error) * training.n_active + training.settled_energy) / training.n_splats

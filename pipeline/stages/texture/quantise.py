@@ -48,7 +48,7 @@ class Quantization:
     tolerance: float
     weight_bits: int
     learned_array: str = "dictionary"
-    price: float = 0.0
+    multiplier: float = 0.0
     form: AtomForm | None = (
         None  # None: in components, atoms are learned from whole patches and have even weight levels
     )
@@ -85,7 +85,7 @@ class Quantization:
     def run(self, folder: Path, index: int) -> PartQuantised:
         patches, rest = training_part(self.training, index)
         atoms = load_atoms(folder / IN_COMPONENTS if self.form is None else folder)
-        found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0), price=self.price)
+        found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0), multiplier=self.multiplier)
         codes = found.codes
         work.write_parts(work.parts(folder) / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
         return PartQuantised(n_splats=len(codes.n_atoms), squared_error=float((found.residual + rest).sum()))

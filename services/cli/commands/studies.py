@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from services.cli.arguments import WrongArgument, add_settings, settings_of, target_in_words
@@ -14,14 +14,21 @@ from services.cli.commands.running import executor_for, needs_photographs, progr
 from services.cli.exit_codes import BY_KIND, OK
 
 
+def _study(commands, name: str, text: str, command: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
+    """A command that measures a scan around chosen settings, into a folder."""
+    study = commands.add_parser(name, help=text)
+    study.add_argument("scan", metavar="SCAN")
+    add_output(study)
+    add_settings(study)
+    add_measuring(study)
+    study.set_defaults(command=command)
+    return study
+
+
 def add_evaluate(commands) -> None:
     """The verb `evaluate`."""
-    evaluate = commands.add_parser(
-        "evaluate", help="the tables and figures of the HPG 2021 paper, measured on a scan with photographs"
-    )
-    evaluate.add_argument("scan", metavar="SCAN")
-    add_output(evaluate)
-    add_settings(evaluate)
+    text = "the tables and figures of the HPG 2021 paper, measured on a scan with photographs"
+    evaluate = _study(commands, "evaluate", text, _evaluate)
     evaluate.add_argument("--rows", metavar="NAME,...", help="of Table 1; default: all")
     evaluate.add_argument(
         "--hold-out", type=count, metavar="N", help="keep every N-th photograph out of texturing and compare with it"
@@ -33,8 +40,6 @@ def add_evaluate(commands) -> None:
         metavar="N",
         help="that photographs may take on the GPU: those that take more are drawn by pages; default: 512",
     )
-    add_measuring(evaluate)
-    evaluate.set_defaults(command=_evaluate)
 
 
 def _evaluate(options: argparse.Namespace) -> int:
@@ -88,12 +93,8 @@ def _table_1(rows: Sequence) -> str:
 
 def add_tradeoff(commands) -> None:
     """The verb `tradeoff`."""
-    tradeoff = commands.add_parser(
-        "tradeoff", help="what accuracy costs on this scan: presets, and each knob alone, measured"
-    )
-    tradeoff.add_argument("scan", metavar="SCAN")
-    add_output(tradeoff)
-    add_settings(tradeoff)
+    text = "what accuracy costs on this scan: presets, and each knob alone, measured"
+    tradeoff = _study(commands, "tradeoff", text, _tradeoff)
     tradeoff.add_argument(
         "--knob",
         action="append",
@@ -102,8 +103,6 @@ def add_tradeoff(commands) -> None:
         help="vary these instead of the usual; may be repeated",
     )
     tradeoff.add_argument("--budget", default="10min", metavar="TIME", help="as 90s, 10min, 2h; default: 10min")
-    add_measuring(tradeoff)
-    tradeoff.set_defaults(command=_tradeoff)
 
 
 def _tradeoff(options: argparse.Namespace) -> int:

@@ -19,12 +19,12 @@ from renderer.residency.prediction import motion_at
 from renderer.splats.pages import GpuPages
 from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
-from services.flow.outputs import placed_whole
 from services.processes.pages.table import four_paths, places_with_photographs
 from storage.errors import InvalidPackedFile
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Header
 from storage.pages.file import PageFile, scan_digest
+from storage.whole import placed_whole
 
 FLIGHT = "fly.json"
 

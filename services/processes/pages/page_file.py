@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
-import tempfile
 from dataclasses import asdict
 from pathlib import Path
 
@@ -17,6 +15,7 @@ from services.flow.beside import place_pages
 from services.flow.points.read import ingest_of
 from services.flow.run import Run
 from storage.errors import InvalidScan
+from storage.whole import aside
 from storage.work import work as work_folder
 
 INGEST, EXPOSURE = "ingest-", "exposure-"
@@ -39,19 +38,15 @@ def make_pages(
     `out` is there whole or not at all. Raises: InvalidScan for a scan without photographs, and for a work folder of none or
     of several.
     """
-    out.parent.mkdir(parents=True, exist_ok=True)
-    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    try:
+    with aside(out) as beside:
         of_work = _is_work_folder(source)
-        run = Run(source if of_work else work or aside, executor, progress)
+        run = Run(source if of_work else work or beside, executor, progress)
         photos = photos_of(source) if of_work else ingest_of(run, source, reading).folder
         if not work_folder.summary(photos, Photographs).cameras:
             raise InvalidScan(str(source), "no photograph", "a scan with photographs: pages are pieces of them")
         one_light = photos.name.startswith(EXPOSURE)
         made = run.do(PhotoPages(photos, form, one_light))
         place_pages(made.folder, out)
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
     return asdict(made.summary) | {"path": str(out), "seconds": made.made_seconds}
 
 

@@ -126,7 +126,7 @@ def test_beam__what_it_reports_is_what_is_left_and_never_rises():
 
 @pytest.mark.parametrize("pursuit", BEAMS)
 def test_beam__a_pursuit_of_fewer_atoms_is_the_beginning_of_one_of_more(pursuit):
-    """So prices above the one that was searched with are told from its path."""
+    """So multipliers above the one that was searched with are told from its path."""
     rng = np.random.default_rng(6)
     atoms, patches = alike_atoms(rng, 64, 192), smooth_patches(rng, 100)
     options = {"weight_levels": levels_of_ranks(rng), "pursuit": pursuit}

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import Voronoi, cKDTree
 
 from pipeline.splats.gaps import MOST, gap_radii, neighbours_in_reach
-from pipeline.splats.neighbours import points_around
+from pipeline.splats.neighbours import Blocks, points_around
 from pipeline.splats.sizes import needed_sizes
 
 NOWHERE = np.empty((0, 3))
@@ -75,7 +75,7 @@ def test_gap_radii__see_points_of_other_blocks():
     position = plane(2000, 3)
     low, high = np.array([[0, 0, 0], [0.5, 0, 0], [9, 9, 9]]), np.array([[0.5, 1, 0], [1, 1, 0], [9, 9, 9]])
     blocks = [position[position[:, 0] < 0.5], position[position[:, 0] >= 0.5], np.full((1, 3), 9.0)]
-    around = points_around(0, 0.1, blocks.__getitem__, low, high)
+    around = points_around(0, 0.1, Blocks(blocks.__getitem__, low, high))
     assert len(around) == (np.abs(blocks[1][:, 0] - 0.5) <= 0.1).sum()
     whole = sizes_and_gaps(position)[1][position[:, 0] < 0.5]
     parts = gap_radii(

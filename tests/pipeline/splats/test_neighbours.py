@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from pipeline.geometry.chunks import median_split
 from pipeline.splats.cameras import N_CANDIDATES, best_cameras, rank_candidates, sharpness
-from pipeline.splats.neighbours import find_neighbours
+from pipeline.splats.neighbours import Blocks, find_neighbours
 from pipeline.splats.normals import estimate_normals, turned_to, usable_normals
 from pipeline.splats.visibility import draw_points, empty_map, map_scale, seen_points
 from storage.packed.schema import NO_CAMERA, Camera
@@ -28,7 +28,7 @@ def test_neighbours__over_blocks_are_those_of_one_tree(kind):
     points = points[median_split(points)]
     blocks, low, high = in_blocks(points, 384)
     distance = cKDTree(points).query(points, k=6)[0][:, 1:]
-    found = [find_neighbours(b, 5, blocks.__getitem__, low, high) for b in range(len(blocks))]
+    found = [find_neighbours(b, 5, Blocks(blocks.__getitem__, low, high)) for b in range(len(blocks))]
     np.testing.assert_allclose(np.concatenate([f.distance for f in found]), distance, rtol=1e-12)
     position = np.concatenate([f.position for f in found])
     np.testing.assert_allclose(np.linalg.norm(position - points[:, None], axis=2), distance, rtol=1e-9)
@@ -36,7 +36,7 @@ def test_neighbours__over_blocks_are_those_of_one_tree(kind):
 
 def test_neighbours__a_twin_is_no_neighbour_and_missing_ones_are_at_infinity():
     points = np.array([[0.0, 0, 0]] * 5 + [[1.0, 0, 0]] * 3 + [[0, 2.0, 0]])
-    found = find_neighbours(0, 4, lambda b: points, points[None].min(axis=1), points[None].max(axis=1))
+    found = find_neighbours(0, 4, Blocks(lambda b: points, points[None].min(axis=1), points[None].max(axis=1)))
     np.testing.assert_allclose(found.distance[0], [1, 2, np.inf, np.inf])
     np.testing.assert_allclose(found.distance[8], [2, np.sqrt(5), np.inf, np.inf])
     assert (found.position[0, 2:] == points[0]).all()
@@ -45,7 +45,7 @@ def test_neighbours__a_twin_is_no_neighbour_and_missing_ones_are_at_infinity():
 def test_neighbours__many_duplicates_take_no_longer_than_few():
     points = np.zeros((16384, 3))
     points[::4] = np.random.default_rng(0).normal(size=(4096, 3))
-    found = find_neighbours(0, 4, lambda b: points, points[None].min(axis=1), points[None].max(axis=1))
+    found = find_neighbours(0, 4, Blocks(lambda b: points, points[None].min(axis=1), points[None].max(axis=1)))
     assert np.isfinite(found.distance).all()
 
 

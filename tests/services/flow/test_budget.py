@@ -1,4 +1,4 @@
-"""A budget of bytes: the search for its price, and files that keep it."""
+"""A budget of bytes: the search for its multiplier, and files that keep it."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ N, BARE = 1000, 5000.0
 
 
 class Scan:
-    """Bytes of a made-up scan at a price: a power of it, up to what 8 atoms take."""
+    """Bytes of a made-up scan at a multiplier: a power of it, up to what 8 atoms take."""
 
     def __init__(self, exponent: float = -0.5, most: float = 20_000.0) -> None:
-        self.prices, self.exponent, self.most = [], exponent, most
+        self.multipliers, self.exponent, self.most = [], exponent, most
 
-    def __call__(self, price: float) -> Trial:
-        self.prices.append(price)
-        of_atoms = 0.0 if price == NO_ATOMS else min(self.most, 3000.0 * price**self.exponent)
-        return Trial(price, BARE + of_atoms, price)
+    def __call__(self, multiplier: float) -> Trial:
+        self.multipliers.append(multiplier)
+        of_atoms = 0.0 if multiplier == NO_ATOMS else min(self.most, 3000.0 * multiplier**self.exponent)
+        return Trial(multiplier, BARE + of_atoms, multiplier)
 
 
 @pytest.mark.parametrize("budget", [6.0, 8.0, 12.0, 20.0])
@@ -37,23 +37,23 @@ def test_budget__is_kept_and_used(budget, exponent, first):
     scan = Scan(exponent)
     found = within_budget(budget, N, first, scan)
     assert LEAST * budget * N <= found.n_bytes <= budget * N
-    assert len(scan.prices) <= 1 + MOST_TRIALS
+    assert len(scan.multipliers) <= 1 + MOST_TRIALS
 
 
 def test_budget__ends_where_splats_take_no_more():
     scan = Scan(most=1000.0)
-    assert within_budget(50.0, N, 1.0, scan).n_bytes == BARE + 1000.0 and len(scan.prices) <= 1 + MOST_TRIALS
+    assert within_budget(50.0, N, 1.0, scan).n_bytes == BARE + 1000.0 and len(scan.multipliers) <= 1 + MOST_TRIALS
 
 
 def test_budget__below_what_a_file_without_atoms_takes_is_refused():
     scan = Scan()
     with pytest.raises(InvalidScan, match="4.5 bytes a splat, of which .* alone take 5.00; allowed: 5.00 and more"):
         within_budget(4.5, N, 1.0, scan)
-    assert scan.prices == [NO_ATOMS]
+    assert scan.multipliers == [NO_ATOMS]
 
 
 def test_budget__no_room_for_atoms_leaves_none():
-    assert within_budget(5.01, N, 1.0, Scan()).price == math.inf
+    assert within_budget(5.01, N, 1.0, Scan()).multiplier == math.inf
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +91,6 @@ def test_budget__a_scan_whose_geometry_exceeds_it_is_refused(scan, tmp_path, cap
     assert not (tmp_path / "out").exists()
 
 
-def test_budget__the_published_coder_has_no_price():
+def test_budget__the_published_coder_has_no_multiplier():
     with pytest.raises(ValueError, match="budget_bytes is 10 with coder paper"):
         settings_for(coder="paper", budget_bytes=10)

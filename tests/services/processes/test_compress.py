@@ -16,12 +16,12 @@ from pipeline.execution.calls import run_call
 from pipeline.execution.executors import DaskExecutor, SerialExecutor
 from pipeline.execution.task import run_task
 from pipeline.planning.settings import settings_for
-from services.flow.outputs import placed_whole
 from services.processes import compress as workflow
 from services.processes.compress import compress
 from services.processes.report import report
 from storage.errors import InvalidScan, ResourceExhausted
 from storage.packed.packed import PackedFile
+from storage.whole import placed_whole
 from tests.pipeline.execution.test_stage import Heard
 from tests.pipeline.readers.workspace import write_workspace
 from tests.services.processes.published_schemas import misfits

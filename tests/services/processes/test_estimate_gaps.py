@@ -48,7 +48,7 @@ def test_gaps__shrink_to_the_middle_with_more_patches_an_atom():
     assert outcome_in_job(sorts(), in_job(0.0), 0.1, FLAT) == Outcome(pytest.approx(N * 1.01), pytest.approx(N * 2.02))
 
 
-def test_gaps__a_smaller_optimism_lowers_the_price():
+def test_gaps__a_smaller_optimism_lowers_the_multiplier():
     """The job's learned splats must come down from 0.99 to the pilot's 0.9: an eleventh less error, and as much more
     atoms."""
     found = outcome_in_job(sorts(), in_job(0.0), 0.1, slope_at(4.0, LADDER, 2.0))
@@ -66,9 +66,9 @@ def test_gaps__octaves_with_few_splats_of_a_sort_have_none():
     assert outcome_in_job(few, in_job(1.0), 1.0, FLAT).error == pytest.approx(few.error.sum())
 
 
-@pytest.mark.parametrize(("price", "expected"), [(3.0, -1.0), (7.9, -1.0), (2.0, None), (1.0, None)])
-def test_gaps__slope_is_that_of_the_ladder_and_none_at_its_end(price, expected):
-    found = slope_at(price, LADDER, 2.0).atoms_an_error
+@pytest.mark.parametrize(("multiplier", "expected"), [(3.0, -1.0), (7.9, -1.0), (2.0, None), (1.0, None)])
+def test_gaps__slope_is_that_of_the_ladder_and_none_at_its_end(multiplier, expected):
+    found = slope_at(multiplier, LADDER, 2.0).atoms_an_error
     assert found == (expected if expected is None else pytest.approx(expected))
 
 

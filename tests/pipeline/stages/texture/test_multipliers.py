@@ -1,4 +1,4 @@
-"""One price for all splats: what it does to a pursuit, and how it is found."""
+"""One multiplier for all splats: what it does to a pursuit, and how it is found."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from pipeline.coding.omp import pursue_patches
 from pipeline.coding.quantize import uniform_weight_levels
 from pipeline.stages.texture.atoms import store_atoms
 from pipeline.stages.texture.contrast_octaves import N_OCTAVES, octave_of
-from pipeline.stages.texture.multipliers import Multipliers, price_for
+from pipeline.stages.texture.multipliers import Multipliers, multiplier_for
 from pipeline.summaries import InParts, Ladder, Training
 from storage.work import arrays, work
 
@@ -23,95 +23,95 @@ def patches_and_atoms(n_atoms: int, dim: int = 96) -> tuple[np.ndarray, np.ndarr
 
 @pytest.mark.parametrize("search", ["exact", "certified"])
 @pytest.mark.parametrize("n_atoms", [40, 1200])
-@pytest.mark.parametrize("price", [0.3, 2.0])
-def test_price__every_atom_taken_is_worth_it_and_the_next_is_not(search, n_atoms, price):
+@pytest.mark.parametrize("multiplier", [0.3, 2.0])
+def test_multiplier__every_atom_taken_is_worth_it_and_the_next_is_not(search, n_atoms, multiplier):
     patches, atoms = patches_and_atoms(n_atoms)
     steps = np.stack(
         [(patches.astype(np.float64) ** 2).sum(axis=1)]
         + [pursue_patches(patches, atoms, max_atoms=most, search=search).residual for most in range(1, 7)],
         axis=1,
     )
-    worth = -np.diff(steps, axis=1) > price
+    worth = -np.diff(steps, axis=1) > multiplier
     expected = np.where(worth.all(axis=1), 6, worth.argmin(axis=1))
-    found = pursue_patches(patches, atoms, max_atoms=6, multiplier=price, search=search)
+    found = pursue_patches(patches, atoms, max_atoms=6, multiplier=multiplier, search=search)
     assert 0 < expected.mean() < 6
     assert (found.codes.n_atoms == expected).all()
     np.testing.assert_allclose(found.residual, steps[np.arange(60), expected], rtol=1e-5)
 
 
 @pytest.mark.parametrize("n_atoms", [40, 1200])
-def test_price__a_pursuit_at_the_lowest_tells_what_others_take(n_atoms):
+def test_multiplier__a_pursuit_at_the_lowest_tells_what_others_take(n_atoms):
     patches, atoms = patches_and_atoms(n_atoms)
     levels = np.tile(np.linspace(-2, 2, 16), (6, 1))
     lowest = pursue_patches(patches, atoms, max_atoms=6, multiplier=0.1, weight_levels=levels)
-    for price in (0.1, 0.3, 2.0, 1e9):
+    for multiplier in (0.1, 0.3, 2.0, 1e9):
         found, taken = (
-            pursue_patches(patches, atoms, max_atoms=6, multiplier=price, weight_levels=levels),
-            lowest.atoms_at(price),
+            pursue_patches(patches, atoms, max_atoms=6, multiplier=multiplier, weight_levels=levels),
+            lowest.atoms_at(multiplier),
         )
         assert (taken == found.codes.n_atoms).all()
         np.testing.assert_allclose(lowest.path[np.arange(60), taken], found.residual, rtol=1e-6)
 
 
-def test_price__spends_the_same_atoms_better_than_a_cut_off():
+def test_multiplier__spends_the_same_atoms_better_than_a_cut_off():
     patches, atoms = patches_and_atoms(200)
-    priced = pursue_patches(patches, atoms, max_atoms=8, multiplier=0.5)
+    valued = pursue_patches(patches, atoms, max_atoms=8, multiplier=0.5)
     cut = min(
         (pursue_patches(patches, atoms, max_atoms=8, tolerance=t) for t in np.geomspace(0.01, 300, 80)),
-        key=lambda found: (found.codes.n_atoms.sum() > priced.codes.n_atoms.sum(), found.residual.sum()),
+        key=lambda found: (found.codes.n_atoms.sum() > valued.codes.n_atoms.sum(), found.residual.sum()),
     )
-    assert priced.residual.sum() < cut.residual.sum()
+    assert valued.residual.sum() < cut.residual.sum()
 
 
-LADDER = Ladder(price=(2.0, 1.0, 0.5), error=(8.0, 4.0, 2.0), n_atoms=(1.0, 2.0, 3.0))
+LADDER = Ladder(multiplier=(2.0, 1.0, 0.5), error=(8.0, 4.0, 2.0), n_atoms=(1.0, 2.0, 3.0))
 WHOLE = Training(1, 10, n_splats=10, n_active=10, cutoff_error=0.0, settled_energy=0.0, beyond={})
 
 
-def price_at(ladder: Ladder, training: Training, patch_error: float) -> float:
-    return price_for(ladder, replace(training, cutoff_error=patch_error * training.n_splats))
+def multiplier_at(ladder: Ladder, training: Training, patch_error: float) -> float:
+    return multiplier_for(ladder, replace(training, cutoff_error=patch_error * training.n_splats))
 
 
-def test_price__is_found_between_those_of_the_ladder():
-    assert price_at(LADDER, WHOLE, 4.0) == pytest.approx(1.0)
-    assert price_at(LADDER, WHOLE, np.sqrt(32)) == pytest.approx(np.sqrt(2))
+def test_multiplier__is_found_between_those_of_the_ladder():
+    assert multiplier_at(LADDER, WHOLE, 4.0) == pytest.approx(1.0)
+    assert multiplier_at(LADDER, WHOLE, np.sqrt(32)) == pytest.approx(np.sqrt(2))
 
 
-def test_price__settled_splats_leave_more_to_the_others():
+def test_multiplier__settled_splats_leave_more_to_the_others():
     half = replace(WHOLE, n_active=5, settled_energy=5.0)
-    assert price_at(LADDER, half, 2.5) == pytest.approx(1.0)
+    assert multiplier_at(LADDER, half, 2.5) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(("wanted", "found"), [(0.1, 0.5), (100.0, 2.0)])
-def test_price__beyond_the_ladder_is_its_end(wanted, found):
-    assert price_at(LADDER, WHOLE, wanted) == pytest.approx(found)
+def test_multiplier__beyond_the_ladder_is_its_end(wanted, found):
+    assert multiplier_at(LADDER, WHOLE, wanted) == pytest.approx(found)
 
 
 @pytest.mark.parametrize(
     ("last", "lowest", "highest"), [(4.0, 0.8, 1.5), (3.74, 0.7, 0.72), (3.7, 0.5, 0.5), (2.0, 0.5, 0.5)]
 )
-def test_price__ends_where_splats_have_run_out_of_atoms(last, lowest, highest):
-    """An atom more from the second price to the third: 0.3 dB are 4.0 to 3.733."""
+def test_multiplier__ends_where_splats_have_run_out_of_atoms(last, lowest, highest):
+    """An atom more from the second multiplier to the third: 0.3 dB are 4.0 to 3.733."""
     ladder = replace(LADDER, error=(8.0, 4.0, last))
-    assert lowest * 0.999 <= price_at(ladder, WHOLE, 0.1) <= highest * 1.001
+    assert lowest * 0.999 <= multiplier_at(ladder, WHOLE, 0.1) <= highest * 1.001
 
 
-def test_price__ends_at_one_price_whatever_the_target_that_is_missed():
-    """Ladders of other targets have other prices; what an atom gains at a price is the scan's own."""
+def test_multiplier__ends_at_one_price_whatever_the_target_that_is_missed():
+    """Ladders of other targets have other multipliers; what an atom gains at a multiplier is the scan's own."""
 
     def ladder(first: float) -> Ladder:
-        price = first * 2.0 ** -np.arange(8)
-        return Ladder(*(tuple(x.tolist()) for x in (price, 1 + price, 6 - np.log(price) / 2)))
+        multiplier = first * 2.0 ** -np.arange(8)
+        return Ladder(*(tuple(x.tolist()) for x in (multiplier, 1 + multiplier, 6 - np.log(multiplier) / 2)))
 
-    ends = [price_at(ladder(first), WHOLE, 1e-6) for first in (1.0, 1.3, 1.7, 2.5)]
+    ends = [multiplier_at(ladder(first), WHOLE, 1e-6) for first in (1.0, 1.3, 1.7, 2.5)]
     assert max(ends) < 1.05 * min(ends) and min(ends) > 0.02
 
 
-def test_price__is_no_cliff_at_its_end():
-    """As the target goes on beyond what atoms can show, the price stays where it is."""
+def test_multiplier__is_no_cliff_at_its_end():
+    """As the target goes on beyond what atoms can show, the multiplier stays where it is."""
     ladder = Ladder((2.0, 1.0, 0.5, 0.25), (8.0, 4.0, 3.5, 3.4), (1.0, 2.0, 3.0, 5.0))
-    prices = [price_at(ladder, WHOLE, wanted) for wanted in np.geomspace(8, 0.01, 60)]
-    assert all(b <= a for a, b in zip(prices, prices[1:])) and 0.4 < prices[-1] < 1
-    assert max(a / b for a, b in zip(prices, prices[1:])) < 2
+    multipliers = [multiplier_at(ladder, WHOLE, wanted) for wanted in np.geomspace(8, 0.01, 60)]
+    assert all(b <= a for a, b in zip(multipliers, multipliers[1:])) and 0.4 < multipliers[-1] < 1
+    assert max(a / b for a, b in zip(multipliers, multipliers[1:])) < 2
 
 
 def test_weights__even_levels_are_the_same_for_every_rank_and_as_wide_as_pays():
