@@ -148,7 +148,7 @@ CATALOGUE = (
         "the nearest point in each cell of each eye", ("partition",), when="cliplines may be called for",
     ),
     StageEntry(
-        "measure-effects", "stages/points/measure_effects.py", Phase.EFFECTS, Task.SAMPLE,
+        "measure-effects", "effects/plan/measure_effects.py", Phase.EFFECTS, Task.SAMPLE,
         "what the scan calls for, see EFFECTS.md", share=3,
     ),
     StageEntry(

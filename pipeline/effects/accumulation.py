@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.effects.block import Block, Sources
 from pipeline.effects.effect import Effect, Measured, Worth
-from pipeline.effects.pairs import pairs_within
+from pipeline.splats.pairs import pairs_within
 
 EVERY = 32  # splats of a block
 OVERDRAWN = 16.0  # weight of a pixel from which 16-bit sums may be off by 1/255, as in resolve.frag.glsl

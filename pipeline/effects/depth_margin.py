@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.effects.block import Block, Sources
 from pipeline.effects.effect import Effect, Measured, Worth
-from pipeline.effects.pairs import pairs_within
+from pipeline.splats.pairs import pairs_within
 
 LEAST_RADII = 1.0  # the margin of a scan without noise: discs that overlap at a slant of 45 degrees still blend
 OVERLAP_RADII = 2.0  # discs whose centres are nearer than this overlap; so no residual, and no margin, is beyond 2 or 4

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.effects.block import Block, Sources
 from pipeline.effects.effect import Effect, Measured, Worth
-from pipeline.effects.pairs import pairs_within
+from pipeline.splats.pairs import pairs_within
 
 BINS, WIDEST_DEGREES = 256, 90.0  # of the histogram of angles; splats are seen from either side
 EVERY = 8  # splats of a block

@@ -9,7 +9,7 @@ from fastapi import APIRouter, File, Query, Response, UploadFile
 from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, ConfigDict, Field
 
-from pipeline.stages.points.measure_effects import known_rows
+from pipeline.effects.plan.measure_effects import known_rows
 from services.api.context import Database, Hash, Owner, Settings
 from services.jobs.documents import scan_document
 from services.problems import Problem

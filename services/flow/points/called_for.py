@@ -6,12 +6,12 @@ from pathlib import Path
 
 from pipeline.effects.block import Sources
 from pipeline.effects.levels import measured_by as levels_measured
+from pipeline.effects.plan.measure_effects import MeasureEffects
 from pipeline.effects.plan.plan import EffectPlan, measured_effects, plan_effects, with_reason
 from pipeline.effects.plan.registry import effects
 from pipeline.effects.plan.request import AUTO, OFF, ON, parse_request
 from pipeline.effects.relighting import UNLIT
 from pipeline.effects.sizes import measured_by
-from pipeline.stages.points.measure_effects import MeasureEffects
 from pipeline.summaries import SizesNeeded
 from services.flow.run import Run
 from storage.work import work

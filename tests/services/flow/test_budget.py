@@ -87,7 +87,7 @@ def test_budget__a_scan_whose_geometry_exceeds_it_is_refused(scan, tmp_path, cap
             )
             == 3
         )
-        assert "budget_bytes: 5 bytes a splat, of which geometry" in capsys.readouterr().err
+        assert "--budget-bytes: 5 bytes a splat, of which geometry" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -4,9 +4,9 @@ import json
 
 import pytest
 
+from pipeline.effects.plan.measure_effects import known_rows
 from pipeline.execution.executors import SerialExecutor
 from pipeline.planning.settings import settings_for
-from pipeline.stages.points.measure_effects import known_rows
 from renderer.evaluate.variants import EffectsVariant, compare_variants
 from services.processes.compress import compress
 from services.processes.effects import effects_of, worth_of_effects
