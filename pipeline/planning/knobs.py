@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from pipeline.readers.attributes.marks import WORDS as MARK_WORDS
 from pipeline.readers.attributes.marks import canonical_marks
 from pipeline.readers.attributes.options import STATION_WORDS, canonical_station
-from storage.packed.levels import MOST_LEVELS
-from storage.packed.schema import ATOM_SIZES, MAX_ATOMS
+from storage.limits import ATOM_SIZES, MAX_ATOMS, MOST_LEVELS
 
 PURSUITS = ("omp", "ormp", "1x4", "2x2", "4x2", "4x4", "8x2", "8x4")  # words of pipeline.coding.beam.form
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pipeline.planning.knobs import BY_NAME, KNOBS
 from pipeline.readers.attributes.options import ReadOptions
-from storage.packed.schema import MAX_ATOMS
+from storage.limits import MAX_ATOMS
 
 if TYPE_CHECKING:
     from pipeline.volumes.volume import Choice

@@ -9,9 +9,7 @@ from __future__ import annotations
 import argparse
 import io
 import os
-import signal
 import sys
-import threading
 import traceback
 import warnings
 from collections.abc import Iterator
@@ -33,7 +31,6 @@ from services.cli.exit_codes import ARGUMENTS, INPUT_OUTPUT, INTERNAL, INTERRUPT
 from services.cli.parser import Parser
 from services.cli.wording import as_options
 from storage.errors import SplatpressError
-from storage.version import VERSION
 
 COMMANDS = (  # a row a command, in the order in which a wrong one is answered with all of them
     add_compress, add_inspect, add_check, add_effects, add_plan, add_render, add_coverage, add_report, add_demo,
@@ -101,6 +98,9 @@ class Terminated(BaseException):
 @contextmanager
 def _terminable() -> Iterator[None]:
     """SIGTERM raises Terminated meanwhile; commands that run until it comes take it for themselves."""
+    import signal
+    import threading
+
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -127,9 +127,19 @@ def _asked(error: Exception) -> str:
     return "the service" if request is None else str(request.url.copy_with(path="/", query=None))
 
 
+class _Version(argparse.Action):
+    """Prints the version, which no other call has to look up."""
+
+    def __call__(self, parser, *_) -> None:
+        from storage.version import VERSION
+
+        print(f"splatpress {VERSION}")
+        parser.exit()
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(prog="splatpress", description="Turns textured scans into small packed files that a GPU renders.")
-    parser.add_argument("--version", action="version", version=f"splatpress {VERSION}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the program's version and exit")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
     for add in COMMANDS:
         add(commands)

@@ -6,7 +6,6 @@ import argparse
 import re
 import sys
 from collections.abc import Sequence
-from difflib import get_close_matches
 from typing import NoReturn
 
 from services.cli.exit_codes import ARGUMENTS
@@ -40,6 +39,8 @@ class Parser(argparse.ArgumentParser):
         for word in options if parser is not self else ():
             name, known = word.partition("=")[0], parser._option_string_actions
             if name.startswith("--") and not any(option.startswith(name) for option in known):
+                from difflib import get_close_matches
+
                 close = get_close_matches(name, known, 1)
                 parser.error(f"there is no option {name}" + (f"; did you mean {close[0]}?" if close else ""))
         return super().parse_args(given, namespace)
@@ -81,5 +82,7 @@ def _with_suggestion(message: str) -> str:
     found = re.fullmatch(r"(.*invalid choice: '([^']*)') (\(choose from (.*)\))", message, re.DOTALL)
     if found is None:
         return message
+    from difflib import get_close_matches
+
     close = get_close_matches(found[2], re.findall(r"[\w.-]+", found[4]), 1)
     return f"{found[1]}; did you mean {close[0]!r}? {found[3]}" if close else message

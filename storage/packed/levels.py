@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from storage.limits import MOST_LEVELS as MOST_LEVELS
 from storage.packed.schema import GROUP
 
 FEWER = 4  # splats for one of the next coarser level
-MOST_LEVELS = 6  # beside the finest
 
 
 def n_coarser(n: int) -> int:

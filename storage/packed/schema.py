@@ -8,20 +8,22 @@ bytes of its runs; v arrays whose rows a group has any number of; and y bytes of
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from storage.json_fields import listed, numbers, plain, typed, whole_numbers
+from storage.limits import ATOM_SIZES as ATOM_SIZES
+from storage.limits import MAX_ATOMS as MAX_ATOMS
 from storage.maps import StoredMap
+
+if TYPE_CHECKING:  # the command line knows limits of knobs from here, and answers before numpy could be imported
+    import numpy as np
 
 FORMAT_NAME = "splatpress"
 FORMAT_VERSION = 1
 CHUNK = 128
 GROUP = 8192
-MAX_ATOMS = 16  # a splat
 PATCH_SIZE = 32
 MIP_SIZES = (32, 16, 8, 4, 2, 1)
-ATOM_SIZES = (32, 16, 8)
 TURN_COUNTS = (1, 8)  # ways in which an atom is used: as it is, or turned and mirrored too
 CLIPLINE_BITS = 12
 ELLIPSOID_FIELD_BITS, ELLIPSOID_FIELDS = 8, 4  # so an ellipsoid is one whole word
@@ -316,10 +318,14 @@ def color_bits(size, step: int):
 
 def curve_units(cells: np.ndarray) -> np.ndarray:
     """What 1 of `frame_curve` is, (c,) float64, cells a product of half cells: 2^-7 over the power of two above the longer side's cells."""
+    import numpy as np
+
     longest = cells.max(axis=1).astype(np.int64)
     return 2.0 ** -(7 + np.frexp(longest.astype(np.float64))[1])
 
 
 def steps_of(code: np.ndarray) -> np.ndarray:
     """The sides (c,) float64 of cells of which `frame_step` (c,) has the upper half of the float32."""
+    import numpy as np
+
     return (code.astype(np.uint32) << np.uint32(16)).view(np.float32).astype(np.float64)

@@ -10,8 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import numpy as np
+if (
+    TYPE_CHECKING
+):  # the command line takes names and words of marks from here, and answers before numpy could be imported
+    import numpy as np
 
 KEEP, LEAVE_OUT = "keep", "leave-out"
 
@@ -71,6 +75,8 @@ def set_marks(n: int, found: Mapping[str, np.ndarray], wanted: frozenset[str]) -
 
     A point with several marks has the first of the table.
     """
+    import numpy as np
+
     mark = np.zeros(n, np.uint8)
     for name in sorted(wanted & set(found), key=NUMBER.__getitem__, reverse=True):
         mark[found[name]] = NUMBER[name]
@@ -79,6 +85,8 @@ def set_marks(n: int, found: Mapping[str, np.ndarray], wanted: frozenset[str]) -
 
 def tally(mark: np.ndarray | None) -> np.ndarray:
     """How many points bear each mark, (len(MARKS) + 1,) int64, those without one first; None counts as nothing."""
+    import numpy as np
+
     return np.bincount(mark if mark is not None else np.zeros(0, np.uint8), minlength=len(MARKS) + 1)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
-import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -145,6 +144,8 @@ def _demo(options: argparse.Namespace) -> int:
         look_first(scan, draws, settings)
         with executor_for(options) as executor:
             report = compress(scan, out, settings, executor, progress_bars(), render=draws)
+        import shutil
+
         shutil.move(scan, out / demo.scan)
     remember(out, settings, options.scan, draws)
     return _show_report(report, out, options, out / demo.scan)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import socket
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -79,6 +78,8 @@ def _view(options: argparse.Namespace) -> int:
         raise FileNotFoundError(f"{packed}: no such file or folder")
     with PackedFile(packed):  # what is damaged is said here
         pass
+    import socket
+
     with socket.create_server(("127.0.0.1", options.port)) as listener:
         url = f"http://127.0.0.1:{listener.getsockname()[1]}/"
         print(url, flush=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import shutil
 import sys
 from pathlib import Path
 
@@ -77,6 +76,8 @@ def program() -> str:
     called, name = Path(sys.argv[0]), "splatpress"
     if called.name != name or not called.is_file():  # a module of Python
         return name
+    import shutil
+
     found = shutil.which(name)
     return name if found and called.samefile(found) else shlex.quote(sys.argv[0])
 
