@@ -5,7 +5,7 @@
 The folder is one of `splatpress compress --work` with the default coder. Patches are taken from all of the scan, and coded with the last
 dictionary of the folder at the multiplier of its encoding and four times as low and high, so that each pursuit is compared with
 OMP at equal bytes of codes. Microseconds are a thread's, the least of the rounds, taken in turns; `--write` puts the fit of
-what OMP does not take into pipeline/planning/costs.json, as two costs of the stage `encode`.
+what OMP does not take into pipeline/costs/costs.json, as two costs of the stage `encode`.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from pipeline.coding.beam.form import beam_of
 from pipeline.coding.grid import coefficients
 from pipeline.coding.omp import Pursuit
 from pipeline.coding.omp_kernels import squared_norms
+from pipeline.costs.costs import COSTS, kilos_of
 from pipeline.numerics.accuracy import psnr_db
-from pipeline.planning.costs import COSTS, kilos_of
 from pipeline.planning.knobs import PURSUITS
 from pipeline.stages.texture.atoms import load_atoms
 from pipeline.stages.texture.colors import average_colors

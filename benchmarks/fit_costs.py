@@ -1,9 +1,9 @@
-"""Fit the cost model of `pipeline/planning/costs.py` to runs of `benchmarks/scaling.py`, or check it on runs it has not
+"""Fit the cost model of `pipeline/costs/costs.py` to runs of `benchmarks/scaling.py`, or check it on runs it has not
 seen.
 
     python -m benchmarks.scaling SCAN --splats 100000 400000 1000000 4000000 --workers 1 --out rows.jsonl
     python -m benchmarks.scaling SCAN --splats 200000 --workers 1 --dictionary-bits 8 --out rows.jsonl
-    python -m benchmarks.fit_costs rows.jsonl --write           # pipeline/planning/costs.json
+    python -m benchmarks.fit_costs rows.jsonl --write           # pipeline/costs/costs.json
     python -m benchmarks.fit_costs others.jsonl --check [--json]
 
 Rows are measured with `--pursuit omp`; what a beam adds is measured by `benchmarks/beam.py`, and kept. Rows with
@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.catalogue import Task
-from pipeline.planning.costs import (
+from pipeline.costs.costs import (
     BY_ATOMS,
     COSTS,
     SAMPLED,

@@ -21,8 +21,8 @@ import numpy as np
 from benchmarks.patches import Silent
 from benchmarks.scans import resized
 from pipeline.catalogue import LEARNING
+from pipeline.costs.probe import probe_seconds
 from pipeline.execution.executors import DaskExecutor
-from pipeline.planning.probe import probe_seconds
 from pipeline.planning.settings import settings_for
 from services.processes.compress import compress
 from storage.packed.packed import SUFFIX, PackedFile

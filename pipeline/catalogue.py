@@ -173,7 +173,7 @@ CATALOGUE = (
         "maps whose pictures somebody edited", ("panoramas",), when="`compress --maps`",
     ),
     StageEntry(
-        "station-light", "effects/exposure/stations.py", Phase.TEXTURE, Task.SAMPLE,
+        "station-light", "stages/maps/station_light.py", Phase.TEXTURE, Task.SAMPLE,
         "a gain for each station's light", ("panoramas", "splats"), share=3, when="maps of several stations",
     ),
     StageEntry(

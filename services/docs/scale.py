@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from pipeline.planning.costs import COSTS
+from pipeline.costs.costs import COSTS
 from pipeline.planning.settings import Settings
 from services.processes.plan import as_text, plan
 
@@ -13,13 +13,13 @@ PATH = Path(__file__).resolve().parents[2] / "docs" / "SCALE.md"
 PHOTOGRAPHS, MEGAPIXELS = 441, 9.0  # the paper's larger scan
 _HEAD = """# How far it scales, and what breaks first
 
-Made from `pipeline/planning/costs.json` by `python -m services.docs.scale`. `splatpress plan --splats 71e6 --workers 24` prints such
+Made from `pipeline/costs/costs.json` by `python -m services.docs.scale`. `splatpress plan --splats 71e6 --workers 24` prints such
 a plan for any size; `--json` has every figure of it.
 
 ## The model
 
 A stage costs what its tasks take on the workers, dealt out by one scheduler that spends a millisecond on each call
-(simulated, `pipeline/planning/costs.py`), and what one process does before and after them. Seconds a splat and an index, bytes and memory are
+(simulated, `pipeline/costs/costs.py`), and what one process does before and after them. Seconds a splat and an index, bytes and memory are
 fitted by `benchmarks/fit_costs.py` to: {fitted}. Tasks count by their processor seconds.
 
     python -m benchmarks.scaling SCAN --splats 100000 400000 1000000 4000000 --workers 1 --out rows.jsonl
@@ -36,7 +36,7 @@ pictures read as they are; 689 are written, where they were 1,160.
 What it does not know: a network store slower than a local disk (the bytes read and written are there to compare with
 one's own), scans whose patches take more or fewer atoms than those it was fitted to, ellipsoids, pictures, coarser levels (a third more of
 all from `splats` on, where a scan has them). A short piece of
-work like that of the stages (`pipeline/planning/probe.py`) tells how fast a machine is beside the one that the costs were measured on;
+work like that of the stages (`pipeline/costs/probe.py`) tells how fast a machine is beside the one that the costs were measured on;
 `plan` scales seconds by that, this page and `--as-measured` do not.
 
 ## What is done about size

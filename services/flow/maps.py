@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.effects.exposure.stations import StationGains, StationLight
 from pipeline.execution.stage import StageRecord
 from pipeline.stages.maps.edited_maps import EditedMaps
 from pipeline.stages.maps.map_pictures import MapPictures, PicturesMade
 from pipeline.stages.maps.mapped_splats import StationOfSplats, StationsChosen
 from pipeline.stages.maps.panoramas import Panoramas
 from pipeline.stages.maps.resample_maps import MappedSplats
+from pipeline.stages.maps.station_light import StationGains, StationLight
 from pipeline.summaries import MapsDrawn
 from services.flow.fingerprint import fingerprint
 from services.flow.run import Run

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 
 from pipeline.catalogue import Task
 from pipeline.coding.grid import SYMMETRIES, AtomForm
-from pipeline.planning.costs import (
+from pipeline.costs.costs import (
     TASKS,
     Job,
     StageCost,
@@ -66,7 +66,7 @@ def plan(
 
 def speed_of_this_machine() -> float:
     """How many times as long as the machine that the costs were measured on it takes."""
-    from pipeline.planning.probe import probe_seconds  # compiles kernels
+    from pipeline.costs.probe import probe_seconds  # compiles kernels
 
     return probe_seconds() / known_probe_s()
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.effects.exposure.stations import StationGains
 from pipeline.execution.executors import DaskExecutor, SerialExecutor
 from pipeline.maps.light import levels_with
 from pipeline.maps.station_map import NOTHING
 from pipeline.planning.settings import settings_for
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.stages.maps.panoramas import read_map
+from pipeline.stages.maps.station_light import StationGains
 from pipeline.stages.pages.codecs import decoded
 from pipeline.summaries import Points
 from renderer.evaluate.compare import psnr_of_error

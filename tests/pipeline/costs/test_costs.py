@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.catalogue import CATALOGUE, Task
-from pipeline.execution.executors import MOST_A_CALL, MOST_SERVED, calls_of
-from pipeline.planning.costs import (
+from pipeline.costs.costs import (
     BY_ATOMS,
     KILO,
     MOST_HELD,
@@ -21,7 +20,8 @@ from pipeline.planning.costs import (
     makespan,
     plan_job,
 )
-from pipeline.planning.probe import probe_seconds
+from pipeline.costs.probe import probe_seconds
+from pipeline.execution.executors import MOST_A_CALL, MOST_SERVED, calls_of
 from pipeline.planning.settings import Settings
 from services.docs.scale import PATH, document
 from services.processes.plan import as_text, plan
@@ -48,7 +48,7 @@ def test_makespan__is_what_can_be_reckoned_by_hand(n_tasks, task_s, n_workers, d
 @pytest.mark.parametrize(("task_s", "n_workers"), [(0.8, 24), (0.01, 24), (0.05, 1000)])
 def test_makespan__of_many_tasks_goes_on_as_it_began(task_s, n_workers, monkeypatch):
     whole = makespan(20_000, task_s, n_workers)
-    monkeypatch.setattr("pipeline.planning.costs.MOST_SIMULATED", 5_000)
+    monkeypatch.setattr("pipeline.costs.costs.MOST_SIMULATED", 5_000)
     assert makespan(20_000, task_s, n_workers) == pytest.approx(whole, rel=0.02)
 
 

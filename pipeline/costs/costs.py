@@ -3,7 +3,7 @@
 `costs.json` is measured and fitted by `benchmarks/fit_costs.py`. A stage's time is what its tasks take on the workers,
 dealt out by a scheduler that spends DISPATCH_S on each, and what it does before and after them in one process; where
 atoms are searched, both grow with the number of their indices. Seconds are those of the machine that they were measured
-on, times what `pipeline/planning/probe.py` says of another. What is not measured on more than one machine is not
+on, times what `pipeline/costs/probe.py` says of another. What is not measured on more than one machine is not
 modelled: a store shared by many machines counts as fast as a local disk.
 """
 
