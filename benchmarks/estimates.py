@@ -19,6 +19,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from msgspec import to_builtins
+
 from benchmarks.patches import Silent
 from pipeline.execution.executors import DaskExecutor, SerialExecutor
 from pipeline.planning.knobs import BY_NAME
@@ -37,7 +39,7 @@ def compare(scan: Path, settings: Settings, n_workers: int) -> dict:
         kept.mkdir()
         begun, used = time.perf_counter(), _processor_s()
         with _executor(n_workers) as executor:
-            found = estimate(scan, settings, executor, Silent(), kept)
+            found = to_builtins(estimate(scan, settings, executor, Silent(), kept))
         pilot_s, pilot_cpu_s = time.perf_counter() - begun, _processor_s() - used
         with _executor(n_workers) as executor:
             report = compress(scan, Path(folder) / "out", settings, executor, Silent(), render=False, work=kept)

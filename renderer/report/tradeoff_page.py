@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from bokeh.embed import components
@@ -9,6 +10,7 @@ from bokeh.models import CustomJS, HoverTool, TapTool
 from bokeh.plotting import figure
 from bokeh.resources import Resources
 from markupsafe import Markup
+from msgspec import to_builtins
 
 from pipeline.numerics.accuracy import BEST_DB
 from pipeline.planning.knobs import BY_NAME
@@ -17,6 +19,7 @@ from renderer.files import strict, write_json, write_whole
 from renderer.pictures import png_uri
 from renderer.report.report_page import template
 from renderer.report.report_plots import AMBER, BLUE, MUTED, plain_figure, source_of
+from renderer.report.tradeoff_document import Advice, Beaten, LadderPoint, LadderSummary, TradeoffDocument
 
 TRADEOFF_NAME, TRADEOFF_PAGE = "tradeoff.json", "tradeoff.html"
 COSTS = (  # key, axis, what it is in a sentence, the scale of the axis
@@ -31,52 +34,44 @@ LEAD_DB = 40.0
 NOISE_DB, NOISE_SHARE = 0.05, 0.05  # a preset that another beats by less than both is as good
 
 
-def summarised(document: dict) -> dict:
-    """The document with its Pareto fronts, what to take for which quality, and which presets another one beats.
+def summarised(points: Sequence[LadderPoint]) -> LadderSummary:
+    """The Pareto fronts of points, what to take for which quality, and which presets another one beats.
 
     Fronts are of picture PSNR, which points of any number of splats share. Texture PSNR is of a point's own splats: where pictures were not
     measured fronts are of it, and advice always is, among the points of as many splats as the first."""
-    points = [{k: v for k, v in p.items() if not k.startswith("_")} for p in document["points"]]
-    alike = [p for p in points if p["splats"] == points[0]["splats"] and p[TEXTURE] is not None]
+    alike = [p for p in points if p.splats == points[0].splats and p.texture_psnr_db is not None]
     quality = quality_of(points)
     compared = points if quality == PICTURE else alike
-    fronts = {cost: pareto(compared, cost, quality) for cost, *_ in COSTS if all(p[cost] is not None for p in points)}
-    presets = [p for p in alike if p["preset"]]
-    beaten = [
-        {"preset": a["preset"], "by": b["preset"]} for a in presets for b in presets if a is not b and _beats(b, a)
-    ]
-    advice = [row for wanted in WANTED_DB if (row := advised(alike, wanted))]
-    return document | {"points": points, "fronts": fronts, "beaten_presets": beaten, "advice": advice}
+    costs = [cost for cost, *_ in COSTS if all(getattr(p, cost) is not None for p in points)]
+    presets = [p for p in alike if p.preset]
+    return LadderSummary(
+        {cost: tuple(pareto(compared, cost, quality)) for cost in costs},
+        tuple(Beaten(a.preset, b.preset) for a in presets for b in presets if a is not b and _beats(b, a)),
+        tuple(row for wanted in WANTED_DB if (row := advised(alike, wanted))),
+    )
 
 
-def quality_of(points: list[dict]) -> str:
+def quality_of(points: Sequence[LadderPoint]) -> str:
     """By what points are compared: their picture PSNR, where it was measured of all."""
-    return PICTURE if all(p[PICTURE] is not None for p in points) else TEXTURE
+    return PICTURE if all(p.picture_psnr_db is not None for p in points) else TEXTURE
 
 
-def pareto(points: list[dict], cost: str, quality: str = "texture_psnr_db") -> list[str]:
-    """Keys of the points that no other beats in both cost and quality, the cheapest first.
-
-    >>> pareto([{"key": k, "c": c, "texture_psnr_db": q} for k, c, q in (("a", 1, 30), ("b", 2, 29), ("c", 3, 31))],
-    "c") ['a', 'c']
-    """
+def pareto(points: Sequence[LadderPoint], cost: str, quality: str = TEXTURE) -> list[str]:
+    """Keys of the points that no other beats in both cost and quality, the cheapest first."""
     front, best = [], float("-inf")
-    for point in sorted(points, key=lambda p: (p[cost], -p[quality])):
-        if point[quality] > best:
-            front.append(point["key"])
-            best = point[quality]
+    for point in sorted(points, key=lambda p: (getattr(p, cost), -getattr(p, quality))):
+        if getattr(point, quality) > best:
+            front.append(point.key)
+            best = getattr(point, quality)
     return front
 
 
-def advised(points: list[dict], wanted_db: float) -> dict | None:
+def advised(points: Sequence[LadderPoint], wanted_db: float) -> Advice | None:
     """For a texture PSNR, the preset of fewest bytes that reaches it and the point of fewest bytes of all, by key."""
-    reach = sorted(
-        (p for p in points if p["texture_psnr_db"] >= wanted_db), key=lambda p: (p["file_bytes"], p["seconds"])
-    )
-    if not reach or min(p["texture_psnr_db"] for p in points) >= wanted_db + 2:
+    reach = sorted((p for p in points if p.texture_psnr_db >= wanted_db), key=lambda p: (p.file_bytes, p.seconds))
+    if not reach or min(p.texture_psnr_db for p in points) >= wanted_db + 2:
         return None
-    preset = next((p["key"] for p in reach if p["preset"]), None)
-    return {"wanted_db": wanted_db, "preset": preset, "cheapest": reach[0]["key"]}
+    return Advice(wanted_db, next((p.key for p in reach if p.preset), None), reach[0].key)
 
 
 def leading(advice: list[dict]) -> list[dict]:
@@ -85,31 +80,32 @@ def leading(advice: list[dict]) -> list[dict]:
     return advice[first : first + 2]
 
 
-def _beats(b: dict, a: dict) -> bool:
+def _beats(b: LadderPoint, a: LadderPoint) -> bool:
     """Whether b is better than a in bytes, seconds and PSNR by more than noise in one of them, and worse in none."""
     worse = (
-        b["texture_psnr_db"] < a["texture_psnr_db"] - NOISE_DB
-        or b["file_bytes"] > a["file_bytes"] * (1 + NOISE_SHARE)
-        or b["seconds"] > a["seconds"] * (1 + NOISE_SHARE)
+        b.texture_psnr_db < a.texture_psnr_db - NOISE_DB
+        or b.file_bytes > a.file_bytes * (1 + NOISE_SHARE)
+        or b.seconds > a.seconds * (1 + NOISE_SHARE)
     )
     better = (
-        b["texture_psnr_db"] > a["texture_psnr_db"] + NOISE_DB
-        or b["file_bytes"] < a["file_bytes"] * (1 - NOISE_SHARE)
-        or b["seconds"] < a["seconds"] * (1 - NOISE_SHARE)
+        b.texture_psnr_db > a.texture_psnr_db + NOISE_DB
+        or b.file_bytes < a.file_bytes * (1 - NOISE_SHARE)
+        or b.seconds < a.seconds * (1 - NOISE_SHARE)
     )
     return better and not worse
 
 
-def write_tradeoff(folder: Path, document: dict) -> None:
+def write_tradeoff(folder: Path, document: TradeoffDocument) -> None:
     """tradeoff.json and tradeoff.html, each whole; the pictures that the document names are read from the folder."""
-    write_json(folder / TRADEOFF_NAME, document)
-    write_whole(folder / TRADEOFF_PAGE, page_of(strict(document), folder).encode("utf-8", errors="replace"))
+    told = strict(to_builtins(document))
+    write_json(folder / TRADEOFF_NAME, told)
+    page = page_of(told, quality_of(document.points), folder)
+    write_whole(folder / TRADEOFF_PAGE, page.encode("utf-8", errors="replace"))
 
 
-def page_of(document: dict, folder: Path) -> str:
-    """The text of the page; see `write_tradeoff`."""
+def page_of(document: dict, quality: str, folder: Path) -> str:
+    """The text of the page of tradeoff.json, whose points are compared by `quality`; see `write_tradeoff`."""
     points = {p["key"]: p | {"number": i, "label": _label(p)} for i, p in enumerate(document["points"], 1)}
-    quality = quality_of(document["points"])
     plots = {
         cost: _plot(list(points.values()), document["fronts"][cost], cost, axis, scale, quality)
         for cost, axis, _, scale in COSTS

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
+from msgspec import to_builtins
 
 from pipeline.planning.knobs import BY_NAME
 from pipeline.planning.settings import DEFAULT_PRESET, PRESETS, settings_for
@@ -45,7 +46,7 @@ def get_estimate(
     folder = work_folder(settings, scan)
     known = known_estimate(folder, wanted)
     if known is not None:
-        return known
+        return to_builtins(known)
     own = settings.data / "work" / scan  # where a bucket has the work folders, the pilot has one of its own
     own.mkdir(parents=True, exist_ok=True)
     made = _pilot(place.held(scan_path(settings, found)), own, preset, options)

@@ -14,7 +14,7 @@ from services.jobs.webhooks import owner_secret
 from services.problems import Problem
 
 router = APIRouter(tags=["published"])
-SCHEMAS = ("report.json", "evaluate.json")
+SCHEMAS = ("report.json", "evaluate.json", "tradeoff.json", "estimate.json")
 _TYPES = {int: "integer", float: "number", str: "string"}
 
 
@@ -54,8 +54,8 @@ def get_webhook_secret(owner: Owner, settings: Settings) -> dict:
 
 @router.get("/schemas/{name}")
 def get_schema(name: str) -> dict:
-    """The JSON Schema (2020-12) of report.json, which every job leaves, and of evaluate.json, which `splatpress evaluate`
-    writes."""
+    """The JSON Schema (2020-12) of report.json, which every job leaves, of evaluate.json and tradeoff.json, which the commands
+    of these names write, and of estimate.json, what `splatpress estimate --json` prints."""
     if name not in SCHEMAS:
         raise Problem(404, "not-found", f"no schema {name[:80]!r}", hint=f"allowed: {', '.join(SCHEMAS)}")
     return _schemas()[name]
@@ -64,6 +64,9 @@ def get_schema(name: str) -> dict:
 @functools.cache
 def _schemas() -> dict[str, dict]:
     from renderer.report.document import Report, schema_of
+    from renderer.report.estimate_document import EstimateDocument
     from renderer.report.evaluation_document import EvaluationDocument
+    from renderer.report.tradeoff_document import TradeoffDocument
 
-    return {name: schema_of(kind, name) for name, kind in zip(SCHEMAS, (Report, EvaluationDocument))}
+    kinds = (Report, EvaluationDocument, TradeoffDocument, EstimateDocument)
+    return {name: schema_of(kind, name) for name, kind in zip(SCHEMAS, kinds, strict=True)}

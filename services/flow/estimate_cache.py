@@ -7,7 +7,11 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+import msgspec
+
 from pipeline.planning.settings import Settings
+from renderer.report.document import EstimatedFigure
+from renderer.report.estimate_document import EstimateDocument
 from storage import place
 from storage.work import work
 
@@ -15,17 +19,17 @@ FOLDER = "estimates"
 FIGURES = ("seconds", "peak_memory_bytes", "gpu_bytes", "file_bytes", "texture_psnr_db", "pages_bytes")
 
 
-def keep_estimate(work_folder: Path, settings: Settings, estimate: dict) -> None:
+def keep_estimate(work_folder: Path, settings: Settings, estimate: EstimateDocument) -> None:
     """Keep an estimate in the work folder that it was made in, under its settings."""
     path = _path(work_folder, settings)
     place.make_folder(path.parent)
-    work.write_json(path, estimate)
+    work.write_json(path, msgspec.to_builtins(estimate))
 
 
-def known_estimate(work_folder: Path, settings: Settings) -> dict | None:
+def known_estimate(work_folder: Path, settings: Settings) -> EstimateDocument | None:
     """The estimate that was made in a work folder for these settings."""
     path = _path(work_folder, settings)
-    return work.read_json(path) if place.is_file(path) else None
+    return msgspec.convert(work.read_json(path), EstimateDocument) if place.is_file(path) else None
 
 
 def _path(work_folder: Path, settings: Settings) -> Path:
@@ -33,12 +37,12 @@ def _path(work_folder: Path, settings: Settings) -> Path:
     return work_folder / FOLDER / f"{hashlib.sha256(text.encode()).hexdigest()[:16]}.json"
 
 
-def against(estimate: dict | None, happened: dict[str, float | None]) -> dict | None:
+def against(estimate: EstimateDocument | None, happened: dict[str, float | None]) -> dict[str, EstimatedFigure] | None:
     """By figure: value, low and high of the estimate, and what happened; None without an estimate."""
     if estimate is None:
         return None
     return {
-        name: estimate[name] | {"happened": happened[name]}
+        name: EstimatedFigure(found.value, found.low, found.high, had)
         for name in FIGURES
-        if estimate.get(name) and happened.get(name) is not None
+        if (found := getattr(estimate, name)) and (had := happened.get(name)) is not None
     }

@@ -6,7 +6,6 @@ import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 
-import msgspec
 from msgspec import UNSET
 
 from pipeline.effects.plan.plan import Row
@@ -123,7 +122,7 @@ def finish(
         numerics=_numerics(prepared, coded),
         settings=asdict(settings),
         effects=tuple(_with_choice(row, textured) for row in prepared.effects.rows),
-        estimate=msgspec.convert(_estimate(run, path, textured, settings, beside), dict[str, EstimatedFigure] | None),
+        estimate=_estimate(run, path, textured, settings, beside),
         runs=runs_report(prepared.runs, path) if prepared.runs is not None else None,
         pages=beside.pages,
         found=beside.found or UNSET,
@@ -136,7 +135,9 @@ def _with_choice(row: Row, textured: Texture) -> Row:
     return replace(row, choice=textured.choice) if row.effect == "station_maps" else row
 
 
-def _estimate(run: Run, path: Path, textured: Texture, settings: Settings, beside: Beside) -> dict | None:
+def _estimate(
+    run: Run, path: Path, textured: Texture, settings: Settings, beside: Beside
+) -> dict[str, EstimatedFigure] | None:
     """What was estimated for this job, beside what happened up to its packed file, in stages run now or before."""
     estimate = known_estimate(run.work, settings)
     if estimate is None:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from pipeline.coding.grid import SYMMETRIES, AtomForm
@@ -28,6 +29,7 @@ from pipeline.stages.texture.resample import Resample
 from pipeline.stages.texture.training import TrainingSet, membership
 from pipeline.summaries import AverageColors
 from renderer.report.document import Sizes
+from renderer.report.estimate_document import EstimateDocument
 from renderer.report.report import sizes_of
 from services.flow.asked import prepare_asked
 from services.flow.code import chosen_maps, code_prepared, mapped_by, resample
@@ -85,7 +87,7 @@ class _Pilot:
 
 def estimate(
     scan: Path, settings: Settings, executor: Executor, progress: Progress, work_folder: Path | None = None
-) -> dict:
+) -> EstimateDocument:
     """Seconds up to the packed file (previews not among them), peak memory of a worker, bytes on the GPU and of the file,
     and texture PSNR, each with a band, those of a page file beside it, and what each stage adds to the seconds.
 
@@ -101,7 +103,8 @@ def estimate(
     try:
         run = Run(work_folder or scratch, executor, progress)
         run.step = lambda stage, do: _one_at_a_time(work.stage_folder(run.work, stage), do)
-        found = _scaled(_pilot(run, scan, settings, scratch), settings)
+        told = _scaled(_pilot(run, scan, settings, scratch), settings)
+        found = msgspec.convert(told, EstimateDocument)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
     if work_folder:

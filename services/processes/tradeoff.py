@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from msgspec import to_builtins
+from msgspec import structs
 
 from pipeline.catalogue import PICTURES
 from pipeline.execution.stage import Executor, Progress, StageRecord
@@ -19,7 +19,9 @@ from pipeline.planning.settings import PRESETS, Settings
 from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluate.compare import not_measured
 from renderer.evaluate.picture_psnr import picture_psnrs
+from renderer.report.evaluation_document import CloseUp
 from renderer.report.report import sizes_of
+from renderer.report.tradeoff_document import LadderPoint, LadderScan, LadderStep, TradeoffDocument
 from services.flow.asked import prepare_asked
 from services.flow.code import code_prepared, resample
 from services.flow.pack import pack
@@ -120,7 +122,7 @@ def tradeoff(
     budget_s: float = BUDGET_S,
     render: bool = True,
     work: Path | None = None,
-) -> dict:
+) -> TradeoffDocument:
     """Measure the ladder within a budget; writes tradeoff.json, tradeoff.html and close-ups into `out`. Returns the
     document.
 
@@ -142,7 +144,7 @@ def measure_ladder(
     budget_s: float = BUDGET_S,
     render: bool = True,
     name: str | None = None,
-) -> dict:
+) -> TradeoffDocument:
     """All of it, into the folder `out`, which is there; the scan is called `name`, else as its file.
 
     Of a scan without photographs the knobs OF_POINTS are, beside all of its points, which pictures are then compared with.
@@ -152,8 +154,9 @@ def measure_ladder(
     begun = run.clock()
     folder = out / "packed"
     folder.mkdir(exist_ok=True)
-    points: list[dict] = []
-    skipped: list[dict] = []
+    points: list[LadderPoint] = []
+    packed: list[Path] = []
+    skipped: list[LadderStep] = []
     last, photos = 0.0, None
     tried: Mapping[str, Sequence] = default_knobs() if knobs is None else knobs
     steps = ladder(settings, tried)
@@ -161,41 +164,46 @@ def measure_ladder(
         if points and photos is None and step.knob not in OF_POINTS:
             continue
         if points and run.clock() - begun + last > budget_s:
-            skipped.append({"key": step.key, "command": step.command})
+            skipped.append(LadderStep(step.key, step.command))
             continue
         run.round(i, len(steps) + 1)  # the pictures are one more
-        point, photos = _point(run, scan, step, folder, render)
+        point, photos, last = _point(run, scan, step, path := folder / f"{step.key.replace('/', '-')}{SUFFIX}", render)
         points.append(point)
+        packed.append(path)
         if i == 0 and photos is None:  # the loop goes on with these
             known = {asdict_key(step.settings) for step in steps}
             more = ladder(settings, {"density": DENSITIES if knobs is None else DENSITIES[:1]})
             steps[1:1] = [step for step in more if step.knob and asdict_key(step.settings) not in known]
-        last = point.pop("_own_seconds")
     run.round(len(steps), len(steps) + 1)
-    pictures = _pictures(run, points, photos, out) if render else []
+    close_ups: tuple[CloseUp, ...] = ()
+    if render:
+        points, close_ups = _pictures(run, points, packed, photos, out)
     from renderer.report.tradeoff_page import summarised, write_tradeoff  # bokeh takes half a second to import
 
-    document = summarised(
-        {
-            "scan": {"name": name or scan.resolve().name, "n_cameras": points[0]["n_cameras"]},
-            "splats": points[0]["splats"],
-            "preset": settings.preset,
-            "budget_s": budget_s,
-            "seconds": run.clock() - begun,
-            "n_workers": run.executor.n_workers,
-            "points": points,
-            "skipped": skipped,
-            "close_ups": pictures,
-            "not_measured": not_measured(),
-        }
+    found = summarised(points)
+    document = TradeoffDocument(
+        scan=LadderScan(name or scan.resolve().name, points[0].n_cameras),
+        splats=points[0].splats,
+        preset=settings.preset,
+        budget_s=budget_s,
+        seconds=run.clock() - begun,
+        n_workers=run.executor.n_workers,
+        points=tuple(points),
+        skipped=tuple(skipped),
+        close_ups=close_ups,
+        not_measured=not_measured(),
+        fronts=found.fronts,
+        beaten_presets=found.beaten_presets,
+        advice=found.advice,
     )
     write_tradeoff(out, document)
     shutil.rmtree(folder)
     return document
 
 
-def _point(run: Run, scan: Path, step: Step, folder: Path, render: bool) -> tuple[dict, Path | None]:
-    """A point of the ladder, and the folder of the photographs that textured it, if any."""
+def _point(run: Run, scan: Path, step: Step, path: Path, render: bool) -> tuple[LadderPoint, Path | None, float]:
+    """A point of the ladder, packed to `path`; the folder of the photographs that textured it, if any; and its seconds without what
+    most other points reuse."""
     first = len(run.records)
     prepared = prepare_asked(run, scan, step.settings)
     textured = has_photographs(prepared)
@@ -206,40 +214,35 @@ def _point(run: Run, scan: Path, step: Step, folder: Path, render: bool) -> tupl
             "a scan with photographs, or pictures: without either nothing tells accuracy",
         )
     patches = resample(run, prepared) if textured else None
-    n_shared = len(run.records) - first  # what most other points reuse: the next is not expected to take as long
+    n_shared = len(run.records) - first
     coded = code_prepared(run, prepared, patches, step.settings) if patches else None
-    path = folder / f"{step.key.replace('/', '-')}{SUFFIX}"
     pack(run, prepared, coded, step.settings, scan.stem, path)
     with PackedFile(path) as packed:
         sizes = sizes_of(packed.load(), path.stat().st_size)
     records, quality = run.records[first:], coded.codes.summary if coded else None
-    return {
-        "key": step.key,
-        "preset": step.preset,
-        "knob": step.knob,
-        "value": getattr(step.settings, step.knob) if step.knob else None,
-        "command": step.command,
-        "splats": prepared.splats.summary.n_splats,
-        "texture_psnr_db": _shown(quality.texture_psnr_db) if quality else None,
-        "visible_psnr_db": _shown(quality.visible_psnr_db) if quality else None,
-        "picture_psnr_db": None,
-        "mean_atoms": quality.mean_atoms if quality else 0.0,
-        "gpu_bytes": sizes.gpu_bytes,
-        "file_bytes": sizes.file_bytes,
-        "bytes_per_splat": sizes.bytes_per_splat,
-        "n_dictionary": coded.n_dictionary if coded else 0,
-        "_own_seconds": sum(r.seconds for r in records[n_shared:]),
-        "seconds": sum(r.made_seconds for r in records),
-        "run_seconds": sum(r.seconds for r in records),
-        "peak_memory_bytes": max(r.peak_rss_bytes for r in records),
-        "reused": [r.name for r in records if r.reused],
-        "settings": asdict(step.settings),
-        "frame_seconds": None,
-        "device": None,
-        "frame_px": None,
-        "_packed": path,
-        "n_cameras": len(prepared.scan.summary.cameras),
-    }, prepared.photos if textured else None
+    point = LadderPoint(
+        key=step.key,
+        preset=step.preset,
+        knob=step.knob,
+        value=getattr(step.settings, step.knob) if step.knob else None,
+        command=step.command,
+        splats=prepared.splats.summary.n_splats,
+        texture_psnr_db=_shown(quality.texture_psnr_db) if quality else None,
+        visible_psnr_db=_shown(quality.visible_psnr_db) if quality else None,
+        picture_psnr_db=None,
+        mean_atoms=quality.mean_atoms if quality else 0.0,
+        gpu_bytes=sizes.gpu_bytes,
+        file_bytes=sizes.file_bytes,
+        bytes_per_splat=sizes.bytes_per_splat,
+        n_dictionary=coded.n_dictionary if coded else 0,
+        seconds=sum(r.made_seconds for r in records),
+        run_seconds=sum(r.seconds for r in records),
+        peak_memory_bytes=max(r.peak_rss_bytes for r in records),
+        reused=tuple(r.name for r in records if r.reused),
+        settings=asdict(step.settings),
+        n_cameras=len(prepared.scan.summary.cameras),
+    )
+    return point, prepared.photos if textured else None, sum(r.seconds for r in records[n_shared:])
 
 
 def _shown(psnr_db: float | None) -> float:
@@ -247,25 +250,33 @@ def _shown(psnr_db: float | None) -> float:
     return BEST_DB if psnr_db is None else min(BEST_DB, psnr_db)
 
 
-def _pictures(run: Run, points: list[dict], photographs: Path | None, out: Path) -> list[dict]:
-    """Close-ups of every point, and the time that a frame of it takes and its picture PSNR, into the points."""
+def _pictures(
+    run: Run, points: list[LadderPoint], packed: list[Path], photographs: Path | None, out: Path
+) -> tuple[list[LadderPoint], tuple[CloseUp, ...]]:
+    """The points with the time that a frame of each takes and its picture PSNR, and close-ups of all."""
     begun = time.perf_counter()
     run.progress.begin(PICTURES, 3)
-    variants = [Variant(point["key"], point["_packed"]) for point in points]
-    close_ups: list = []
+    variants = [Variant(point.key, path) for point, path in zip(points, packed, strict=True)]
+    close_ups: list[CloseUp] = []
     if photographs is not None:
-        photos = Variant("photographs", points[0]["_packed"], photographs)
-        close_ups = run.paint(draw_close_ups, [photos, *variants], points[0]["_packed"], photographs, out, SPOTS)
+        photos = Variant("photographs", packed[0], photographs)
+        close_ups = run.paint(draw_close_ups, [photos, *variants], packed[0], photographs, out, SPOTS)
     run.progress.advance(PICTURES, 1, 0)
-    fullest = max(range(len(points)), key=lambda i: (points[i]["settings"]["density"], -points[i]["splats"]))
-    for point, psnr in zip(points, run.paint(picture_psnrs, variants, photographs, fullest), strict=True):
-        point["picture_psnr_db"] = psnr
+    fullest = max(range(len(points)), key=lambda i: (points[i].settings["density"], -points[i].splats))
+    psnrs = run.paint(picture_psnrs, variants, photographs, fullest)
     run.progress.advance(PICTURES, 1, 0)
-    for point, timed in zip(points, run.paint(time_passes, variants), strict=True):
-        point["frame_seconds"] = sum(timed.seconds.values())
-        point["device"], point["frame_px"] = timed.device, [timed.width_px, timed.height_px]
+    measured = [
+        structs.replace(
+            point,
+            picture_psnr_db=psnr,
+            frame_seconds=sum(timed.seconds.values()),
+            device=timed.device,
+            frame_px=(timed.width_px, timed.height_px),
+        )
+        for point, psnr, timed in zip(points, psnrs, run.paint(time_passes, variants), strict=True)
+    ]
     run.progress.end(StageRecord(PICTURES, out, None, time.perf_counter() - begun, 0, 3, 0, False))
-    return to_builtins(close_ups)
+    return measured, tuple(close_ups)
 
 
 def parsed_budget(text: str) -> float:

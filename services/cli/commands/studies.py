@@ -7,11 +7,15 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from services.cli.arguments import WrongArgument, add_settings, settings_of, target_in_words
 from services.cli.commands.options import add_executor, add_measuring, add_output, count, large_count
 from services.cli.commands.running import executor_for, needs_photographs, progress_bars, refuse_to_overwrite, scan_path
 from services.cli.exit_codes import BY_KIND, OK
+
+if TYPE_CHECKING:
+    from renderer.report.estimate_document import EstimateDocument
 
 
 def _study(commands, name: str, text: str, command: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
@@ -106,6 +110,9 @@ def add_tradeoff(commands) -> None:
 
 
 def _tradeoff(options: argparse.Namespace) -> int:
+    from msgspec import to_builtins
+
+    from renderer.files import strict
     from services.processes.tradeoff import parsed_budget, parsed_knobs, tradeoff
 
     settings, out = settings_of(options), Path(options.out)
@@ -130,19 +137,19 @@ def _tradeoff(options: argparse.Namespace) -> int:
             work=Path(options.work) if options.work else None,
         )
     if options.json:
-        print(json.dumps({**made, "out": str(out)}))
+        print(json.dumps({**strict(to_builtins(made)), "out": str(out)}))
     else:
         print(
             f"{'':<28}{'pictures':>11}{'textures':>11}{'splats':>13}{'file':>15}{'seconds':>9}  on the front of bytes"
         )
-        front = set(made["fronts"]["file_bytes"])
-        for p in made["points"]:
+        front = set(made.fronts["file_bytes"])
+        for p in made.points:
             psnrs = "".join(
-                f"{'-':>11}" if p[k] is None else f"{p[k]:8.2f} dB" for k in ("picture_psnr_db", "texture_psnr_db")
+                f"{'-':>11}" if db is None else f"{db:8.2f} dB" for db in (p.picture_psnr_db, p.texture_psnr_db)
             )
             print(
-                f"{p['key']:<28}{psnrs}{p['splats']:13,}{p['file_bytes']:13,} B"
-                f"{p['seconds']:9.1f}  {'yes' if p['key'] in front else ''}".rstrip()
+                f"{p.key:<28}{psnrs}{p.splats:13,}{p.file_bytes:13,} B"
+                f"{p.seconds:9.1f}  {'yes' if p.key in front else ''}".rstrip()
             )
         print(f"page  {out / 'tradeoff.html'}")
     return OK
@@ -164,6 +171,9 @@ def add_estimate(commands) -> None:
 
 
 def _estimate(options: argparse.Namespace) -> int:
+    from msgspec import to_builtins
+
+    from renderer.files import strict
     from services.processes.estimate import estimate
 
     settings, scan = settings_of(options), scan_path(options.scan)
@@ -172,25 +182,25 @@ def _estimate(options: argparse.Namespace) -> int:
         work.mkdir(parents=True, exist_ok=True)
     with executor_for(options) as executor:
         found = estimate(scan, settings, executor, progress_bars(), work)
-    print(json.dumps(found) if options.json else _estimate_lines(found))
-    if words := target_in_words(options, found.get("texture_psnr_db") is not None):
+    print(json.dumps(strict(to_builtins(found))) if options.json else _estimate_lines(found))
+    if words := target_in_words(options, found.texture_psnr_db is not None):
         print(words, file=sys.stderr if options.json else sys.stdout)
     return OK
 
 
-def _estimate_lines(found: dict) -> str:
+def _estimate_lines(found: EstimateDocument) -> str:
     from renderer.report.report_words import ESTIMATE
 
     lines = [
-        f"{title:<24} {say(figure['value']):>14}   {say(figure['low'])} to {say(figure['high'])}"
+        f"{title:<24} {say(figure.value):>14}   {say(figure.low)} to {say(figure.high)}"
         for name, title, say in ESTIMATE
-        if (figure := found.get(name))
+        if (figure := getattr(found, name))
     ]
-    lines.append(f"{'Bytes a splat':<24} {found['bytes_per_splat']:>14.2f}")
+    lines.append(f"{'Bytes a splat':<24} {found.bytes_per_splat:>14.2f}")
     return "\n".join(
         [
             *lines,
-            f"from {found['sample']['n_splats']:,} of {found['splats']:,} splats; up to the packed file, with {found['n_workers']} workers",
+            f"from {found.sample.n_splats:,} of {found.splats:,} splats; up to the packed file, with {found.n_workers} workers",
         ]
     )
 

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from msgspec import to_builtins
 
 from pipeline.execution.executors import SerialExecutor
 from pipeline.execution.stage import StageRecord
@@ -25,6 +26,7 @@ from services.processes.estimate import estimate
 from storage.packed.schema import CHUNK
 from storage.work import arrays, work
 from tests.pipeline.execution.test_stage import Heard
+from tests.services.processes.published_schemas import misfits
 from tests.services.scans import photo_scan, point_scan
 
 SAMPLE = 24 * CHUNK
@@ -42,7 +44,7 @@ def estimated(scan, tmp_path_factory):
     work, out = tmp_path_factory.mktemp("work"), tmp_path_factory.mktemp("out") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "SAMPLE", SAMPLE)
-        found = estimate(scan, SETTINGS, SerialExecutor(), Heard(), work)
+        found = to_builtins(estimate(scan, SETTINGS, SerialExecutor(), Heard(), work))
     return found, compress(scan, out, SETTINGS, SerialExecutor(), Heard(), render=False, work=work), work, out
 
 
@@ -61,7 +63,9 @@ def test_estimate__bytes_and_psnr_are_near_what_happens(estimated):
 
 def test_estimate__the_report_sets_it_beside_what_happened(estimated):
     found, report, work, out = estimated
-    assert known_estimate(work, SETTINGS) == json.loads(json.dumps(found))
+    assert to_builtins(known_estimate(work, SETTINGS)) == found
+    (out / "estimate.json").write_text(json.dumps(found))
+    assert misfits(out / "estimate.json") == []
     beside = report["estimate"]
     assert set(beside) == {
         "seconds",

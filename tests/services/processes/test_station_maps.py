@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import to_builtins
 from PIL import Image
 
 from pipeline.execution.executors import DaskExecutor, SerialExecutor
@@ -170,7 +171,7 @@ def test_maps__an_estimate_tells_what_the_file_with_maps_has(scan, made, monkeyp
     """Pictures are as large whatever the sample; atoms would be told as a hundredth of these bytes."""
     report, _, folder = made(THINNER, name="thinner")
     monkeypatch.setattr(pilot, "SAMPLE", 500)
-    found = pilot.estimate(scan, THINNER, SerialExecutor(), Heard(), folder)
+    found = to_builtins(pilot.estimate(scan, THINNER, SerialExecutor(), Heard(), folder))
     assert found["sample"]["n_splats"] < found["splats"] / 2
     assert found["gpu_bytes"]["value"] == pytest.approx(report["sizes"]["gpu_bytes"], rel=0.01)
     assert found["sizes"]["maps_bytes"] == report["sizes"]["maps_bytes"]

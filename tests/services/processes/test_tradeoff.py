@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
+from msgspec import structs
 
 from pipeline.execution.executors import SerialExecutor
 from pipeline.numerics.accuracy import BEST_DB
 from pipeline.planning.knobs import BY_NAME
 from pipeline.planning.settings import PRESETS, settings_for
+from renderer.report.tradeoff_document import Advice, Beaten, LadderPoint
 from renderer.report.tradeoff_page import WANTED_DB, advised, leading, pareto, summarised
 from services.cli.main import main
 from services.flow.code import code
@@ -20,6 +20,7 @@ from services.processes.tradeoff import default_knobs, ladder, measure_ladder, p
 from storage.errors import InvalidScan
 from tests.pipeline.execution.test_stage import Heard
 from tests.renderer.report.test_report import Elements
+from tests.services.processes.published_schemas import misfits
 from tests.services.scans import photo_scan, point_scan
 
 SETTINGS = settings_for("draft", target_psnr_db=28.0, training_splats=600, iterations=2)
@@ -38,7 +39,7 @@ def made(scan, tmp_path_factory, renderer):
         document = tradeoff(
             scan, out, SETTINGS, SerialExecutor(), Heard(), knobs={"target_psnr_db": (26.0,), "max_atoms": (2,)}
         )
-    return out, document, {point["key"]: point for point in document["points"]}
+    return out, document, {point.key: point for point in document.points}
 
 
 # --- the ladder
@@ -110,18 +111,11 @@ def test_knobs__are_parsed_and_refused_by_the_table():
 
 
 def point(key, n_bytes, psnr, seconds=1.0, preset=None, splats=100, picture=None):
-    return {
-        "key": key,
-        "preset": preset,
-        "splats": splats,
-        "file_bytes": n_bytes,
-        "seconds": seconds,
-        "texture_psnr_db": psnr,
-        "picture_psnr_db": picture,
-        "frame_seconds": None,
-        "device": None,
-        "frame_px": None,
-    }
+    sizes = {"gpu_bytes": n_bytes, "file_bytes": n_bytes, "bytes_per_splat": n_bytes / splats, "peak_memory_bytes": 1}
+    clocks = {"seconds": seconds, "run_seconds": seconds}
+    psnrs = {"texture_psnr_db": psnr, "visible_psnr_db": psnr, "picture_psnr_db": picture}
+    of_coder = {"mean_atoms": 1.0, "n_dictionary": 1, "reused": (), "settings": {}, "n_cameras": 1}
+    return LadderPoint(key, preset, None, None, "", splats, **sizes, **clocks, **psnrs, **of_coder)
 
 
 POINTS = [
@@ -138,8 +132,8 @@ def test_pareto__holds_what_nothing_beats_and_only_that():
 
 
 def test_advised__names_the_preset_and_the_point_of_fewest_bytes():
-    assert advised(POINTS, 40.0) == {"wanted_db": 40.0, "preset": "b", "cheapest": "c"}
-    assert advised(POINTS, 42.0) is None and advised(POINTS, 38.0)["preset"] == "a"
+    assert advised(POINTS, 40.0) == Advice(40.0, "b", "c")
+    assert advised(POINTS, 42.0) is None and advised(POINTS, 38.0).preset == "a"
 
 
 @pytest.mark.parametrize(
@@ -157,7 +151,7 @@ def test_leading__is_one_per_cent_of_error_and_the_step_after_it_or_the_best_tha
 
 
 def test_summarised__tells_which_presets_another_beats():
-    assert summarised({"points": POINTS})["beaten_presets"] == [{"preset": "high", "by": "balanced"}]
+    assert summarised(POINTS).beaten_presets == (Beaten("high", "balanced"),)
 
 
 def test_summarised__fewer_splats_are_compared_by_pictures_alone():
@@ -168,11 +162,11 @@ def test_summarised__fewer_splats_are_compared_by_pictures_alone():
         ),  # more bytes a splat, and sharper textures of larger splats
         point("density=0.5", 11, 42.0, splats=50, picture=24.0),  # more bytes for less
     ]
-    found = summarised({"points": points})
-    assert found["fronts"]["file_bytes"] == ["density=0.1", "chosen"]
-    assert {row["cheapest"] for row in found["advice"]} == {"chosen"}
-    unseen = summarised({"points": [p | {"picture_psnr_db": None} for p in points]})
-    assert unseen["fronts"]["file_bytes"] == ["chosen"]
+    found = summarised(points)
+    assert found.fronts["file_bytes"] == ("density=0.1", "chosen")
+    assert {row.cheapest for row in found.advice} == {"chosen"}
+    unseen = summarised([structs.replace(p, picture_psnr_db=None) for p in points])
+    assert unseen.fronts["file_bytes"] == ("chosen",)
 
 
 # --- a whole one
@@ -188,24 +182,24 @@ def test_tradeoff__measures_what_compress_makes(made, scan, tmp_path):
         render=False,
     )
     found = made[2]["target_psnr_db=26.0"]
-    assert (found["texture_psnr_db"], found["gpu_bytes"], found["file_bytes"]) == pytest.approx(
+    assert (found.texture_psnr_db, found.gpu_bytes, found.file_bytes) == pytest.approx(
         (report["quality"]["texture_psnr_db"], report["sizes"]["gpu_bytes"], report["sizes"]["file_bytes"]), rel=2e-3
     )
 
 
 def test_tradeoff__uses_again_what_a_change_does_not_touch_and_counts_it_all_the_same(made):
     chosen, fewer = made[2]["chosen"], made[2]["max_atoms=2"]
-    assert not chosen["reused"] and {"ingest", "resample", "training-set"} <= set(fewer["reused"])
-    assert fewer["seconds"] > fewer["run_seconds"] and fewer["mean_atoms"] <= 2 < chosen["mean_atoms"]
+    assert not chosen.reused and {"ingest", "resample", "training-set"} <= set(fewer.reused)
+    assert fewer.seconds > fewer.run_seconds and fewer.mean_atoms <= 2 < chosen.mean_atoms
 
 
 def test_tradeoff__leaves_the_document_the_page_and_its_pictures(made):
     out, document, points = made
-    assert json.loads((out / "tradeoff.json").read_text()) == json.loads(json.dumps(document))
+    assert misfits(out / "tradeoff.json") == []
     assert sorted(p.name for p in out.iterdir()) == ["close-ups", "tradeoff.html", "tradeoff.json"]
-    assert all(10 < p["picture_psnr_db"] < 60 for p in points.values()) and document["fronts"]["file_bytes"]
-    assert all(p["frame_seconds"] > 0 for p in points.values()) and len(document["close_ups"]) == 3
-    assert all(set(row["pictures"]) == {"photographs", *points} for row in document["close_ups"])
+    assert all(10 < p.picture_psnr_db < 60 for p in points.values()) and document.fronts["file_bytes"]
+    assert all(p.frame_seconds > 0 for p in points.values()) and len(document.close_ups) == 3
+    assert all(set(row.pictures) == {"photographs", *points} for row in document.close_ups)
 
 
 def test_tradeoff__the_page_has_a_panel_for_every_point_and_asks_no_other_host(made):
@@ -228,9 +222,7 @@ def test_tradeoff__a_budget_ends_the_ladder_after_its_first_point(scan, tmp_path
     document = tradeoff(
         scan, tmp_path / "out", SETTINGS, SerialExecutor(), Heard(), knobs={}, budget_s=1e-3, render=False
     )
-    assert [p["key"] for p in document["points"]] == ["chosen"] and [s["key"] for s in document["skipped"]] == list(
-        PRESETS
-    )
+    assert [p.key for p in document.points] == ["chosen"] and [s.key for s in document.skipped] == list(PRESETS)
     assert "The budget of" in (tmp_path / "out" / "tradeoff.html").read_text()
 
 
@@ -240,9 +232,7 @@ def test_tradeoff__what_points_share_is_not_expected_of_the_next_one(scan, tmp_p
     times = iter([0.0, 100.0])
     run = Run(tmp_path / "work", SerialExecutor(), Heard(), clock=lambda: next(times, 1000.0))
     document = measure_ladder(run, scan, tmp_path / "out", SETTINGS, {"max_atoms": (1, 2)}, 160.0, render=False)
-    assert [p["key"] for p in document["points"]] == ["chosen", "draft"] and len(document["skipped"]) == len(
-        PRESETS
-    ) + 1
+    assert [p.key for p in document.points] == ["chosen", "draft"] and len(document.skipped) == len(PRESETS) + 1
 
 
 def test_tradeoff__a_scan_without_photographs_is_compared_with_all_of_its_points_or_refused(tmp_path, renderer):
@@ -252,16 +242,16 @@ def test_tradeoff__a_scan_without_photographs_is_compared_with_all_of_its_points
     assert [p.name for p in tmp_path.iterdir()] == ["ball.ply"]
     knobs = {"density": (0.25,), "iterations": (1, 3), "levels": (0,)}
     found = tradeoff(ball, tmp_path / "out", settings, SerialExecutor(), Heard(), knobs=knobs)
-    points = {p["key"]: p for p in found["points"]}
+    points = {p.key: p for p in found.points}
     assert list(points) == [
         "chosen",
         "density=1.0",
         "density=0.25",
         "levels=0",
     ]  # no preset, no passes: nothing is learned
-    assert points["density=1.0"]["picture_psnr_db"] == BEST_DB and not found["advice"]
-    assert points["density=0.25"]["picture_psnr_db"] < points["chosen"]["picture_psnr_db"] < 60
-    assert found["fronts"]["file_bytes"] == [
+    assert points["density=1.0"].picture_psnr_db == BEST_DB and not found.advice
+    assert points["density=0.25"].picture_psnr_db < points["chosen"].picture_psnr_db < 60
+    assert list(found.fronts["file_bytes"]) == [
         "density=0.25",
         "levels=0",
         "density=1.0",
