@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coding.ksvd import learn_dictionary
-from pipeline.coding.quantize import dequantize_atoms, quantize_atoms
+from pipeline.coding.quantise import dequantise_atoms, quantise_atoms
 from pipeline.coding.subspace import find_components, lift, project
 from pipeline.execution.executors import SerialExecutor
 from pipeline.numerics.accuracy import squared_error_at
@@ -102,4 +102,4 @@ def learned_dictionary(patches: np.ndarray, n_atoms: int) -> tuple[np.ndarray, n
     atoms = learn_dictionary(
         coefficients, n_atoms, max_atoms=4, tolerance=np.maximum(tolerance - rest, 0), iterations=2
     )
-    return dequantize_atoms(*quantize_atoms(lift(atoms, basis))), basis
+    return dequantise_atoms(*quantise_atoms(lift(atoms, basis))), basis

@@ -212,7 +212,7 @@ def nearest_level(levels, value):
 
 
 @part()
-def quantize_weights(levels, target, gram_support, weight, code, t):
+def quantise_weights(levels, target, gram_support, weight, code, t):
     """Replace least-squares weights by levels, then let each in turn take up what the others' rounding left.
 
     A sweep never raises the error: each weight moves to the level nearest to its optimum given the others. Two sweeps
@@ -279,7 +279,7 @@ def pursue(
     """
     n, n_dictionary = initial.shape
     most = atom.shape[1]
-    quantized = levels.shape[1] > 0
+    quantised = levels.shape[1] > 0
     correlation, slack = np.empty(n_dictionary, np.float32), np.empty(n_dictionary, np.float32)
     upper = np.empty(n_groups(n_dictionary), np.float32)
     gram_support = np.empty((most, most))
@@ -329,8 +329,8 @@ def pursue(
             if pivot <= SMALLEST_PIVOT:
                 break
             solve_cholesky(chol, target, forward, trial, t + 1)
-            if quantized:
-                quantize_weights(levels, target, gram_support, trial, trial_code, t + 1)
+            if quantised:
+                quantise_weights(levels, target, gram_support, trial, trial_code, t + 1)
                 lowered = residual_energy(energy[i], target, gram_support, trial, t + 1)
             else:
                 lowered = max(error - forward[t] ** 2, 0.0)

@@ -237,9 +237,9 @@ KNOBS = (
     Knob(
         "least_gain_db",
         float,
-        "of a pass of k-SVD that another is to follow",
-        "passes that gain more than nothing",
-        "time of learning",
+        "dB that a pass of k-SVD must gain, else it is the last",
+        "time: learning ends where passes gain little",
+        "what later passes would have gained",
         "ksvd-update",
         low=0.0,
         high=10.0,

@@ -202,7 +202,7 @@ NUMERICS = {  # key: what was met, one and many; what was done about it
     "replaced_atoms": (
         "atom was",
         "atoms were",
-        "hardly used, or the twin of another",
+        "hardly used, or nearly another",
         "replaced by badly represented textures",
     ),
     "safeguard_steps": ("dictionary did", "dictionaries did", "worse than the best before", "the best was kept"),

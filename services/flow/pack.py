@@ -38,14 +38,14 @@ def _stored_index_bits(coded: Coded | None, settings: Settings) -> int:
     """No more than the indices take; the paper's coder has those of its name."""
     if settings.coder == "paper" and settings.dictionary_bits != "auto":
         return int(settings.dictionary_bits)
-    n_indices = coded.n_dictionary * coded.quantized.summary.n_turns if coded and coded.quantized else 1
+    n_indices = coded.n_dictionary * coded.quantised.summary.n_turns if coded and coded.quantised else 1
     return max(1, (n_indices - 1).bit_length())
 
 
 def _stored_form(coded: Coded | None, coarsest: int) -> dict:
-    if coded is None or coded.quantized is None:
+    if coded is None or coded.quantised is None:
         return {}
-    found = coded.quantized.summary
+    found = coded.quantised.summary
     size = found.atom_size
     return {"atom_size": size, "n_turns": found.n_turns, "coarsest_size": min(coarsest, size)}
 
@@ -99,7 +99,7 @@ def pack(
             prepared.splats.folder,
             coded.colors.folder if coded else mapped.stations.folder if mapped else None,
             coded.codes.folder if coded else None,
-            coded.quantized.folder if coded and coded.quantized else None,
+            coded.quantised.folder if coded and coded.quantised else None,
             extras,
             mapped.stations.folder if mapped else None,
             mapped.pictures.folder if mapped else None,

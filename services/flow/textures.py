@@ -17,7 +17,7 @@ from pipeline.stages.texture.colors import Colors
 from pipeline.stages.texture.dictionary import DictionarySeed, KsvdUpdate
 from pipeline.stages.texture.encode import Encode
 from pipeline.stages.texture.multipliers import WHILE_LEARNING, Multipliers, multiplier_for
-from pipeline.stages.texture.quantise import Quantization
+from pipeline.stages.texture.quantise import Quantisation
 from pipeline.stages.texture.training import Coefficients, Components, TrainingSet
 from pipeline.summaries import AverageColors, CodesMade, Ladder, PatchesMade, Quantised, Training, Updated
 from pipeline.texture.colors import step_for
@@ -55,7 +55,7 @@ class Coded:
     patches: StageRecord[PatchesMade]
     colors: StageRecord[AverageColors]
     codes: StageRecord[CodesMade]
-    quantized: StageRecord[Quantised] | None
+    quantised: StageRecord[Quantised] | None
     learning: tuple[LearningPass, ...]
     n_dictionary: int
     safeguard_steps: int  # dictionaries that did worse than the best before them
@@ -94,17 +94,17 @@ def code_patches(
         space = run.do(Coefficients(training.folder, form.size))
     bits = index_bits(settings, form, n_splats or training.summary.n_splats)
     learned, learning = _learn(run, training, space, settings, stop, form, bits)
-    quantized, n_taken_back = _quantize_best(run, space, learned, settings, stop, form)
+    quantised, n_taken_back = _quantise_best(run, space, learned, settings, stop, form)
     n_taken_back += sum(not row.accepted for row in learning)
     multiplier = 0.0
     if form is not None:
         stage = Multipliers(
-            space.folder, training.folder, quantized.folder, settings.max_atoms, tolerance, settings.pursuit
+            space.folder, training.folder, quantised.folder, settings.max_atoms, tolerance, settings.pursuit
         )
         ladder = run.do(stage).summary
         multiplier = multiplier_of(ladder, training.summary)
-    codes = encode(run, patches.folder, colors.folder, quantized, settings, multiplier)
-    return Coded(patches, colors, codes, quantized, learning, quantized.summary.n_atoms, n_taken_back)
+    codes = encode(run, patches.folder, colors.folder, quantised, settings, multiplier)
+    return Coded(patches, colors, codes, quantised, learning, quantised.summary.n_atoms, n_taken_back)
 
 
 def color_step(settings: Settings) -> int:
@@ -139,7 +139,7 @@ def index_bits(settings: Settings, form: AtomForm | None, n_splats: int) -> int:
 
 
 def encode(
-    run: Run, patches: Path, colors: Path, quantized: StageRecord | None, settings: Settings, multiplier: float = 0.0
+    run: Run, patches: Path, colors: Path, quantised: StageRecord | None, settings: Settings, multiplier: float = 0.0
 ) -> StageRecord[CodesMade]:
     """Code patches by a dictionary that is there; None gives every splat its average colour alone."""
     if settings.coder == "paper":
@@ -148,18 +148,18 @@ def encode(
             Encode(
                 patches,
                 colors,
-                quantized.folder if quantized else None,
+                quantised.folder if quantised else None,
                 settings.max_atoms,
                 tolerance,
                 search=settings.atom_search,
             )
         )
-    form = AtomForm(quantized.summary.atom_size, quantized.summary.n_turns) if quantized else None
+    form = AtomForm(quantised.summary.atom_size, quantised.summary.n_turns) if quantised else None
     return run.do(
         Encode(
             patches,
             colors,
-            quantized.folder if quantized else None,
+            quantised.folder if quantised else None,
             settings.max_atoms,
             0.0,
             multiplier,
@@ -209,7 +209,7 @@ def _is_settled(curve: list[LearningPass], least_gain_db: float) -> bool:
     return curve[-1].psnr_db - curve[-2].psnr_db < least_gain_db
 
 
-def _quantize_best(
+def _quantise_best(
     run: Run, space: StageRecord, learned: StageRecord[Updated], settings: Settings, stop: Stop, form: AtomForm | None
 ) -> tuple[StageRecord[Quantised], int]:
     """The better of the last dictionary and the best before it, in bytes, and whether (0 or 1) the last was taken back.
@@ -218,7 +218,7 @@ def _quantize_best(
     there. The one before it is quantised too only where the last looks worse.
     """
     stages = (
-        Quantization(
+        Quantisation(
             space.folder,
             learned.folder,
             settings.max_atoms,

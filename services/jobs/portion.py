@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pipeline.catalogue import ALWAYS, BY_NAME, SHARES, common_share
 from pipeline.stages.texture.dictionary import KsvdUpdate
-from pipeline.stages.texture.quantise import Quantization
+from pipeline.stages.texture.quantise import Quantisation
 
 UNKNOWN = 1.0  # share of what the catalogue does not have
 
@@ -34,7 +34,7 @@ class Portion:
         self._done += self._share(name)
         if name == KsvdUpdate.name:
             self._n_passes += 1
-        if name == Quantization.name and self._n_passes:
+        if name == Quantisation.name and self._n_passes:
             self._done += SHARES[KsvdUpdate.name] * max(0.0, 1 - self._n_passes / self._iterations)
 
     def at(self, name: str, share_done: float) -> float:

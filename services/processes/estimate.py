@@ -254,12 +254,12 @@ def _banded(name: str, value: float | None) -> dict | None:
 
 def _learning(pilot: _Pilot, settings: Settings) -> dict:
     """Patches and atoms of the job's learning, and of the pilot's."""
-    if pilot.coded is None or pilot.coded.quantized is None:
+    if pilot.coded is None or pilot.coded.quantised is None:
         return {}
     training = next(record for _, record in pilot.stages if record.name == TrainingSet.name).summary
     n_active = training.n_active / pilot.share
     n_patches = min(settings.training_splats, n_active)
-    found = pilot.coded.quantized.summary
+    found = pilot.coded.quantised.summary
     form = None if settings.coder == "paper" else AtomForm(found.atom_size, found.n_turns)
     most = 2 ** index_bits(settings, form, pilot.n_splats) // found.n_turns
     n_atoms = max(1, min(most, int(n_patches) // PATCHES_AN_ATOM))

@@ -153,7 +153,7 @@ def _attempt(e: Evaluation, name: str, step: Callable, *arguments) -> None:
 def _figure_9(e: Evaluation) -> None:
     """How many splats of a random sample have how many atoms, by target quality, with the largest dictionary here of
     the published coder: the default one's atoms are no patches, and it has a multiplier in place of a cut-off."""
-    of_paper = [(name, coded) for name, coded in e.coded.items() if coded.quantized and e.rows[name].coder == "paper"]
+    of_paper = [(name, coded) for name, coded in e.coded.items() if coded.quantised and e.rows[name].coder == "paper"]
     if not of_paper:
         return
     name, coded = max(of_paper, key=lambda pair: pair[1].n_dictionary)
@@ -161,7 +161,7 @@ def _figure_9(e: Evaluation) -> None:
     settings = replace(e.settings, coder="paper")
     shares = [
         encode(
-            e.run, sample.folder, sample.folder, coded.quantized, replace(settings, target_psnr_db=float(target))
+            e.run, sample.folder, sample.folder, coded.quantised, replace(settings, target_psnr_db=float(target))
         ).summary.histogram
         for target in FIGURE_9_TARGETS_DB
     ]

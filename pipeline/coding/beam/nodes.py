@@ -17,7 +17,7 @@ from pipeline.coding.omp_kernels import (
     SMALLEST_PIVOT,
     append_to_cholesky,
     dot,
-    quantize_weights,
+    quantise_weights,
     residual_energy,
     solve_cholesky,
 )
@@ -123,7 +123,7 @@ def try_children(
         weight, code = pool.weight[n_found], pool.code[n_found]
         solve_cholesky(nodes.chol[b], nodes.target[b], nodes.along[b], weight, t + 1)
         if levels.shape[1] > 0:
-            quantize_weights(levels, nodes.target[b], nodes.gram[b], weight, code, t + 1)
+            quantise_weights(levels, nodes.target[b], nodes.gram[b], weight, code, t + 1)
             error = residual_energy(energy, nodes.target[b], nodes.gram[b], weight, t + 1)
         else:
             error = max(nodes.exact[b] - nodes.along[b, t] ** 2, 0.0)

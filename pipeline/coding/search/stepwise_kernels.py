@@ -19,7 +19,7 @@ from pipeline.coding.omp_kernels import (
     bound_groups,
     dot,
     n_groups,
-    quantize_weights,
+    quantise_weights,
     residual_energy,
     solve_cholesky,
     subtract_rows,
@@ -177,7 +177,7 @@ def _add_atom(
             target[t] = dot(patch, dictionary[best])
             solve_cholesky(chol, target, forward, trial, t + 1)
             if levels.shape[1] > 0:
-                quantize_weights(levels, target, gram_support, trial, trial_code, t + 1)
+                quantise_weights(levels, target, gram_support, trial, trial_code, t + 1)
             lowered = residual_energy(energy, target, gram_support, trial, t + 1)
             if lowered >= error:
                 return -1.0, n_settled

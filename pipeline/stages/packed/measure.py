@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.coding.grid import shown, transformed_texels
 from pipeline.coding.omp_kernels import add_atoms
-from pipeline.coding.quantize import dequantize_atoms
+from pipeline.coding.quantise import dequantise_atoms
 from pipeline.effects.exposure.photographs import read_photo_window
 from pipeline.effects.plan.request import OFF, asked_by
 from pipeline.geometry.ellipsoids import decode_ellipsoids, squares_of
@@ -175,7 +175,7 @@ def decoded_atoms(packed: PackedFile) -> tuple[np.ndarray, np.ndarray]:
     texels = packed.read(f"atoms_{size}").reshape(-1, size, size, 3)
     turned = np.stack([transformed_texels(texels, turn) for turn in range(header.n_turns)], axis=1)
     scale = np.repeat(packed.read("atom_scale"), header.n_turns)
-    return dequantize_atoms(turned.reshape(header.n_indices, -1), scale), packed.read("weight_levels")
+    return dequantise_atoms(turned.reshape(header.n_indices, -1), scale), packed.read("weight_levels")
 
 
 def decode_patches(scene: PackedScene, rows: slice, atoms: np.ndarray, levels: np.ndarray) -> np.ndarray:

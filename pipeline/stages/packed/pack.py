@@ -54,7 +54,7 @@ class Pack:
     splats: Path
     colors: Path | None  # None: the splats have the scan's colours
     codes: Path | None
-    quantized: Path | None
+    quantised: Path | None
     extras: tuple[
         tuple[str, Path], ...
     ] = ()  # by flag of storage.packed.schema.EXTRAS: has_<flag>, <flag> of every splat
@@ -95,7 +95,7 @@ class Pack:
     def finalise(self, folder: Path, results: list[PackedGroups]) -> Packed:
         for array in arrays_of(self.header):
             if array.part == "dictionary":
-                rows = arrays.read(self.quantized, array.name)[: shape_of(self.header, array)[0]]
+                rows = arrays.read(self.quantised, array.name)[: shape_of(self.header, array)[0]]
                 write_array(folder / "packed", array.name, rows)
         if self.maps is not None:
             stations, _ = stored_maps(self.maps)

@@ -40,7 +40,7 @@ class DictionarySeed:
 
     def run(self, folder: Path, index: int) -> Seeded:
         n_tasks = work.summary(self.training, InParts).n_tasks
-        share = -(-2 * self.n_atoms // n_tasks)  # twice as many as needed: twins are passed over
+        share = -(-2 * self.n_atoms // n_tasks)  # twice as many as needed: patches that are alike are passed over
         pool = []
         for task in range(n_tasks):
             pool.append(training_part(self.training, task).coefficients[:share])  # which lie in an order by chance

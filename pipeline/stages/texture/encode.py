@@ -45,7 +45,7 @@ class Encode:
 
     patches: Path
     colors: Path
-    quantized: Path | None  # None where nothing calls for a dictionary: every splat has 0 atoms
+    quantised: Path | None  # None where nothing calls for a dictionary: every splat has 0 atoms
     max_atoms: int
     tolerance: float
     multiplier: float = 0.0
@@ -102,9 +102,9 @@ class Encode:
         return max(1, self.max_atoms)
 
     def _encoder(self):
-        if self.quantized is None:
+        if self.quantised is None:
             return lambda patches, dearer: (_no_codes(patches), np.zeros_like(patches))
-        atoms, levels = load_atoms(self.quantized), arrays.read(self.quantized, "weight_levels")
+        atoms, levels = load_atoms(self.quantised), arrays.read(self.quantised, "weight_levels")
 
         def encode(patches: np.ndarray, dearer: float) -> tuple[Pursuit, np.ndarray]:
             if self.form is None:

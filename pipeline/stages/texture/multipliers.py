@@ -56,7 +56,7 @@ class Multipliers:
 
     training: Path  # in the coder's coefficients
     chosen: Path  # the training set, which knows what share of each octave it is
-    quantized: Path
+    quantised: Path
     max_atoms: int
     tolerance: float  # the squared error of a patch at the target
     pursuit: str = "omp"  # that of `Encode`
@@ -76,7 +76,7 @@ class Multipliers:
         patches, rest = patches[rows], rest[rows]
         share = np.array(work.read_json(self.chosen / "share.json")["share"])
         weight = 1 / share[octave_of(squared_norms(patches) + rest)].clip(share[share > 0].min())
-        atoms, levels = load_atoms(self.quantized), arrays.read(self.quantized, "weight_levels")
+        atoms, levels = load_atoms(self.quantised), arrays.read(self.quantised, "weight_levels")
         least = min(LADDER) * self.tolerance  # at other multipliers it ends on the way
         found = atoms.pursue(patches, self.max_atoms, 0.0, levels, least, pursuit=self.pursuit)
         error, n_atoms = [], []

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coding.grid import AtomForm, coefficients_of_texels, texels_of
-from pipeline.coding.quantize import (
-    dequantize_atoms,
+from pipeline.coding.quantise import (
+    dequantise_atoms,
     mip_levels,
-    quantize_atoms,
+    quantise_atoms,
     train_weight_levels,
     uniform_weight_levels,
 )
@@ -34,7 +34,7 @@ class PartQuantised:
 
 
 @dataclass(frozen=True)
-class Quantization:
+class Quantisation:
     """A task a part of the training set: it is coded with exact weights by the atoms as they will be decoded, less what
     of them lies outside the components.
 
@@ -68,15 +68,15 @@ class Quantization:
 
     def _of_components(self, folder: Path, learned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         basis = arrays.read(self.training, "basis")
-        texels, scale = quantize_atoms(lift(learned, basis))
-        decoded = dequantize_atoms(texels, scale)
+        texels, scale = quantise_atoms(lift(learned, basis))
+        decoded = dequantise_atoms(texels, scale)
         store_atoms(folder, decoded)
         short = decoded @ basis
         store_atoms(folder / IN_COMPONENTS, short / np.linalg.norm(short, axis=1, keepdims=True))
         return texels, scale
 
     def _of_coefficients(self, folder: Path, learned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        texels, _ = quantize_atoms(texels_of(learned, self.form.size))
+        texels, _ = quantise_atoms(texels_of(learned, self.form.size))
         decoded = coefficients_of_texels(texels, self.form.size).astype(np.float64)
         scale = (1 / np.linalg.norm(decoded, axis=1)).astype(np.float32)  # such that what is shown is a unit vector
         store_atoms(folder, (decoded * scale[:, None]).astype(np.float32), self.form)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.coding.omp import pursue_patches
-from pipeline.coding.quantize import uniform_weight_levels
+from pipeline.coding.quantise import uniform_weight_levels
 from pipeline.stages.texture.atoms import store_atoms
 from pipeline.stages.texture.contrast_octaves import N_OCTAVES, octave_of
 from pipeline.stages.texture.multipliers import Multipliers, multiplier_for
@@ -132,7 +132,7 @@ def ladder_of(
     folder, patches: np.ndarray, share: np.ndarray, luck: np.ndarray | None = None, n_tasks: int = 1
 ) -> Ladder:
     """What a training set of these patches, which is such a share of each octave, finds with 16 atoms."""
-    space, chosen, quantized = (folder / name for name in ("space", "chosen", "quantized"))
+    space, chosen, quantised = (folder / name for name in ("space", "chosen", "quantised"))
     luck = np.linspace(0, 1, len(patches), endpoint=False) if luck is None else luck
     work.begin(space)
     work.begin(chosen)
@@ -143,11 +143,11 @@ def ladder_of(
     work.complete(space, InParts(n_tasks), 0.0)
     work.write_json(chosen / "share.json", {"share": share.tolist()})
     work.complete(chosen, replace(WHOLE, n_patches=len(patches)), 0.0)
-    work.begin(quantized)
+    work.begin(quantised)
     atoms = np.random.default_rng(9).standard_normal((16, patches.shape[1]))
-    store_atoms(quantized, atoms / np.linalg.norm(atoms, axis=1, keepdims=True))
-    arrays.store(quantized, "weight_levels", np.tile(np.linspace(-4, 4, 16, dtype=np.float32), (8, 1)))
-    stage = Multipliers(space, chosen, quantized, 8, 1.0)
+    store_atoms(quantised, atoms / np.linalg.norm(atoms, axis=1, keepdims=True))
+    arrays.store(quantised, "weight_levels", np.tile(np.linspace(-4, 4, 16, dtype=np.float32), (8, 1)))
+    stage = Multipliers(space, chosen, quantised, 8, 1.0)
     return stage.finalise(folder, [stage.run(folder, i) for i in range(n_tasks)])
 
 

@@ -13,7 +13,7 @@ PEAK = 127
 ROWS = 1024  # atoms at a time: what is made on the way takes 8 times the bytes of their texels
 
 
-def quantize_atoms(dictionary: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def quantise_atoms(dictionary: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Texels (k, d) int8 in -127..127 and scales (k,) float32 of unit atoms (k, d)."""
     texels, scale = np.empty(dictionary.shape, np.int8), np.empty(len(dictionary), np.float32)
     for start in range(0, len(dictionary), ROWS):
@@ -24,7 +24,7 @@ def quantize_atoms(dictionary: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return texels, scale
 
 
-def dequantize_atoms(texels: np.ndarray, scale: np.ndarray) -> np.ndarray:
+def dequantise_atoms(texels: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Atoms (k, d) float32, unit rows to float32's precision."""
     atoms = texels.reshape(len(texels), -1).astype(np.float32)
     atoms *= scale[:, None]

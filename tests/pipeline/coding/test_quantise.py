@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.coding.quantize import dequantize_atoms, mip_levels, quantize_atoms, train_weight_levels
+from pipeline.coding.quantise import dequantise_atoms, mip_levels, quantise_atoms, train_weight_levels
 from storage.packed.schema import MIP_SIZES
 from tests.pipeline.coding.test_omp import unit_rows
 
 
-def test_quantize__decoded_atoms_are_unit_vectors_close_to_the_learned_ones():
+def test_quantise__decoded_atoms_are_unit_vectors_close_to_the_learned_ones():
     atoms = unit_rows(np.random.default_rng(0), 20, 3072)
-    texels, scale = quantize_atoms(atoms)
-    decoded = dequantize_atoms(texels, scale)
+    texels, scale = quantise_atoms(atoms)
+    decoded = dequantise_atoms(texels, scale)
     np.testing.assert_allclose(np.linalg.norm(decoded, axis=1), 1, atol=1e-6)
     assert texels.min() >= -127 and np.abs(decoded - atoms).max() <= 0.6 * np.abs(atoms).max() / 127
 
 
-def test_quantize__mip_levels_are_means_down_to_one_texel():
+def test_quantise__mip_levels_are_means_down_to_one_texel():
     texels = np.random.default_rng(1).integers(-127, 128, (4, 3072)).astype(np.int8)
     levels = mip_levels(texels)
     assert [level.shape for level in levels] == [(4, s, s, 3) for s in MIP_SIZES]
@@ -31,7 +31,7 @@ def test_quantize__mip_levels_are_means_down_to_one_texel():
 
 
 @pytest.mark.parametrize("n_levels", [16, 256])
-def test_quantize__trained_levels_beat_an_even_grid(n_levels):
+def test_quantise__trained_levels_beat_an_even_grid(n_levels):
     sample = np.random.default_rng(2).laplace(size=20000)
     levels = train_weight_levels([sample], n_levels)[0]
     assert (np.diff(levels) >= 0).all()
@@ -42,7 +42,7 @@ def test_quantize__trained_levels_beat_an_even_grid(n_levels):
     assert error(levels) < 0.6 * error(np.linspace(sample.min(), sample.max(), n_levels))
 
 
-def test_quantize__a_rank_without_samples_takes_those_before_it():
+def test_quantise__a_rank_without_samples_takes_those_before_it():
     rng = np.random.default_rng(3)
     levels = train_weight_levels([rng.normal(size=5000), np.empty(0)], 16)
     assert np.isfinite(levels).all() and (levels[1] == levels[0]).all()
