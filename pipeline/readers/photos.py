@@ -27,12 +27,8 @@ def _open(path: str, where: str) -> oiio.ImageInput:
     config.attribute("oiio:UnassociatedAlpha", 1)  # else RGB comes multiplied by alpha
     photo = oiio.ImageInput.open(path, config)
     if photo is None:
-        raise InvalidScan(where, f"an unreadable photo ({_one_line(oiio.geterror())})", "a whole JPEG, PNG or TIFF")
+        raise InvalidScan(where, "an unreadable photo", "a whole JPEG, PNG or TIFF")
     return photo
-
-
-def _one_line(message: str) -> str:
-    return message.strip().splitlines()[0] if message.strip() else "no reason given"
 
 
 def photo_size(path: str, where: str) -> tuple[int, int]:
@@ -58,8 +54,9 @@ def decode_photo(path: str, where: str) -> np.ndarray:  # (height, width, 3)
     n_channels = photo.spec().nchannels
     pixels = photo.read_image(0, 0, 0, 3 if n_channels >= 3 else 1, "uint8")
     # A truncated JPEG gives grey pixels and an error, so the pixels alone prove nothing.
-    damaged, reason = photo.has_error, photo.geterror()
+    damaged = photo.has_error
+    photo.geterror()  # else it stays with the thread
     photo.close()
     if damaged or pixels is None:
-        raise InvalidScan(where, f"a damaged photo ({_one_line(reason)})", "a whole JPEG, PNG or TIFF")
+        raise InvalidScan(where, "a damaged photo", "a whole JPEG, PNG or TIFF")
     return np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3)))

@@ -187,7 +187,7 @@ def _check_ply_inside(content: bytes, method: int, unpacked: int, where: str) ->
     try:
         head = zlib.decompressobj(-15).decompress(content, PEEK_BYTES) if method else content
     except zlib.error as error:
-        raise InvalidScan(where, f"damaged inside the archive ({error})", "a whole .zip") from error
+        raise InvalidScan(where, "damaged inside the archive", "a whole .zip") from error
     if _END.search(head) or len(head) >= min(unpacked, PEEK_BYTES):
         _check_ply(parse_header(io.BytesIO(head), where), unpacked, where)
 

@@ -114,7 +114,7 @@ def _check_archive(path: Path, limits: dict) -> None:
             isinstance(error, OSError) and error.errno != errno.EINVAL
         ):  # which a place before the file's beginning gives
             raise
-        raise Problem(422, "bad-scan", f"{path.name}: not a whole .zip ({error}); allowed: a .zip archive") from error
+        raise Problem(422, "bad-scan", f"{path.name}: not a whole .zip; allowed: a .zip archive") from error
     unpacked, packed = sum(e.file_size for e in entries), max(1, path.stat().st_size)
     for found, allowed, what in (
         (len(entries), limits["max_archive_files"], "members"),

@@ -123,7 +123,7 @@ def _check_ome(path: Path) -> None:
     except Exception as error:
         if isinstance(error, OSError) and error.errno:
             raise
-        found = f"cannot be read ({type(error).__name__}: {str(error)[:200]})"
+        found = "cannot be read"
         raise InvalidScan(path.name, found, "a whole TIFF file", "it may be truncated") from error
     own = root.get("UUID")
     if any(e.tag.endswith("BinaryOnly") or (e.tag.endswith("UUID") and e.text != own) for e in root.iter()):

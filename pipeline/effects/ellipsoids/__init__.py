@@ -14,9 +14,11 @@ from pipeline.effects.block import Block, Sources
 from pipeline.effects.effect import Effect, Measured, Worth
 from pipeline.effects.ellipsoids.classes import radius_classes
 from pipeline.effects.ellipsoids.decision import CELLS_RADII, REACH_RADII, thin_splats
-from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, Around, gather, thinned
+from pipeline.effects.ellipsoids.nearest import gather
+from pipeline.effects.ellipsoids.neighbourhoods import Around
 from pipeline.effects.ellipsoids.noise import BINS, histogram_of, noise_radii, thirds_of
 from pipeline.effects.ellipsoids.stage import Ellipsoids
+from pipeline.effects.ellipsoids.thinned import CELL_RADII, thinned
 from pipeline.execution.stage import Stage
 
 EVERY = 8  # splats of a measured block: 2,048 neighbourhoods

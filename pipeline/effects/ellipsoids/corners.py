@@ -37,7 +37,7 @@ def are_corners(
     return found
 
 
-@kernel()
+@kernel(error_model="numpy")
 def _longest_runs(offset, count, axes, inner):
     """The most sectors in a row, around the turn, that hold a member further away than `inner`, (n,) int64."""
     runs = np.zeros(len(offset), np.int64)

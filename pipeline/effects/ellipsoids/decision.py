@@ -26,6 +26,8 @@ import numpy as np
 from pipeline.effects.ellipsoids.arcs import reach_arc
 from pipeline.effects.ellipsoids.corners import are_corners
 from pipeline.effects.ellipsoids.fit import moments, principal_axes
+from pipeline.effects.ellipsoids.full import is_full
+from pipeline.effects.ellipsoids.nearest import gather, narrowed
 from pipeline.effects.ellipsoids.neighbourhoods import (
     LEAST,
     LEAST_AFTER_OUTLIERS,
@@ -33,8 +35,6 @@ from pipeline.effects.ellipsoids.neighbourhoods import (
     OUTLIER_REACHES,
     Around,
     Neighbourhood,
-    gather,
-    is_full,
 )
 from pipeline.effects.ellipsoids.spread import spread_of
 from pipeline.effects.ellipsoids.tubes import CROSSING_RADII, at_crossings
@@ -49,7 +49,8 @@ MOST_TOLERANCE_RADII = 0.8  # noise beyond it hides whatever is thinner than a d
 WIDER = (2.0, 3.0)
 WIDER_ARC = math.radians(270)
 CELLS_RADII = REACH_RADII / 2  # of the grid that neighbours are looked for in
-AT_ONCE = 2_048  # neighbourhoods, of 1.5 kB each
+WIDE_CELLS_RADII = REACH_RADII  # for wider neighbourhoods
+AT_ONCE = 512  # neighbourhoods, of 1.5 kB each
 WIDEST_RADII = OUTLIER_REACHES * REACH_RADII  # how far from a splat anything is looked at
 # A neighbourhood whose second deviation is at most this is thin whatever a plane explains: half a disc of REACH_RADII
 # has 0.66, a rope of one radius across its own 0.35. One above the second figure that is flat is no rope.
@@ -68,70 +69,89 @@ def thin_splats(point: np.ndarray, around: Around, radius: float, noise: float) 
     `around` are the scan's points, thinned by CELL_RADII, to WIDEST_RADII about them, in cells of CELLS_RADII; `noise` of the
     scan (a length). Guarantees: a point without a neighbourhood is a disc; equal neighbourhoods are decided equally.
     """
-    count, is_wide, deviation = _spread(point, around, radius)
+    wide = Around(around.given, WIDE_CELLS_RADII * radius, round(WIDEST_RADII / WIDE_CELLS_RADII))
+    count, is_wide, deviation = _spread(point, around, wide, radius)
     tolerance = _tolerance(radius, noise)
     known = (count >= LEAST_AFTER_OUTLIERS) & ~is_wide  # the others are discs
     first, second, third = deviation.T / radius
     flat = (third <= 0.5 * tolerance) & (second >= WIDE_RADII)
     slender = (second <= SLENDER_RADII) | (first <= SMALL_RADII)
     thin = known & ~flat & slender
-    rows = np.flatnonzero(thin & (second > LINE_RADII))
-    thin[rows] = ~_explained(point[rows], around, radius, tolerance)
-    rows = np.flatnonzero(known & ~thin)
-    rows = rows[
-        ~is_full(point[rows], around, CROSSING_RADII * radius)
-    ]  # two tubes have fewer: rooms 36, crossed wires 56
-    thin[rows] = _cross(point[rows], around, radius)
-    rows = np.flatnonzero(thin)
-    for start in range(0, len(rows), AT_ONCE):
-        part = rows[start : start + AT_ONCE]
-        thin[part] = _stay_thin(point[part], around, deviation[part], radius, noise)
+    planes = thin & (second > LINE_RADII)
+    thin &= ~planes
+    crossing = known & ~thin & ~planes
+    rows = np.flatnonzero(crossing)
+    crossing[rows] = ~is_full(point[rows], wide, CROSSING_RADII * radius)
+    open_, full = planes | thin | crossing, count > MOST  # one that is full is the same in any wider reach
+    for reach, rows in ((REACH_RADII, open_ & full), (WIDER[0] * REACH_RADII, open_ & ~full)):
+        for part in _parts(point, np.flatnonzero(rows), wide):
+            near = gather(point[part], wide, reach * radius, radius)
+            sizes = deviation[part] / radius
+            thin[part] = _thin(point[part], wide, near, thin[part], planes[part], sizes, radius, noise)
     return thin
 
 
-def _spread(point: np.ndarray, around: Around, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _parts(point: np.ndarray, rows: np.ndarray, around: Around) -> list[np.ndarray]:
+    """`rows` by AT_ONCE, those of a cell together: they share a search."""
+    if around.is_grid:
+        rows = rows[np.argsort(around.cells(point[rows]))]
+    return [rows[start : start + AT_ONCE] for start in range(0, len(rows), AT_ONCE)]
+
+
+def _thin(
+    point: np.ndarray,
+    around: Around,
+    near: Neighbourhood,
+    thin: np.ndarray,
+    planes: np.ndarray,
+    deviation: np.ndarray,
+    radius: float,
+    noise: float,
+) -> np.ndarray:  # (n,) bool
+    """Of neighbourhoods in radii, all in twice the reach: those that are `thin`, or that no plane explains (`planes`: where that is
+    open), or else where two ropes cross, unless they are scan lines or corners of flat things."""
+    rows = np.flatnonzero(planes)
+    closer = narrowed(_rows(near, rows), REACH_RADII)
+    thin[rows] = ~reach_arc(closer.offset, closer.count, _tolerance(radius, noise), LEAST_ARC)
+    rows = np.flatnonzero(~thin & (near.count < MOST))  # two tubes have fewer: rooms 36, crossed wires 56
+    thin[rows] = at_crossings(_rows(near, rows))
+    rows = np.flatnonzero(thin)
+    thin[rows] = _stay_thin(point[rows], around, _rows(near, rows), deviation[rows], radius, noise)
+    return thin
+
+
+def _rows(near: Neighbourhood, rows: np.ndarray) -> Neighbourhood:
+    return Neighbourhood(near.offset[rows], near.count[rows])
+
+
+def _spread(
+    point: np.ndarray, around: Around, wide: Around, radius: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of each neighbourhood of REACH_RADII its members, whether it is too wide to be thin, and its deviations."""
     reach = REACH_RADII * radius
     found = spread_of(point, around, reach, CROSSING_WIDE_RADII * radius)
     count, is_wide, deviation = found.count, found.is_wide, found.deviation
     rows = np.flatnonzero((count < LEAST) | (count > MOST))
-    near = gather(point[rows], around, reach)
-    count[rows], deviation[rows] = near.count, principal_axes(moments(near.offset, near.count)[1])[0]
+    near = gather(point[rows], wide, reach)
+    count[rows] = np.where(count[rows] > MOST, count[rows], near.count)
+    deviation[rows] = principal_axes(moments(near.offset, near.count)[1])[0]
     is_wide[rows] = deviation[rows, 1] > CROSSING_WIDE_RADII * radius
     return count, is_wide, deviation
 
 
-def _explained(point: np.ndarray, around: Around, radius: float, tolerance: float) -> np.ndarray:  # (n,) bool
-    """Where a plane, cut by a line at most, explains the neighbourhood."""
-    found = np.zeros(len(point), bool)
-    for start in range(0, len(point), AT_ONCE):
-        near = gather(point[start : start + AT_ONCE], around, REACH_RADII * radius)
-        found[start : start + AT_ONCE] = reach_arc(near.offset / radius, near.count, tolerance, LEAST_ARC)
-    return found
-
-
-def _cross(point: np.ndarray, around: Around, radius: float) -> np.ndarray:  # (n,) bool
-    """Where two ropes cross."""
-    found = np.zeros(len(point), bool)
-    for start in range(0, len(point), AT_ONCE):
-        near = gather(point[start : start + AT_ONCE], around, CROSSING_RADII * radius)
-        found[start : start + AT_ONCE] = at_crossings(near.offset / radius)
-    return found
-
-
 def _stay_thin(
-    point: np.ndarray, around: Around, deviation: np.ndarray, radius: float, noise: float
+    point: np.ndarray, around: Around, further: Neighbourhood, deviation: np.ndarray, radius: float, noise: float
 ) -> np.ndarray:  # (n,) bool
-    """Of what seems thin, all but scan lines and corners of flat things. A neighbourhood that is full is the same in any wider reach."""
-    thin = np.ones(len(point), bool)
-    further = gather(point, around, WIDER[0] * REACH_RADII * radius)
-    thin &= ~flat_further_out(further, WIDER[0] * radius, noise)
-    flatness = 0.5 * _tolerance(radius, noise) * radius
-    thin &= ~are_corners(further, deviation, LINE_RADII * radius, REACH_RADII * radius, flatness)
-    wider = WIDER[1] * radius
+    """Of what seems thin, all but scan lines and corners of flat things; lengths in radii, `further` in twice the reach. A
+    neighbourhood that is full is the same in any wider reach."""
+    thin = ~flat_further_out(further, WIDER[0], radius, noise)
+    rows = np.flatnonzero(thin)
+    flatness = 0.5 * _tolerance(radius, noise)
+    thin[rows] = ~are_corners(_rows(further, rows), deviation[rows], LINE_RADII, REACH_RADII, flatness)
     full, open_ = np.flatnonzero(thin & (further.count == MOST)), np.flatnonzero(thin & (further.count < MOST))
-    thin[full] = ~flat_further_out(Neighbourhood(further.offset[full], further.count[full]), wider, noise)
-    thin[open_] = ~flat_further_out(gather(point[open_], around, REACH_RADII * wider), wider, noise)
+    thin[full] = ~flat_further_out(_rows(further, full), WIDER[1], radius, noise)
+    widest = gather(point[open_], around, WIDER[1] * REACH_RADII * radius, radius)
+    thin[open_] = ~flat_further_out(widest, WIDER[1], radius, noise)
     return thin
 
 
@@ -140,7 +160,7 @@ def _tolerance(radius: float, noise: float) -> float:
     return min(max(TOLERANCE_RADII, TOLERANCE_SIGMAS * noise / radius), MOST_TOLERANCE_RADII)
 
 
-def flat_further_out(around: Neighbourhood, radius: float, noise: float) -> np.ndarray:
-    """Where a plane explains nearly all directions, (n,) bool, for splats as large as `radius`."""
-    tolerance = _tolerance(radius, noise)
-    return reach_arc(around.offset / radius, around.count, tolerance, WIDER_ARC)
+def flat_further_out(around: Neighbourhood, times: float, radius: float, noise: float) -> np.ndarray:
+    """Where a plane explains nearly all directions, (n,) bool, for splats `times` as large; offsets in radii."""
+    tolerance = _tolerance(times * radius, noise)
+    return reach_arc(around.offset, around.count, tolerance, WIDER_ARC, times)

@@ -37,14 +37,14 @@ def spread_of(point: np.ndarray, around: Around, reach: float, second: float) ->
     count, is_wide, deviation = np.zeros(n, np.int64), np.zeros(n, bool), np.zeros((n, 3))
     if around.is_grid and len(point):
         cell = around.cells(point)
-        order = np.argsort(cell, kind="stable")
+        order = np.argsort(cell)
         steps = math.ceil(reach / around.edge * (1 - 1e-9))
         known = (around.position, around.cell, around.size, around.low, around.edge)
         _spread(point, cell, order, *known, steps, UNITS / reach, second, count, is_wide, deviation)
     return Spread(count, is_wide, deviation)
 
 
-@kernel()
+@kernel(error_model="numpy")
 def _spread(
     point, of_point, order, around, of_around, size, low, edge, steps, scale, second, count, is_wide, deviation
 ):
@@ -113,7 +113,7 @@ def _has_at(members, n, p):
     return found
 
 
-@part()
+@part(error_model="numpy")
 def _two_above(xx, xy, xz, yy, yz, zz, t):
     """Whether two eigenvalues of a symmetric matrix or more are above `t`: by the signs of the pivots of A - t (Sylvester)."""
     a = xx - t
@@ -127,7 +127,7 @@ def _two_above(xx, xy, xz, yy, yz, zz, t):
     return (a > 0) + (b > 0) + (c > 0) >= 2
 
 
-@part()
+@part(error_model="numpy")
 def _eigenvalues(xx, xy, xz, yy, yz, zz):
     """Of a symmetric matrix, largest first, in closed form (O. K. Smith, Eigenvalues of a symmetric 3 x 3 matrix, 1961)."""
     off = xy * xy + xz * xz + yz * yz

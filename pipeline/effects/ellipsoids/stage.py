@@ -10,7 +10,8 @@ import numpy as np
 from pipeline.effects.ellipsoids.classes import radius_classes
 from pipeline.effects.ellipsoids.decision import CELLS_RADII, WIDEST_RADII, thin_splats
 from pipeline.effects.ellipsoids.fit import fit
-from pipeline.effects.ellipsoids.neighbourhoods import CELL_RADII, Around, distinct, thinned_of_distinct
+from pipeline.effects.ellipsoids.neighbourhoods import Around
+from pipeline.effects.ellipsoids.thinned import CELL_RADII, distinct, thinned_of_distinct
 from pipeline.execution.compiled import kernel
 from pipeline.geometry.chunks import bounds
 from pipeline.splats.coarser import first_finest

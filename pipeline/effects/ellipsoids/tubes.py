@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.effects.ellipsoids.hypotheses import HYPOTHESES, cross, three_members
+from pipeline.effects.ellipsoids.nearest import n_within
+from pipeline.effects.ellipsoids.neighbourhoods import Neighbourhood
 from pipeline.execution.compiled import kernel
 
 # Two tubes that explain a neighbourhood twice as wide are ropes that cross. Half widths of 0.6 and 0.75 radii, shares
@@ -17,17 +19,13 @@ TUBES_SHARE = 0.85
 FIRST_SHARE = 0.4  # of the first tube: what no tube through the splat explains so far, a second does not explain either
 
 
-def at_crossings(offset: np.ndarray) -> np.ndarray:
-    """Which neighbourhoods two tubes explain, (n,) bool; the first tube holds the splat itself.
-
-    `offset` (n, MOST, 3), in radii, nearest first and zeros beyond their members, reaches CROSSING_RADII.
-    """
-    away = np.linalg.norm(offset, axis=2)
-    count = 1 + ((away > 0) & (away <= CROSSING_RADII)).sum(axis=1)
-    return _share_of_tubes(offset, count) >= TUBES_SHARE
+def at_crossings(near: Neighbourhood) -> np.ndarray:
+    """Which neighbourhoods two tubes explain, (n,) bool; the first tube holds the splat itself. `near` in radii, gathered in a
+    reach of CROSSING_RADII or more."""
+    return _share_of_tubes(near.offset, n_within(near.offset, near.count, CROSSING_RADII)) >= TUBES_SHARE
 
 
-@kernel()
+@kernel(error_model="numpy")
 def _share_of_tubes(offset, count):
     """The share (n,) of the first `count` members that lie in the best tube through member 0 and the best one of the
     others."""
@@ -43,7 +41,7 @@ def _share_of_tubes(offset, count):
     return share
 
 
-@kernel()
+@kernel(error_model="numpy")
 def _outside_best_tube(offset, left, n, through_first):
     """How many of the first `n` of `left` lie outside the tube along two of them that holds most; they become its
     first."""
@@ -61,7 +59,7 @@ def _outside_best_tube(offset, left, n, through_first):
     return outside
 
 
-@kernel()
+@kernel(error_model="numpy")
 def _inside_tube(offset, left, n, a, b, through_first):
     """How many members lie in the tube along members `a` and `b`; 0 where those are too near to tell, or where it
     misses member 0."""
@@ -76,7 +74,7 @@ def _inside_tube(offset, left, n, a, b, through_first):
     return inside
 
 
-@kernel()
+@kernel(error_model="numpy")
 def _off_line(offset, a, b, j):
     """The squared distance of member `j` from the line through members `a` and `b`."""
     d0, d1, d2 = offset[b, 0] - offset[a, 0], offset[b, 1] - offset[a, 1], offset[b, 2] - offset[a, 2]

@@ -29,6 +29,12 @@ _MODELS = {
 }
 
 
+def _place_of(error: ValueError | RecursionError) -> str:
+    if isinstance(error, json.JSONDecodeError):
+        return f" from line {error.lineno}, column {error.colno} on"
+    return ", or not in UTF-8" if isinstance(error, UnicodeDecodeError) else ""
+
+
 def read_transforms(members: Members, name: str) -> tuple[Model, str | None]:
     """The photos of a transforms.json as a model, and the file of points that it names.
 
@@ -40,7 +46,7 @@ def read_transforms(members: Members, name: str) -> tuple[Model, str | None]:
     try:
         data = json.loads(text.decode("utf-8-sig")) if len(text) <= MAX_BYTES else None
     except (ValueError, RecursionError) as error:
-        raise InvalidScan(where, f"no JSON ({str(error)[:100]})", "what nerfstudio writes") from error
+        raise InvalidScan(where, f"no JSON{_place_of(error)}", "what nerfstudio writes") from error
     if not isinstance(data, dict) or not isinstance(data.get("frames"), list) or not data["frames"]:
         raise InvalidScan(f"{where}:frames", "missing or empty", "a list of photographs with poses")
     photos = tuple(_photo(data, frame, f"{where}:frames[{i}]", i) for i, frame in enumerate(data["frames"]))

@@ -20,6 +20,7 @@ from pipeline.readers.attributes.looks import Look, Looks
 from pipeline.readers.attributes.marks import set_marks
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.readers.attributes.ranges import range_of
+from pipeline.readers.e57.damage import reason_of
 from pipeline.readers.e57.images import Images, read_images, read_photo
 from pipeline.readers.e57.nodes import open_image_file
 from pipeline.readers.e57.packets import BitField, bit_fields, packets_of, read_points
@@ -170,8 +171,7 @@ def _read_stations(file: libe57.ImageFile, path: str) -> tuple[list[Station], li
         except SplatpressError as error:
             errors.append(error)
         except libe57.E57Exception as error:
-            reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-            errors.append(InvalidScan(f"{path}:data3D[{i}]", f"unreadable ({reason})", "a whole E57 file"))
+            errors.append(InvalidScan(f"{path}:data3D[{i}]", f"unreadable: {reason_of(error)}", "a whole E57 file"))
     if errors and not stations:
         raise errors[0]
     warnings = [f"a station is left out: {error}" for error in errors]

@@ -27,6 +27,7 @@ from pipeline.readers.e57.panoramas import (
     is_possible,
     look_at,
     parts_of,
+    share_left_out,
     whole_sphere,
 )
 from pipeline.readers.photos import MAX_SIDE_PX, decode_photo, photo_size
@@ -34,6 +35,7 @@ from pipeline.scan import Camera
 from storage.errors import InvalidScan
 
 MAX_BLOB_BYTES = 1 << 30
+LEAST_TOLD = 0.005  # of an image's pixels
 
 _HEAD_BYTES = 1 << 18
 _PINHOLE = "pinholeRepresentation"
@@ -132,12 +134,12 @@ def _panorama(node: libe57.StructureNode, is_sphere: bool, where: str) -> tuple[
         raise InvalidScan(
             where, f"pixels that span {found.span:.3g} radians around", "a turn and half a turn up at most"
         )
-    steep = [math.degrees(e) for e in elevations(found) if STEEPEST + 0.01 < e < math.pi / 2 - found.pixel_height]
-    told = (
-        f"what it shows above {math.degrees(STEEPEST):.0f} of {max(steep):.0f} degrees off the horizon is not used"
-        if steep
-        else ""
-    )
+    told = ""
+    if (lost := share_left_out(found)) >= LEAST_TOLD:
+        steep = max(math.degrees(e) for e in elevations(found))
+        above = f"what it shows above {math.degrees(STEEPEST):.0f} of {steep:.0f} degrees off the horizon, and "
+        corners = f"{above if math.radians(steep) > STEEPEST else ''}corners of its {len(parts_of(found))} photographs"
+        told = f"{lost:.1%} of its pixels are not used: {corners}"
     return found, told
 
 

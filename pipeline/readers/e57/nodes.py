@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from pye57 import libe57
 
+from pipeline.readers.e57.damage import check_header, reason_of
 from storage.errors import InvalidScan
 
 _DAMAGE = (libe57.E57Exception, AttributeError, TypeError, LookupError, ValueError, RuntimeError)
@@ -35,6 +36,7 @@ def open_image_file(path: str) -> Iterator[libe57.ImageFile]:
     So do its C++ exceptions that are not E57's own, and a lookup or a method that fails: a node of another kind than
     the standard asks for lacks them.
     """
+    check_header(path)
     try:
         file = libe57.ImageFile(path, "r")
         try:
@@ -42,8 +44,7 @@ def open_image_file(path: str) -> Iterator[libe57.ImageFile]:
         finally:
             file.close()
     except _DAMAGE as error:
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise InvalidScan(path, f"unreadable ({reason})", "a whole E57 file", "the file may be truncated") from error
+        raise InvalidScan(path, f"unreadable: {reason_of(error)}", "a whole E57 file", "it is damaged") from error
 
 
 def number(node: libe57.Node) -> float | int:

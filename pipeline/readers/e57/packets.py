@@ -20,14 +20,13 @@ import numpy as np
 from pye57 import libe57
 
 from pipeline.execution.compiled import kernel
+from pipeline.readers.e57.damage import HEADER, check_header
 from storage.errors import InvalidScan
 
 _CRC_BYTES = 4  # at the end of every page
-_HEADER = struct.Struct("<8sIIQQQQ")
 _SECTION = struct.Struct("<B7xQQQ")
 _PACKET = struct.Struct("<BBHH")
 _COMPRESSED_VECTOR, _DATA = 1, 1  # kind of section; kind of packet
-_LARGEST_PAGE = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -181,12 +180,8 @@ class _Pages:
 
 
 def _opened(path: str, stream: BinaryIO, with_xml: bool = True) -> tuple[_Pages, bytes]:
-    head = stream.read(_HEADER.size)
-    if len(head) < _HEADER.size:
-        raise InvalidScan(path, f"{len(head)} bytes", "a whole E57 file", "the file may be truncated")
-    signature, _, _, _, xml_offset, xml_length, page = _HEADER.unpack(head)
-    if signature != b"ASTM-E57" or not 64 <= page <= _LARGEST_PAGE or xml_length > os.path.getsize(path):
-        raise InvalidScan(path, f"a header with pages of {page} bytes and {xml_length} bytes of XML", "an E57 file")
+    check_header(path)
+    *_, xml_offset, xml_length, page = HEADER.unpack(stream.read(HEADER.size))
     pages = _Pages(path, stream, os.path.getsize(path), page)
     if not with_xml:
         return pages, b""
@@ -200,7 +195,8 @@ def _sections(path: str, xml: bytes, n_scans: int) -> list[int]:
         scans = ElementTree.fromstring(xml).findall("{*}data3D/{*}vectorChild/{*}points")
         offsets = [int(points.attrib["fileOffset"]) for points in scans]
     except (ElementTree.ParseError, KeyError, ValueError) as error:
-        raise InvalidScan(path, f"unreadable XML ({error})", "a whole E57 file") from error
+        at = " in line {}, column {}".format(*error.position) if isinstance(error, ElementTree.ParseError) else ""
+        raise InvalidScan(path, f"its XML is broken{at}", "a whole E57 file") from error
     if len(offsets) != n_scans or min(offsets, default=0) < 0:
         raise InvalidScan(path, f"the points of {len(offsets)} scans at {offsets[:4]}", f"{n_scans} scans")
     return offsets

@@ -84,14 +84,36 @@ def is_possible(panorama: Panorama) -> bool:
     return panorama.span <= 2 * math.pi * (1 + ROUNDING) and tall <= math.pi * (1 + ROUNDING)
 
 
+def share_left_out(panorama: Panorama) -> float:
+    """The share of an image's pixels that no part shows: what is steeper than STEEPEST where no cap goes on, and corners."""
+    span = min(panorama.span, 2 * math.pi)
+    ends = elevations(panorama)
+    caps = [_is_cap(panorama, e) for e in ends]
+    n = _n_parts(span, caps)
+    aside = np.cos((np.arange(64) + 0.5) / 64 * span / n / 2)  # of directions from a part's middle to its side
+    shown = total = 0.0
+    for e, cap in zip(ends, caps, strict=True):
+        tangents = math.tan(min(e, STEEPEST)) * aside
+        shown += e if cap else float(np.mean(np.arctan(tangents) if panorama.is_sphere else tangents))
+        total += e if panorama.is_sphere else math.tan(e)
+    return 1 - shown / total if total else 0.0
+
+
+def _is_cap(panorama: Panorama, elevation: float) -> bool:
+    """Whether an image goes on to the pole at this end, so that a cap shows what parts of the horizon do not."""
+    return panorama.is_whole_turn and panorama.is_sphere and elevation >= math.pi / 2 - panorama.pixel_height
+
+
+def _n_parts(span: float, caps: list[bool]) -> int:
+    return max(1, math.ceil(span / (WIDEST if all(caps) else NARROW) - ROUNDING))
+
+
 def parts_of(panorama: Panorama) -> tuple[Part, ...]:
     """The photographs that show a panorama; those of the horizon from the left on, then the caps."""
     span = min(panorama.span, 2 * math.pi)
     up, down = elevations(panorama)
-    caps = [
-        panorama.is_whole_turn and panorama.is_sphere and e >= math.pi / 2 - panorama.pixel_height for e in (up, down)
-    ]
-    n = max(1, math.ceil(span / (WIDEST if all(caps) else NARROW) - ROUNDING))
+    caps = [_is_cap(panorama, e) for e in (up, down)]
+    n = _n_parts(span, caps)
     edge = math.tan(span / n / 2)
     width_px = max(1, math.floor(2 * edge / panorama.pixel_width))
     focal = width_px / (2 * edge)

@@ -126,7 +126,11 @@ class Archive:
         except (*_DAMAGE, OSError) as error:
             if isinstance(error, OSError) and error.errno != errno.EINVAL:  # a place that no file has
                 raise
-            raise InvalidScan(self.label(name), f"damaged inside the archive ({error})", "a whole .zip") from error
+            raise InvalidScan(
+                self.label(name),
+                "damaged inside the archive, or packed with a method that is not known",
+                "a whole .zip",
+            ) from error
 
     @contextmanager
     def local(self, name: str, max_bytes: int | None = None) -> Iterator[str]:
@@ -200,7 +204,7 @@ def open_archive(path: str) -> Archive:
     try:
         entries = _directory_of(path, _state_of(path)).infolist()
     except _DAMAGE as error:
-        raise InvalidScan(path, f"not a whole .zip ({error})", "a .zip archive") from error
+        raise InvalidScan(path, "not a whole .zip", "a .zip archive") from error
     _check_sizes(path, entries)
     sizes, filed_as = {}, {}
     for entry in entries:

@@ -46,9 +46,17 @@ def _refusing(path: str) -> Iterator[None]:
         raise
     except BaseException as error:
         if isinstance(error, Exception) or type(error).__name__ == "PanicException":
-            found = f"unreadable ({type(error).__name__}: {str(error)[:200]})"
-            raise InvalidScan(path, found, "a whole LAS or LAZ file", "the file may be truncated") from error
+            found = f"unreadable: {_reason_of(error)}"
+            raise InvalidScan(path, found, "a whole LAS or LAZ file", "it is damaged or truncated") from error
         raise
+
+
+def _reason_of(error: BaseException) -> str:
+    """Why points could not be read, in our own words: what lazrs and its panics say is for those who know its sources."""
+    text = str(error).lower()
+    if "fill whole buffer" in text or isinstance(error, EOFError):
+        return "its compressed points end early"
+    return "its compressed points are damaged, or contradict its header"
 
 
 def _layout(header: LasHeader) -> np.dtype:

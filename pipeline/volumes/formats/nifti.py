@@ -42,7 +42,7 @@ def open_nifti(path: str, choice: Choice = Choice()) -> Volume:
         KeyError,
         OverflowError,
     ) as error:
-        raise InvalidScan(path, f"its header cannot be read ({str(error)[:200]})", "a NIfTI volume") from error
+        raise InvalidScan(path, "its header cannot be read", "a NIfTI volume") from error
     dtype, sizes = proxy.dtype, tuple(int(n) for n in proxy.shape)
     if dtype.fields or dtype.kind not in "uif":
         raise UnsupportedScan(f"{path}:datatype", f"{dtype}", "one number a voxel, no colours nor complex numbers")

@@ -112,7 +112,7 @@ def _header(path: str) -> tuple[dict, tuple[str, ...], int]:
     try:
         header = nrrd.read_header(lines[:of_list])
     except (NRRDError, ValueError, StopIteration, TypeError) as error:
-        raise InvalidScan(path, f"its header cannot be read ({error})", "a NRRD header") from error
+        raise InvalidScan(path, "its header cannot be read", "a NRRD header") from error
     for name in ("type", "dimension", "sizes", "encoding"):
         if name not in header:
             raise InvalidScan(f"{path}:{name}", "missing", "every NRRD header has it")

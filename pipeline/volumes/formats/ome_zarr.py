@@ -61,7 +61,9 @@ def open_ome_zarr(path: str, choice: Choice = Choice()) -> Volume:
                 shift = shift + transform["translation"]
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise InvalidScan(
-            f"{path}:multiscales", f"{type(error).__name__}: {error}", "axes, datasets and their transformations"
+            f"{path}:multiscales",
+            "an entry that is missing, or of another kind",
+            "axes, datasets and their transformations",
         ) from error
     if len(set(units)) > 1:
         raise UnsupportedScan(f"{path}:axes", f"units {units}", "one unit for all axes of space")
@@ -126,7 +128,7 @@ class _Chunks:
                     raise
                 raise InvalidScan(
                     self._path,
-                    f"chunks of slices from {first} on cannot be read ({type(error).__name__}: {str(error)[:200]})",
+                    f"chunks of slices from {first} on cannot be read",
                     "a whole store",
                 ) from error
             yield from (np.ascontiguousarray(slice_, self._kept) for slice_ in block)

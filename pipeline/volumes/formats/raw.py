@@ -37,7 +37,7 @@ def open_raw(path: str, choice: Choice = Choice()) -> Volume:
         skip, unit = int(told.get("skip_bytes", 0)), str(told.get("unit", ""))
         assert len(spacing) == len(origin) == 3 and skip >= 0
     except (ValueError, KeyError, TypeError, AttributeError, AssertionError) as error:
-        raise InvalidScan(str(sidecar), f"{type(error).__name__} {error}".strip(), _ALLOWED) from error
+        raise InvalidScan(str(sidecar), "a key that is missing, or of another kind or value", _ALLOWED) from error
     dtype = np.dtype(told["type"]).newbyteorder(">" if told.get("endian") == "big" else "<")
     stream = Stream((path,), dtype, sizes, (0, 1, 2), skip_bytes=skip)
     kept = kept_dtype(dtype)

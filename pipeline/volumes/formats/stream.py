@@ -175,8 +175,8 @@ class _Bytes:
         try:
             return bool(self._guarded(1))
         except InvalidScan as error:
-            if "Not a gzipped file" not in str(error):  # a checksum that is wrong, or missing
-                raise
+            if not isinstance(error.__cause__, gzip.BadGzipFile) or "Not a gzipped" not in str(error.__cause__):
+                raise  # a checksum that is wrong, or missing
             return True
 
     def _exactly(self, n_bytes: int) -> bytes:
@@ -194,13 +194,12 @@ class _Bytes:
         try:
             return self._file.read(n_bytes)  # type: ignore[attr-defined]
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            raise InvalidScan(
-                self._path, f"does not decompress ({error})", "a whole file", "it may be truncated"
-            ) from error
+            found = "its checksum is wrong" if "CRC" in str(error) else "does not decompress"
+            raise InvalidScan(self._path, found, "a whole file", "it may be truncated") from error
         except OSError as error:
             if error.errno is not None:
                 raise
-            raise InvalidScan(self._path, f"does not decompress ({error})", "a whole file") from error
+            raise InvalidScan(self._path, "does not decompress", "a whole file") from error
 
 
 class _Inflated:
@@ -240,7 +239,9 @@ class _Text:
         try:
             return np.array(words).astype(np.float64).astype(self._dtype)
         except ValueError as error:
-            raise InvalidScan(self._path, str(error), "numbers with blanks between them") from error
+            raise InvalidScan(
+                self._path, f"{_odd(words)!r} among its numbers", "numbers with blanks between them"
+            ) from error
 
     def has_more(self) -> bool:
         self._fill(1)
@@ -266,3 +267,13 @@ class _Text:
 
 def _reader(stream: Stream, path: str, file: BinaryIO, n_items: int) -> _Bytes | _Text:
     return (_Text if stream.encoding == "text" else _Bytes)(stream, path, file, n_items)
+
+
+def _odd(words: list[bytes]) -> str:
+    """The first of `words` that is no number."""
+    for word in words:
+        try:
+            float(word)
+        except ValueError:
+            return word.decode("utf-8", "replace")[:40]
+    return ""

@@ -133,8 +133,7 @@ def _opened(path: str) -> Iterator[tifffile.TiffFile]:
     except Exception as error:
         if isinstance(error, OSError) and error.errno:
             raise
-        found = f"cannot be read ({type(error).__name__}: {str(error)[:200]})"
-        raise InvalidScan(path, found, "a whole TIFF file", "it may be truncated") from error
+        raise InvalidScan(path, "cannot be read", "a whole TIFF file", "it may be truncated") from error
 
 
 class _Pages:

@@ -7,10 +7,13 @@ from scipy.spatial import cKDTree
 from pipeline.effects.ellipsoids.arcs import RING_RADII, _longest_run, reach_arc
 from pipeline.effects.ellipsoids.decision import CELLS_RADII, REACH_RADII, thin_splats
 from pipeline.effects.ellipsoids.fit import LEAST_RADII, fit, moments, principal_axes
+from pipeline.effects.ellipsoids.full import is_full
 from pipeline.effects.ellipsoids.hypotheses import HYPOTHESES, three_members
-from pipeline.effects.ellipsoids.neighbourhoods import LEAST, MOST, Around, gather, is_full, thinned
+from pipeline.effects.ellipsoids.nearest import gather
+from pipeline.effects.ellipsoids.neighbourhoods import LEAST, MOST, Around
 from pipeline.effects.ellipsoids.noise import histogram_of, noise_radii, thirds_of
 from pipeline.effects.ellipsoids.spread import spread_of
+from pipeline.effects.ellipsoids.thinned import thinned
 from tests.thin_scene import BALL, FLAT, ROPE, THICK, THIN, joined, room, scan
 
 SCANNERS = ((2.6, -1.6, 1.6), (-2.4, -2.0, 1.2))
@@ -183,7 +186,8 @@ def _longest_arc(offset: np.ndarray, tolerance: float) -> float:
                 cut = along[height > tolerance].max(initial=-np.inf)
                 kept = (abs(height) <= tolerance) & (np.hypot(x, y) >= RING_RADII) & (along >= cut)
                 if cut < 0 and kept.any():
-                    best = max(best, _longest_run(np.sort(np.arctan2(y[kept], x[kept]))))
+                    order = np.argsort(np.arctan2(y[kept], x[kept]))
+                    best = max(best, _longest_run(x[kept][order], y[kept][order], len(order)))
     return best
 
 

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import re
 
 import numpy as np
 import pye57
@@ -12,6 +13,7 @@ from pipeline.cameras.pinhole import Pinhole
 from pipeline.readers import inspect_scan, open_scan
 from pipeline.readers.attributes.marks import NUMBER
 from pipeline.readers.e57.nodes import rotation_matrix
+from pipeline.readers.e57.panoramas import Panorama, parts_of, share_left_out
 from storage.errors import InvalidScan, UnsupportedScan
 from tests.pipeline.readers.shared_data import shared_scan
 from tests.pipeline.readers.workspace import texture, write_photo
@@ -307,8 +309,11 @@ def test_e57__panoramas_become_photographs_that_see_the_points_in_their_colours(
     }
     assert (seen[shown.get(kind, slice(None))] > 0).all()
     assert len(source.cameras) == {"a third": 3, "cylinder": 8}.get(kind, 6)
-    told = ["taken for the whole sphere" in w for w in source.warnings]
-    assert told == ([True] if kind == "in metres" else [])
+    told = source.warnings
+    wanted = {"in metres": "taken for the whole sphere", "whole": None}.get(
+        kind, "% of its pixels are not used: corners of its"
+    )
+    assert len(told) == (wanted is not None) and (not told or wanted in told[0])
 
 
 def test_e57__images_that_cannot_be_cameras_are_named_with_the_reason(tmp_path):
@@ -374,3 +379,37 @@ def test_e57__pump_image_without_a_pose_is_named():
     assert got["cameras"]["count"] == 0
     assert any("'pumpVisual' is not used: its representation is visualReference" in w for w in got["warnings"])
     json.dumps(got, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    "change, found",
+    [
+        (lambda b: b[:7], "7 bytes; allowed: an E57 file, whose header alone has 48"),
+        (lambda b: b[:1024], "1024 bytes, of which its header says that they are"),
+        (lambda b: b + b"xx", "something was added to it"),
+        (lambda b: b"X" * len(b), "it begins with b'XXXXXXXX'; allowed: b'ASTM-E57'"),
+        (lambda b: b[:600] + bytes([b[600] ^ 1]) + b[601:], "the checksum of page 0 is wrong"),
+    ],
+)
+def test_e57__damage_is_told_in_our_own_words(tmp_path, change, found):
+    path = write(tmp_path / "whole.e57", cartesian())
+    broken = tmp_path / "broken.e57"
+    broken.write_bytes(change(open(path, "rb").read()))
+    with pytest.raises(InvalidScan, match=re.escape(found)) as error:
+        open_scan(str(broken))
+    assert "Error" not in str(error.value) and "internal" not in str(error.value)
+
+
+@pytest.mark.parametrize("span, rise", [(2 * np.pi, 1.0), (2 * np.pi, 2.8), (2 * np.pi, np.pi), (1.0, 0.8)])
+def test_e57__what_of_a_panorama_is_not_used_is_a_number(span, rise):
+    whole = Panorama(720, 240, span / 720, 120, rise / 240)
+    row, column = np.mgrid[:240, :720] + 0.5
+    azimuth, rise = (360 - column) * whole.pixel_width, (120 - row) * whole.pixel_height
+    flat = np.cos(rise)
+    rays = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(rise)], axis=-1)
+    shown = np.zeros((240, 720), bool)
+    for part in parts_of(whole):
+        x, y, z = np.moveaxis(rays @ np.array(part.rotation).T, -1, 0)
+        u, v = x / z * part.focal_px + part.cx_px, y / z * part.focal_px + part.cy_px
+        shown |= (z > 0) & (u > -0.5) & (u < part.width_px + 0.5) & (v > -0.5) & (v < part.height_px + 0.5)
+    assert abs((1 - shown.mean()) - share_left_out(whole)) < 0.012

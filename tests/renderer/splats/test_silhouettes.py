@@ -6,8 +6,10 @@ from scipy.spatial import cKDTree
 
 from pipeline.effects.ellipsoids.decision import CELLS_RADII, REACH_RADII, thin_splats
 from pipeline.effects.ellipsoids.fit import fit
-from pipeline.effects.ellipsoids.neighbourhoods import Around, gather, thinned
+from pipeline.effects.ellipsoids.nearest import gather
+from pipeline.effects.ellipsoids.neighbourhoods import Around
 from pipeline.effects.ellipsoids.noise import histogram_of, noise_radii, thirds_of
+from pipeline.effects.ellipsoids.thinned import thinned
 from pipeline.splats.normals import NEIGHBOURS, estimate_normals
 from tests.renderer.splats.test_renderer import drawn
 from tests.scenes import Settings, Splats, build_scene, camera_looking
