@@ -93,7 +93,8 @@ def _from(ascending, value, at):
 
 
 @kernel()
-def rows_within(steps, edge, reach):  # ((2 steps + 1)^2,) bool: rows of cells of which some member can be near enough
+def rows_within(steps, edge, reach):
+    """Of which rows of cells some member can be within `reach` of the middle cell, ((2 steps + 1)^2,) bool."""
     side = 2 * steps + 1
     near = np.empty(side * side, np.bool_)
     for a in range(-steps, steps + 1):
