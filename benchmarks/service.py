@@ -9,13 +9,14 @@ that no job finds its stages done. Seconds of the command count from its start t
 submission to its end; the ratio is the median over the pairs. The embedded service and the command have as many
 workers. storm: that many jobs on one small scan, all submitted at once, each with another seed; meanwhile the API is
 asked for the list of jobs, for one of them and for its log, in turn, every 50 ms. viewers: that many load one packed file at once,
-each as the page does (the page, its shaders, the end of the file, its beginning, then ranges of 512 kB), on a connection of its
-own, `ROUNDS` times; the API is asked meanwhile as above.
+each as the page does (the page, its script, its shaders, the end of the file, its beginning, then ranges of 512 kB), on a connection of its
+own, `ROUNDS` times, in a process of their own; the API is asked meanwhile as above. Processor seconds of both sides are told: they share this machine.
 """
 
 from __future__ import annotations
 
 import argparse
+import asyncio
 import json
 import shutil
 import statistics
@@ -24,9 +25,12 @@ import sys
 import tempfile
 import threading
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import httpx
+import psutil
 
 from benchmarks.needs import packages_of_tests
 
@@ -121,40 +125,64 @@ def viewers(n_viewers: int, n_points: int) -> dict:
         job = served.client.watch(served.client.submit(scan, preset="draft")["jobID"], lambda event: None)
         assert job["status"] == "successful", job["problem"]
         (packed,) = (a for a in served.client.artifacts(job["jobID"]) if a["name"].endswith(".splatpress"))
-        stop, answers, loads = threading.Event(), [], []
+        stop, answers, api = threading.Event(), [], served.part("api")
         asking = threading.Thread(target=_ask, args=(served.url, [job["jobID"]], answers, stop))
-        looking = [threading.Thread(target=_look, args=(served.url, packed, loads)) for _ in range(n_viewers)]
-        begun = time.perf_counter()
-        for thread in (asking, *looking):
-            thread.start()
-        for thread in looking:
-            thread.join()
-        took = time.perf_counter() - begun
+        before = _processor_s(api)
+        asking.start()
+        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+            found = pool.submit(_look_all, served.url, packed, n_viewers).result()
         stop.set()
         asking.join()
-    assert len(loads) == n_viewers * ROUNDS, "a viewer failed"
+        api_s = _processor_s(api) - before
+    loads = found.pop("loads")
     return {
         "viewers": n_viewers,
         "file_bytes": packed["bytes"],
-        "all_s": took,
-        "bytes_a_s": n_viewers * ROUNDS * packed["bytes"] / took,
+        **found,
+        "bytes_a_s": n_viewers * ROUNDS * packed["bytes"] / found["all_s"],
         "median_load_s": statistics.median(loads),
+        "api_processor_s": api_s,
         **_percentiles(answers),
     }
 
 
-def _look(url: str, packed: dict, loads: list[float]) -> None:
-    """One viewer of a file: ROUNDS times all that its page asks for; appends the seconds that each took."""
-    size = packed["bytes"]
+def _processor_s(process: psutil.Process) -> float:
+    times = process.cpu_times()
+    return times.user + times.system
+
+
+def _look_all(url: str, packed: dict, n_viewers: int) -> dict:
+    """All viewers in one process: seconds of each load, of all, and of this process's processor."""
+    begun, before = time.perf_counter(), time.process_time()
+
+    async def together() -> list[list[float]]:
+        return await asyncio.gather(*(_look(url, packed) for _ in range(n_viewers)))
+
+    loads = [seconds for each in asyncio.run(together()) for seconds in each]
+    return {"loads": loads, "all_s": time.perf_counter() - begun, "clients_processor_s": time.process_time() - before}
+
+
+async def _look(url: str, packed: dict) -> list[float]:
+    """One viewer of a file: ROUNDS times all that its page asks for."""
+    host, port = url.removeprefix("http://").split(":")
+    size, loads = packed["bytes"], []
     ranges = [(start, min(start + RANGE_BYTES, size) - 1) for start in range(0, size, RANGE_BYTES)]
-    with httpx.Client(base_url=url, timeout=300) as client:
-        for _ in range(ROUNDS):
-            begun = time.perf_counter()
-            client.get("/view").raise_for_status()
-            client.get("/web/viewer/shaders.json").raise_for_status()
-            for span in (f"-{TAIL_BYTES}", *(f"{start}-{last}" for start, last in ranges)):
-                client.get(packed["href"], headers={"Range": f"bytes={span}"}).raise_for_status()
-            loads.append(time.perf_counter() - begun)
+    spans = (f"-{TAIL_BYTES}", *(f"{start}-{last}" for start, last in ranges))
+    asked = [*(f"GET {path}" for path in ("/view", "/web/viewer/page.js", "/web/viewer/shaders.json"))]
+    asked += [f"GET {packed['href'].removeprefix(url)} {span}" for span in spans]
+    reader, writer = await asyncio.open_connection(host, int(port))
+    for _ in range(ROUNDS):
+        begun = time.perf_counter()
+        for line in asked:
+            method, path, *span = line.split()
+            range_of = f"Range: bytes={span[0]}\r\n" if span else ""
+            writer.write(f"{method} {path} HTTP/1.1\r\nHost: {host}:{port}\r\n{range_of}\r\n".encode())
+            head = (await reader.readuntil(b"\r\n\r\n")).decode().lower()
+            assert head.startswith(("http/1.1 200", "http/1.1 206")), head
+            await reader.readexactly(int(head.split("content-length: ")[1].split("\r\n")[0]))
+        loads.append(time.perf_counter() - begun)
+    writer.close()
+    return loads
 
 
 def _percentiles(answers: list[float]) -> dict:

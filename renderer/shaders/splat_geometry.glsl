@@ -54,6 +54,10 @@ const uint SIZE_WORD = 7u;
 uvec2 splat_words(uint splat) { return splats[splat]; }
 #endif
 
+#ifndef GROWTH_OF
+#define GROWTH_OF(group) 1.0
+#endif
+
 #ifdef SIZE_BITS
 #include "bits.glsl"
 const uint BOX_WORDS = SIZE_WORD + 4u * uint(SIZE_BITS);
@@ -64,12 +68,12 @@ float radius_of(uint splat) {
     uint code = READ_BITS(boxes, box + SIZE_WORD, splat % CHUNK * uint(SIZE_BITS), uint(SIZE_BITS));
     float low = float(boxes[box + 6u] >> 16 & 0xFFu), high = float(boxes[box + 6u] >> 24);
     float at = low + (high - low) * float(code) / float((1u << uint(SIZE_BITS)) - 1u);
-    return scene.radius * exp2((at - 128.0) / 16.0);
+    return scene.radius * exp2((at - 128.0) / 16.0) * GROWTH_OF(splat / GROUP);
 }
 #else
 const uint BOX_WORDS = SIZE_WORD;
 
-float radius_of(uint splat) { return scene.radius; }
+float radius_of(uint splat) { return scene.radius * GROWTH_OF(splat / GROUP); }
 #endif
 
 struct Disc {

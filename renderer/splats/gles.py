@@ -49,6 +49,7 @@ flat in float nearness;
 #endif
 """
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
+_SPACE = re.compile(r" ?([*/=<>?:;,(){}|&!]) ?")
 _BUFFER = re.compile(r"layout\(std430, binding = \d+\) readonly buffer \w+ \{ (\w+) (\w+)\[\]; \};")
 _LOADS = {"uint": "load", "uvec2": "load_pair", "float": "load_float"}
 
@@ -72,7 +73,13 @@ def drawn_text(name: str) -> str:
 def shader_document() -> dict:
     """What the viewer takes: version, texts, and what each effect adds to which passes."""
     parts = {name: asdict(part) for name, part in shader_parts().items()}
-    return {"version": VERSION, "line_bits": LINE_BITS, "sources": es_sources(), "parts": parts}
+    sources = {name: _close(text) for name, text in es_sources().items()}
+    return {"version": VERSION, "line_bits": LINE_BITS, "sources": sources, "parts": parts}
+
+
+def _close(text: str) -> str:
+    """Without spaces about signs, but on lines of the preprocessor."""
+    return "\n".join(line if line.startswith("#") else _SPACE.sub(r"\1", line) for line in text.split("\n"))
 
 
 def to_es(text: str, is_vertex: bool) -> str:

@@ -9,7 +9,6 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from sqlalchemy.exc import InterfaceError, OperationalError
-from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 
 from services.api import (
@@ -27,13 +26,14 @@ from services.api import (
     uploads,
 )
 from services.api.context import owner_of
-from services.api.door.body import CHANGING, MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyGuard, Guard, cap, first_look, room
+from services.api.door.body import MAX_JSON_BYTES, MULTIPART_OVERHEAD, BodyGuard, Guard, cap, first_look, room
 from services.api.door.head import Head
 from services.api.door.schema import add_schema, allowed_methods
+from services.api.door.secured import Secured
+from services.api.door.turns import FilesInTurn
 from services.problems import RESOURCE, Problem, is_of_database, mistake
 from services.settings import ServiceSettings
 from services.store.store import Store
-from services.store.tokens import note_action
 from storage.place.objects import OBJECT_STORE
 from storage.version import VERSION
 
@@ -57,12 +57,6 @@ _PROBLEM = {
             }
         }
     },
-}
-_SECURITY = {
-    "x-content-type-options": "nosniff",
-    "referrer-policy": "no-referrer",
-    "x-frame-options": "DENY",
-    "content-security-policy": "default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'",
 }
 
 
@@ -97,7 +91,8 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         idle_s=settings.body_idle_s,  # type: ignore[arg-type]
     )
     app.add_middleware(Head)
-    app.middleware("http")(_secured)
+    app.add_middleware(Secured)
+    app.add_middleware(FilesInTurn)
     add_schema(app)
     return app
 
@@ -112,28 +107,6 @@ def _guards(settings: ServiceSettings, method: str, path: str, promised: int) ->
             first_look(settings, promised),
         ]
     return [cap(MAX_JSON_BYTES, promised)]
-
-
-async def _secured(request: Request, call_next):
-    response = await call_next(request)
-    for name, value in _SECURITY.items():
-        response.headers.setdefault(name, value)
-    if request.method in CHANGING and response.status_code < 400 and hasattr(request.state, "owner"):
-        await run_in_threadpool(_note, request)
-    return response
-
-
-def _note(request: Request) -> None:
-    """Who did what. A piece of an upload is no deed of its own."""
-    path = request.url.path
-    if request.method == "PATCH" and path.startswith("/v1/uploads/"):
-        return
-    client = request.client.host if request.client else ""
-    kind, _, target = path.removeprefix("/v1/").partition("/")
-    try:
-        note_action(request.app.state.store, request.state.owner, f"{request.method} {kind}", target, client)
-    except (OperationalError, InterfaceError):
-        pass  # what was done is done, and the database away since
 
 
 def _answer(problem: Problem) -> JSONResponse:

@@ -11,6 +11,7 @@ from fastapi.responses import FileResponse, StreamingResponse
 
 from pipeline.exports.formats import FORMATS
 from services.api.context import Database, Job, Settings
+from services.files import SentFile, is_known
 from services.jobs.archive import zipped
 from services.jobs.documents import artifact_document
 from services.jobs.workflow import job_folder
@@ -103,13 +104,7 @@ def get_artifact(job: Job, name: str, settings: Settings, store: Database, reque
         raise Problem(410, "expired", f"{name} has expired")
     if path.suffix == ".html":
         headers["content-security-policy"] = _PAGE
-    return FileResponse(path, headers=headers)
-
-
-def is_known(request: Request, etag: str) -> bool:
-    """Whether If-None-Match names it, weakly compared (RFC 9110, 13.1.2)."""
-    named = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
-    return etag in named or "*" in named
+    return SentFile(path, headers=headers)
 
 
 def _absent(job: JobRow, what: str, tail: str = "") -> Problem:

@@ -1,20 +1,21 @@
-"""The viewer's files: one by one as a server sends them, or all in one page that opens without one."""
+"""The viewer's files: its page, its style and all its modules as one script, as a server sends them; or all in one page that opens without one."""
 
 from __future__ import annotations
 
-import gzip
 import html
 import json
 import re
+import zlib
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+import rjsmin
 
 from renderer.splats.gles import shader_document
 
 FOLDER = Path(__file__).parent / "viewer"
-PAGE, SHADERS = "index.html", "shaders.json"
+PAGE, SCRIPT, SHADERS = "index.html", "page.js", "shaders.json"
 MEDIA_TYPES = {".js": "text/javascript", ".css": "text/css", ".html": "text/html", ".json": "application/json"}
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' blob: data:; "
@@ -23,27 +24,25 @@ POLICY = (
 # Of the one page: its script is text of its own, and becomes modules of its own; nothing is asked of anyone.
 _POLICY_OF_ONE_PAGE = "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'"
 _IMPORT = re.compile(r'^import \{ ([\w, ]+) \} from "\./([\w.]+)";\n', re.MULTILINE)
-# On lines of their own, or behind the end of a statement or an item.
-_COMMENTS = re.compile(r"^ *(?://[^\n]*|/\*\*(?:(?!\*/).)*\*/)\n|(?<=[;,{)}\]]) //[^\n]*$", re.MULTILINE | re.DOTALL)
 _EXPORT = re.compile(r"^export (?=(?:async )?(?:function|class|const) (\w+))", re.MULTILINE)
 
 
 @cache
 def viewer_file(name: str) -> tuple[bytes, str] | None:
-    """Contents and media type of a file of the viewer, scripts without their comments; None where there is none of that name."""
+    """Contents and media type of a file of the viewer; None where there is none of that name. SCRIPT comes with all that it imports, and
+    bare; its modules alone are for who looks at them."""
     media_type = MEDIA_TYPES.get(Path(name).suffix)
     if name == SHADERS:
         return json.dumps(shader_document()).encode(), media_type
     path = FOLDER / name
     if media_type is None or Path(name).name != name or not path.is_file():
         return None
-    return (_bare(path.read_text()).encode() if path.suffix == ".js" else path.read_bytes()), media_type
+    return (_script() if name == SCRIPT else path.read_bytes()), media_type
 
 
-def _bare(script: str) -> str:
-    """A script without comments, indentation and empty lines: it goes over the network, and into each page of its own."""
-    lines = (line.strip() for line in _COMMENTS.sub("", script).splitlines())
-    return "\n".join(line for line in lines if line) + "\n"
+def _script() -> bytes:
+    page = _IMPORT.sub(_taken, (FOLDER / SCRIPT).read_text())
+    return rjsmin.jsmin(f"{bundle('start.js')}\n{page}").encode()
 
 
 def one_page(packed: bytes, title: str) -> bytes:
@@ -52,26 +51,21 @@ def one_page(packed: bytes, title: str) -> bytes:
     Guarantees: at most 16/13 of the file and 60 kB.
     """
     style, page = (viewer_file(name)[0].decode() for name in ("viewer.css", PAGE))
-    body = page[page.index("<body>") :].removesuffix("</html>\n")
-    program = f"{bundle('start.js')}\nexport const begin = modules['start.js'].begin;"
-    parts = {
-        "code": gzip.compress(program.encode(), 9, mtime=0),
-        "shaders": gzip.compress(viewer_file(SHADERS)[0], 9, mtime=0),
-        "packed": packed,
-    }
+    body = page[page.index("<body>") + len("<body>") : page.index("</body>")]
+    program = rjsmin.jsmin(f"{bundle('start.js')}\nexport const begin = modules['start.js'].begin;")
+    viewer = json.dumps([style, body, program, shader_document()], separators=(",", ":"))
+    parts = {"viewer": zlib.compress(viewer.encode(), 9), "packed": packed}
     return "\n".join(
         [
             '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">',
             f'<meta http-equiv="Content-Security-Policy" content="{_POLICY_OF_ONE_PAGE}">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f'<title>{html.escape(title)}</title>\n<link rel="icon" href="data:,">',
-            f"<style>{style}</style>",
-            body,
+            f'<title>{html.escape(title)}</title>\n<link rel="icon" href="data:,">\n<body>',
             *(
                 f'<script type="application/octet-stream" id="{name}" data-bytes="{len(data)}">{as_text(data)}</script>'
                 for name, data in parts.items()
             ),
-            f'<script type="module">{_LOADER}</script>\n</html>\n',
+            f'<script type="module">{rjsmin.jsmin(_LOADER)}</script>\n</body>\n</html>\n',
         ]
     ).encode()
 
@@ -104,10 +98,17 @@ const bytesOf = (id) => {
   element.remove();
   return bytes;
 };
-const unpacked = (id) => new Response(new Blob([bytesOf(id)]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
-const { begin } = await import(URL.createObjectURL(new Blob([await unpacked("code")], { type: "text/javascript" })));
-begin(JSON.parse(await unpacked("shaders")), bytesOf("packed"));
+const stream = new Blob([bytesOf("viewer")]).stream().pipeThrough(new DecompressionStream("deflate"));
+const [style, body, program, shaders] = await new Response(stream).json();
+document.head.append(Object.assign(document.createElement("style"), { textContent: style }));
+document.body.insertAdjacentHTML("afterbegin", body);
+const { begin } = await import(URL.createObjectURL(new Blob([program], { type: "text/javascript" })));
+begin(shaders, bytesOf("packed"));
 """
+
+
+def _taken(found: re.Match) -> str:
+    return f"const {{ {found[1]} }} = modules['{found[2]}'];\n"
 
 
 def bundle(entry: str) -> str:
@@ -132,7 +133,7 @@ def bundle(entry: str) -> str:
 def _as_function(name: str, text: str) -> tuple[str, set[str]]:
     """A module as a function that is called at once, and what it exports."""
     exported = set(_EXPORT.findall(text))
-    text = _IMPORT.sub(lambda match: f"const {{ {match[1]} }} = modules['{match[2]}'];\n", text)
+    text = _IMPORT.sub(_taken, text)
     text = _EXPORT.sub("", text)
     if re.search(r"^(import|export)\b", text, re.MULTILINE):
         raise AssertionError(f"{name} imports or exports in another way than the others")

@@ -7,8 +7,9 @@ import re
 from pathlib import Path
 
 from fastapi import FastAPI, Request, Response
-from fastapi.responses import FileResponse, PlainTextResponse
+from fastapi.responses import PlainTextResponse
 
+from services.files import SentFile, is_known
 from services.web.viewer_page import PAGE, POLICY, viewer_file
 from storage.packed.seal import SEAL, SEAL_BYTES
 
@@ -33,8 +34,11 @@ def viewer_app(packed: Path) -> FastAPI:
         return file(PAGE)
 
     @app.get("/content")
-    def content() -> FileResponse:
-        return FileResponse(packed, headers={"etag": etag, "cache-control": "no-cache"})
+    def content(request: Request) -> Response:
+        headers = {"etag": etag, "cache-control": "no-cache"}
+        return (
+            Response(status_code=304, headers=headers) if is_known(request, etag) else SentFile(packed, headers=headers)
+        )
 
     @app.get("/web/viewer/{name}")
     def file(name: str) -> Response:

@@ -13,7 +13,6 @@ from pathlib import Path
 FLAGS = (
     "--headless",
     "--no-sandbox",
-    "--disable-gpu",
     "--no-first-run",
     "--disable-background-networking",
     "--disable-component-update",
@@ -21,6 +20,9 @@ FLAGS = (
     "--window-size=1280,1400",
     "--remote-debugging-pipe",
 )
+# What draws: Chromium's own SwiftShader, or Mesa's llvmpipe, which is what the product's renderer runs on where there is no graphics card.
+SWIFTSHADER = ("--disable-gpu",)
+MESA = ("--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist")
 
 
 def chromium_path() -> str | None:
@@ -28,9 +30,9 @@ def chromium_path() -> str | None:
 
 
 class Page:
-    """One page of a browser of its own."""
+    """One page of a browser of its own, drawn by SWIFTSHADER or MESA."""
 
-    def __init__(self, profile: Path) -> None:
+    def __init__(self, profile: Path, drawn_by: tuple[str, ...] = SWIFTSHADER) -> None:
         to_read, self._write = os.pipe()
         self._read, to_write = os.pipe()
 
@@ -42,7 +44,8 @@ class Page:
             os.set_inheritable(4, True)
 
         self._process = subprocess.Popen(
-            [chromium_path(), *FLAGS, f"--user-data-dir={profile}", "about:blank"],
+            [chromium_path(), *FLAGS, *drawn_by, f"--user-data-dir={profile}", "about:blank"],
+            env=os.environ | {"EGL_PLATFORM": "surfaceless"},
             preexec_fn=as_three_and_four,
             close_fds=False,
             stdout=subprocess.DEVNULL,

@@ -15,9 +15,9 @@ export function atlasLayout({ n_dictionary, atom_size, coarsest_size }) {
 }
 
 /** The texture of the atlas, and the words of `weights`. */
-export async function loadAtoms(gl, packed, layout, signal) {
+export async function loadAtoms(gl, packed, layout) {
   const { header } = packed, sizes = MIP_SIZES.filter((s) => s <= header.atom_size && s >= header.coarsest_size);
-  const found = await packed.readWhole(["weight_levels", "atom_scale", ...sizes.map((s) => `atoms_${s}`)], signal);
+  const found = await packed.readWhole(["weight_levels", "atom_scale", ...sizes.map((s) => `atoms_${s}`)]);
   const levels = header.n_ranks << header.weight_bits, floats = new Float32Array(levels + header.n_dictionary);
   floats.set(found.weight_levels.subarray(0, levels));
   floats.set(found.atom_scale.subarray(0, header.n_dictionary), levels);

@@ -78,18 +78,18 @@ export class Packed {
   }
 
   /** Ask for chunks of `chunksOf`; `onChunk(array, index, values, bytes)` hears each, with its bytes as they stand in the file. */
-  async read(chunks, onChunk, signal, largestGap) {
+  async read(chunks, onChunk, signal, largestGap, again) {
     const byMember = new Map(chunks.map((chunk) => [chunk.name, chunk]));
     await readMembers(this.source, chunks, (name, bytes) => {
       const { array, index } = byMember.get(name);
       onChunk(array, index, valuesOf(array, bytes), bytes);
-    }, signal, largestGap);
+    }, signal, largestGap, again);
   }
 
   /** Whole arrays by name; their last chunks may be longer than they are. */
-  async readWhole(names, signal, largestGap) {
+  async readWhole(names) {
     const parts = Object.fromEntries(names.map((name) => [name, []]));
-    await this.read(names.flatMap((name) => this.chunksOf(name)), (array, index, values) => { parts[array][index] = values; }, signal, largestGap);
+    await this.read(names.flatMap((name) => this.chunksOf(name)), (array, index, values) => { parts[array][index] = values; });
     return Object.fromEntries(names.map((name) => [name, joined(parts[name])]));
   }
 }

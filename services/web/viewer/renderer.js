@@ -3,10 +3,9 @@
 
 import { GROUP } from "./packed.js";
 import { radiusAt } from "./tables.js";
+import { NEAR_IN_RADII, viewBlock, visibleGroups } from "./view.js";
 
 const UNITS = ["splats", "boxes", "running_counts", "groups", "codes", "cliplines", "weights", "ellipsoids", "colors", "shares", "atlas", "sums", "normals", "splat_maps", "map_frames", "map_colors", "map_depths"];
-const NEAR_IN_RADII = 0.01;
-const SPARE_PX = 1;
 const AS_PHOTOGRAPHED = { towards: [0, 0, -1], ambient: 1, diffuse: 0 };
 const DEPTH_SHADER = `precision highp float; precision highp sampler2D;
 uniform sampler2D depths; uniform ivec2 at; out vec4 found;
@@ -29,23 +28,39 @@ export class Renderer {
   }
 
   /** Draw `scene` from `view` ({ rotation rows, eye against the origin, fx, fy, cx, cy, width, height }) into the renderer's targets. */
-  render(scene, view, { maxAtoms = 16, light = null, mostSplats = Infinity, section = null } = {}) {
-    const { gl } = this;
-    const drawn = light ? new Set([...scene.drawn, "relighting", "normal_smoothing"]) : scene.drawn;
-    const groups = scene.choose(view, visibleGroups(scene, view), mostSplats);
+  render(scene, view, look = {}) {
+    const groups = scene.choose(view, visibleGroups(scene, view), look.mostSplats ?? Infinity);
+    this.begin(scene, view, look);
+    this.drawDepth(groups);
+    this.drawColors(groups);
+    return this.end(groups);
+  }
+
+  /** Empty targets; then come `drawDepth` of all groups, in any number of calls, `drawColors` of all of them, and `end`. `wide` sums take any number of splats. */
+  begin(scene, view, { maxAtoms = 16, light = null, section = null, wide = false }) {
+    const { gl } = this, drawn = light ? new Set([...scene.drawn, "relighting", "normal_smoothing"]) : scene.drawn;
     const against = (corner) => corner.map((x, i) => x - view.eye[i]);
     this.section = section && { section_low: against(section.low), section_high: against(section.high) };
-    this.use(scene, view, drawn);
+    this.begun = { scene, view, drawn, maxAtoms, light: light || AS_PHOTOGRAPHED };
+    this.use(scene, view, drawn, wide);
     gl.bindVertexArray(this.empty);
-    this.drawDepth(scene, groups, drawn);
-    this.drawColors(scene, groups, drawn, maxAtoms, light || AS_PHOTOGRAPHED);
-    this.resolve(drawn, light || AS_PHOTOGRAPHED);
+    gl.depthMask(true);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.depth);
+    gl.clearBufferfv(gl.DEPTH, 0, [0]);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.sums);
+    for (let i = 0; i < this.targets.colors.length; ++i) gl.clearBufferfv(gl.COLOR, i, [0, 0, 0, 0]);
+  }
+
+  /** The picture of the groups that were drawn; returns how many splats they have. */
+  end(groups) {
+    const { scene, view, drawn, light } = this.begun;
+    this.resolve(drawn, light);
     this.shown = { scene, view, splats: groups.reduce((n, group) => n + scene.splatsOf(group), 0) };
     return this.shown.splats;
   }
 
-  use(scene, view, drawn) {
-    const { gl } = this, wide = scene.drawn.has("accumulation") && this.canBlendWide;
+  use(scene, view, drawn, asked) {
+    const { gl } = this, wide = (asked || scene.drawn.has("accumulation")) && this.canBlendWide;
     this.targets = this.targetsOf(view.width, view.height, wide, drawn.has("normal_smoothing"));
     gl.viewport(0, 0, view.width, view.height);
     for (const [i, [buffer, data]] of [[this.view, viewBlock(view, scene.header)], [this.scene, scene.uniformBlock()]].entries()) {
@@ -64,14 +79,13 @@ export class Renderer {
     this.gl.activeTexture(this.gl.TEXTURE0 + UNITS.length);
   }
 
-  drawDepth(scene, groups, drawn) {
-    const { gl } = this, { batches } = scene.header;
+  drawDepth(groups) {
+    const { gl, begun: { scene, drawn } } = this, { batches } = scene.header;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.depth);
     gl.disable(gl.BLEND);
     gl.enable(gl.DEPTH_TEST);
     gl.depthMask(true);
     gl.depthFunc(gl.GREATER);
-    gl.clearBufferfv(gl.DEPTH, 0, [0]);
     if (scene.nLeading) {
       const program = this.program("visibility", { LEADING: scene.nLeading < batches.length, ...scene.defines });
       this.drawGroups(scene, program, groups, null, { n_leading: scene.nLeading });
@@ -80,14 +94,13 @@ export class Renderer {
       this.drawBatch(scene, groups, batch, "visibility", this.definesOf("visibility", drawn, batches[batch]), {});
   }
 
-  drawColors(scene, groups, drawn, maxAtoms, light) {
-    const { gl } = this, { batches, n_turns } = scene.header;
+  drawColors(groups) {
+    const { gl, begun: { scene, drawn, maxAtoms, light } } = this, { batches, n_turns } = scene.header;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.sums);
     gl.depthMask(false);
     gl.depthFunc(gl.GEQUAL);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE);
-    for (let i = 0; i < this.targets.colors.length; ++i) gl.clearBufferfv(gl.COLOR, i, [0, 0, 0, 0]);
     const coded = groups.filter((group) => scene.isCoded(group)), flat = groups.filter((group) => !scene.isCoded(group));
     batches.forEach((batch, i) => {
       for (const [some, atoms] of [[coded, Math.min(batch.n_atoms, maxAtoms)], [flat, 0]]) {
@@ -259,31 +272,4 @@ export class Renderer {
     if (textures.length > 1) gl.drawBuffers(textures.map((_, i) => gl.COLOR_ATTACHMENT0 + i));
     return { framebuffer, textures };
   }
-}
-
-// The uniform block `View` of shaders/view.glsl; mirrors renderer/splats/projection.py.
-function viewBlock({ rotation, eye, fx, fy, cx, cy, width, height }, { radius, margin_radii }) {
-  const block = new Float32Array(28), high = eye.map(Math.fround);
-  rotation.forEach((row, i) => block.set(row, 4 * i));
-  block.set(high, 12);
-  block.set(eye.map((e, i) => e - high[i]), 16);
-  block.set([fx, fy, cx, cy, width, height, NEAR_IN_RADII * radius, margin_radii], 20);
-  return block;
-}
-
-/** Groups whose boxes reach into a view, as shaders/cull.comp.glsl tells them. */
-export function visibleGroups(scene, { rotation, eye, fx, fy, cx, cy, width, height }) {
-  const planes = [[0, 0, 1], [fx, 0, cx + SPARE_PX], [-fx, 0, width - cx + SPARE_PX], [0, fy, cy + SPARE_PX], [0, -fy, height - cy + SPARE_PX]]
-    .map((plane) => [0, 1, 2].map((i) => plane[0] * rotation[0][i] + plane[1] * rotation[1][i] + plane[2] * rotation[2][i]));
-  const groups = [], boxes = scene.groupBoxes;
-  const { nGroups } = scene.packed;
-  for (let group = 0, at = 0; group < nGroups; ++group, at += 6) {
-    const inside = planes.every((inward) => {
-      let reach = 0;
-      for (let i = 0; i < 3; ++i) reach += inward[i] * (boxes[at + (inward[i] > 0 ? 3 : 0) + i] - eye[i]);
-      return reach >= 0;
-    });
-    if (inside) groups.push(group);
-  }
-  return groups;
 }

@@ -25,7 +25,8 @@ export class Scene {
   /** With at most `budget` splats of it drawn at once. */
   constructor(gl, packed, budget) {
     const { header } = packed, { levels } = header;
-    const room = levels ? Math.ceil((POOL * budget) / GROUP) + Math.ceil(levels[0] / GROUP) + 1 : Infinity;
+    this.nCoarsest = levels ? Math.ceil(levels[0] / GROUP) : 0;
+    const room = levels ? Math.max(POOL, Math.ceil((POOL * budget) / GROUP)) + this.nCoarsest + 1 : Infinity;
     Object.assign(this, { gl, packed, header, textures: {}, waiting: new Map(), layout: atlasLayout(header), pool: new Pool(packed.nGroups, room) });
     this.state = new Uint8Array(packed.nGroups);
     this.drawn = new Set(Object.keys(header.effects));
@@ -49,7 +50,7 @@ export class Scene {
     return Object.values(this.textures).reduce((sum, words) => sum + words.bytes, (this.maps?.bytes ?? 0) + (this.atlas ? 4 * this.layout.width * this.layout.height : 0));
   }
 
-  /** Chunks that the arrays `kept` are of: those of all slots. */
+  /** Chunks of all slots, as `kept` has them. */
   get nChunks() {
     return this.pool.nSlots * CHUNKS_PER_GROUP;
   }
@@ -68,36 +69,44 @@ export class Scene {
 
   /** Those of the groups `seen` that are here and, of levels, show the view with no more than `mostSplats`. */
   choose(view, seen, mostSplats) {
-    const here = seen.filter((group) => this.isShown(group)), { tree, pool } = this;
+    const here = seen.filter((group) => this.isShown(group)), { tree } = this;
     if (!tree) return here;
     const inView = new Set(seen);
     const shares = sharesOf(tree, view, { mostSplats, isSeen: (group) => inView.has(group), isHere: (group) => this.isShown(group) });
-    this.textures.shares.put(0, new Uint32Array(Float32Array.from(pool.groupOf, (group) => (group < 0 ? 0 : shares[group])).buffer));
+    this.share(shares);
     return here.filter((group) => shares[group] > 0);
   }
 
+  /** With what shares groups are drawn from here on. */
+  share(shares) {
+    this.textures.shares.put(0, new Uint32Array(Float32Array.from(this.pool.groupOf, (group) => (group < 0 ? 0 : shares[group])).buffer));
+  }
+
   /**
-   * Load what `wanted()` names, groups in the order in which they are wanted, and go on as it names more. `onChange(stage)` is called when there is more to draw. Ends with `signal` alone.
+   * Load what `wanted()` names, groups in the order in which they are wanted, and go on as it names more. `onChange(stage)` is called when there is more to draw. `atRest()`
+   * is waited for when all is there, and may use the pool. Ends by an error alone.
    */
-  async load(wanted, onChange, signal) {
-    await this.loadTables(signal);
+  async load(wanted, onChange, atRest) {
+    await this.loadTables();
     onChange("tables");
     for (;;) {
       const { stage, chunks } = this.missing(this.pool.want(wanted()));
       if (stage === "atoms") {
-        const { weights, atlas } = await loadAtoms(this.gl, this.packed, this.layout, signal);
+        const { weights, atlas } = await loadAtoms(this.gl, this.packed, this.layout);
         this.textures.weights = weights;
         this.atlas = atlas;
         for (const group of this.pool.groupOf) if (group >= 0) this.advance(group);
         onChange(stage);
       } else if (stage === "maps") {
-        await this.loadMaps(signal);
+        await this.loadMaps();
         onChange(stage);
       } else if (stage) {
-        await this.read(chunks, onChange, signal);
+        await this.read(chunks, onChange);
       } else {
+        const woken = new Promise((wake) => { this.wake = wake; });
         onChange("all");
-        await new Promise((wake) => { this.wake = wake; });
+        await atRest();
+        await woken;
       }
     }
   }
@@ -126,12 +135,13 @@ export class Scene {
     return chunks;
   }
 
-  async read(chunks, onChange, signal, largestGap) {
+  // `again`: what may be asked for more than once, which browsers are to keep.
+  async read(chunks, onChange, signal, largestGap, again = false) {
     const checks = [];
     await this.packed.read(chunks, (array, group, values, bytes) => {
       if (this.take(array, group, values)) onChange("groups");
       checks.push(this.seals.hear(array, group, bytes));
-    }, signal, largestGap);
+    }, signal, largestGap, again);
     await Promise.all(checks);
   }
 
@@ -143,9 +153,9 @@ export class Scene {
     this.kept.box_low.fill(Infinity, slot * CHUNKS_PER_GROUP * 3, (slot + 1) * CHUNKS_PER_GROUP * 3);
   }
 
-  async loadTables(signal) {
+  async loadTables() {
     const { packed, header } = this, { nGroups } = packed;
-    const tables = await packed.readWhole(["group_low", "group_high", "group_radius", "group_rows", "group_seal", "run_codebook"].filter((name) => packed.has(name)), signal);
+    const tables = await packed.readWhole(["group_low", "group_high", "group_radius", "group_rows", "group_seal", "run_codebook"].filter((name) => packed.has(name)));
     this.kept = Object.fromEntries(Object.entries(KEPT).filter(([name]) => packed.has(name) || name !== "size_scale")
       .map(([name, [Type, width]]) => [name, new Type(this.nChunks * width)]));
     this.kept.box_low.fill(Infinity); // of what is not there yet
@@ -159,7 +169,7 @@ export class Scene {
     this.makeTextures();
     this.arrived = Object.fromEntries(packed.ofGroups.map((name) => [name, new Uint8Array(nGroups)]));
     this.outline = { low: tables.group_low, high: tables.group_high, n: nGroups };
-    if (header.levels || nGroups <= MOST_OUTLINED_BY_CHUNKS) await this.outlineByChunks(signal);
+    if (header.levels || nGroups <= MOST_OUTLINED_BY_CHUNKS) await this.outlineByChunks();
   }
 
   // Where each stream of a group begins, and how many words all of them take: one behind the other, or with as much room for each as the largest takes.
@@ -197,11 +207,11 @@ export class Scene {
   }
 
   // Boxes of chunks that hold the scene, before a camera is placed: those of the coarsest level, which is the first picture too, else of all groups.
-  async outlineByChunks(signal) {
+  async outlineByChunks() {
     const { packed, header, kept } = this, { levels } = header;
     const groups = Array.from({ length: levels ? Math.ceil(levels[0] / GROUP) : packed.nGroups }, (_, group) => group);
     const isSmall = levels || packed.source.size < BATCH_BYTES, arrays = isSmall ? packed.ofGroups : header.runs ? this.runArrays : this.defines.QUADRICS ? this.frameArrays : ["box_low", "box_size"];
-    for (let chunks; (chunks = this.batch(this.pool.want(groups), arrays)).length;) await this.read(chunks, () => {}, signal, isSmall ? undefined : SMALL_GAP);
+    for (let chunks; (chunks = this.batch(this.pool.want(groups), arrays)).length;) await this.read(chunks, () => {}, undefined, isSmall ? undefined : SMALL_GAP);
     const n = Math.min(groups.length * CHUNKS_PER_GROUP, packed.nChunks), low = kept.box_low.slice(0, 3 * n);
     this.outline = { low, high: low.map((x, i) => x + kept.box_size[i]), n };
   }
@@ -261,9 +271,9 @@ export class Scene {
     return this.state[group] !== was;
   }
 
-  async loadMaps(signal) {
+  async loadMaps() {
     const { gl, packed, header } = this, frames = mapFrames(header);
-    this.maps = await mapTextures(gl, header, await packed.readWhole(["map_colors", "map_depth_low", "map_depth_high"], signal));
+    this.maps = await mapTextures(gl, header, await packed.readWhole(["map_colors", "map_depth_low", "map_depth_high"]));
     this.textures.map_frames = new Words(gl, frames.length).put(0, frames);
     this.defines.MAPPED = 1;
   }

@@ -28,8 +28,9 @@ export class HttpSource {
     });
   }
 
-  /** The bytes start..stop; `onBytes(offset, bytes)` hears them as they arrive, `offset` counted from the file's beginning. */
-  async stream(start, stop, onBytes, signal) {
+  /** The bytes start..stop; `onBytes(offset, bytes)` hears them as they arrive, `offset` counted from the file's beginning. What is
+   * asked for `again` browsers may keep; else they do not, as they answer one request about what they keep after the other. */
+  async stream(start, stop, onBytes, signal, again = false) {
     let at = start;
     const known = Math.max(start, this.size - this.end.length), last = stop;
     stop = Math.min(stop, known);
@@ -41,7 +42,7 @@ export class HttpSource {
       }
     };
     const goOn = async (arrived) => {
-      const answer = await this.ask(`bytes=${at}-${stop - 1}`, signal);
+      const answer = await this.ask(`bytes=${at}-${stop - 1}`, signal, again);
       if (answer.status !== 206) throw new Error("the server answers no ranges");
       if (this.etag && answer.headers.get("ETag") !== this.etag) throw new Error("the file has changed on the server; load the page again");
       const reader = answer.body.getReader();
@@ -69,9 +70,9 @@ export class HttpSource {
     }
   }
 
-  async ask(range, signal) {
+  async ask(range, signal, again = false) {
     this.requests += 1;
-    const answer = await fetch(this.url, { headers: { ...this.headers, Range: range }, signal, cache: "no-store" });
+    const answer = await fetch(this.url, { headers: { ...this.headers, Range: range }, signal, cache: again ? "default" : "no-store" });
     if (answer.ok) return answer;
     const problem = await answer.json().catch(() => ({}));
     throw new Error(problem.detail || `the server answers ${answer.status} ${answer.statusText}`);

@@ -16,7 +16,8 @@ export async function begin(shaders, bytes = null) {
   const poster = parameters.get("poster");
   if (poster) document.getElementById("canvas").style.backgroundImage = `url("${encodeURI(poster)}")`;
   try {
-    const viewer = (globalThis.viewer = new Viewer(shaders, { ownDepth: parameters.has("own-depth"), budget: Number(parameters.get("budget")) }));
+    const number = (name) => (parameters.has(name) ? Number(parameters.get(name)) : undefined);
+    const viewer = (globalThis.viewer = new Viewer(shaders, { ownDepth: parameters.has("own-depth"), budget: number("budget"), settled: number("settled") }));
     await viewer.load(bytes ? new BytesSource(bytes) : new HttpSource(contentOf(parameters), sessionToken()));
   } catch (error) {
     fail(error);

@@ -2,18 +2,20 @@
 
 import { Camera } from "./camera.js";
 import { Controls } from "./controls.js";
-import { sharesOf } from "./detail.js";
 import { Measure } from "./measure.js";
 import { Packed } from "./packed.js";
-import { Renderer, visibleGroups } from "./renderer.js";
+import { Renderer } from "./renderer.js";
 import { Scene } from "./scene.js";
 import { Section } from "./section.js";
-import { dot, unit } from "./vectors.js";
+import { allOf, settle } from "./settling.js";
+import { unit } from "./vectors.js";
+import { wantedGroups } from "./view.js";
 
 const TARGET_MS = 50; // of a frame while one moves
 const COARSEST = 0.25; // of the resolution, while one moves
 const STILL_MS = 250; // after the last move, before a frame of full resolution
 const BUDGET = 3e6, BUDGET_OF_TOUCH = 1e6; // splats at once, where a file has levels
+const SETTLED = 10; // times the budget, the most splats of a view that rests
 const REST = 2; // times what a frame takes, between frames of a file that arrives
 const MOST_ATOMS = 16; // of a splat, by the format
 const $ = (id) => document.getElementById(id);
@@ -23,6 +25,7 @@ export class Viewer {
   constructor(shaders, options = {}) {
     Object.assign(this, { canvas: $("canvas"), options, scale: 1, lamp: null, maxAtoms: MOST_ATOMS, isMeasuring: false, queued: false, times: {} });
     this.budget = options.budget || (matchMedia("(pointer: coarse)").matches ? BUDGET_OF_TOUCH : BUDGET);
+    this.mostSettled = options.settled ?? SETTLED * this.budget;
     this.renderer = new Renderer(this.canvas, shaders, options);
     new ResizeObserver(() => this.draw()).observe(this.canvas);
   }
@@ -32,7 +35,7 @@ export class Viewer {
     this.started = performance.now();
     const packed = await Packed.open(source);
     this.scene = new Scene(this.renderer.gl, packed, this.budget);
-    await this.scene.load(() => this.wanted(), (stage) => this.heard(stage));
+    await this.scene.load(() => this.wanted(), (stage) => this.heard(stage), () => this.settle());
   }
 
   heard(stage) {
@@ -107,6 +110,7 @@ export class Viewer {
 
   /** The point of the surface at CSS px of the canvas, against the origin; null where there is none. */
   pick(x, y) {
+    if (this.settling) this.stop(); // its depths are not whole yet
     this.frame(1);
     const { width, height } = this.shownView();
     return this.renderer.pointAt((x * width) / this.canvas.clientWidth, (y * height) / this.canvas.clientHeight);
@@ -138,6 +142,7 @@ export class Viewer {
   }
 
   save() {
+    if (this.settling) this.stop();
     this.frame(1);
     const { width, height } = this.shownView(), pixels = new Uint8ClampedArray(this.renderer.pixels().buffer);
     const canvas = Object.assign(document.createElement("canvas"), { width, height });
@@ -155,8 +160,8 @@ export class Viewer {
     this.lastMove = performance.now();
     $("photos").value = "";
     this.draw();
-    clearTimeout(this.settling);
-    this.settling = setTimeout(() => { this.draw(); this.toAddress(); this.scene.wake?.(); }, STILL_MS);
+    clearTimeout(this.waiting);
+    this.waiting = setTimeout(() => { this.draw(); this.toAddress(); this.scene.wake?.(); }, STILL_MS);
     if (this.lastMove - (this.lastLook ?? 0) > STILL_MS) this.lastLook = this.lastMove, this.scene.wake?.(); // while one flies, too
   }
 
@@ -187,45 +192,71 @@ export class Viewer {
     return [this.canvas.clientWidth, this.canvas.clientHeight].map((side) => Math.max(1, Math.round(side * density)));
   }
 
+  // All that a picture depends on, but what has arrived and the budget.
+  look(scale) {
+    const view = this.camera.view(...this.size(scale)), look = { light: this.lamp, maxAtoms: this.maxAtoms, section: this.section.box };
+    return { view, look, key: JSON.stringify([view, look]) };
+  }
+
   frame(scale) {
-    const [width, height] = this.size(1), started = performance.now();
-    if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
-    const view = this.camera.view(...this.size(scale));
-    this.splats = this.renderer.render(this.scene, view, { light: this.lamp, maxAtoms: this.maxAtoms, mostSplats: this.budget * scale * scale, section: this.section.box });
-    this.renderer.present();
-    this.renderer.wait();
-    this.drawnAt = performance.now();
-    this.frameMs = this.drawnAt - started;
+    const [width, height] = this.size(1), started = performance.now(), { view, look, key } = this.look(scale);
+    if (this.settled !== key && this.settling?.key !== key) {
+      this.stop();
+      if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
+      this.splats = this.renderer.render(this.scene, view, { ...look, mostSplats: this.budget * scale * scale });
+      this.show(started);
+    }
     this.measure.draw(view, this.canvas.clientWidth, this.canvas.clientHeight);
     if (this.splats) this.times.picture ??= performance.now() - this.started, document.body.classList.add("begun"), this.first ??= { bytes: this.source.received, requests: this.source.requests };
     this.say();
   }
 
+  show(started) {
+    this.renderer.present();
+    this.renderer.wait();
+    this.drawnAt = performance.now();
+    this.frameMs = this.drawnAt - started;
+  }
+
+  // The picture of all splats of a view that rests, where there are more than the budget lets one move through.
+  async settle() {
+    while (this.queued) await new Promise(requestAnimationFrame);
+    const { view, look, key } = this.look(1), { scene } = this;
+    if (!scene.tree || !this.mostSettled || this.settled === key || performance.now() - (this.lastMove ?? -Infinity) < STILL_MS) return;
+    const all = allOf(scene, view, this.mostSettled);
+    if (all.groups.reduce((n, group) => n + scene.splatsOf(group), 0) === this.splats) return (this.settled = key); // it is that already
+    const stop = new AbortController();
+    this.settling = { key, stop, done: 0 };
+    try {
+      this.splats = await settle(scene, this.renderer, view, all, this.wanted(), look, stop.signal, (done) => { this.settling.done = done; this.say(); });
+      this.settled = key;
+      this.renderer.present();
+      this.times.settled ??= performance.now() - this.started;
+    } catch (error) {
+      if (!stop.signal.aborted) throw error;
+    }
+    this.settling = null;
+    this.say();
+  }
+
+  // What rests no longer; where the view comes to rest again, it settles again.
+  stop() {
+    this.settling?.stop.abort();
+    if (this.settling || this.settled) this.scene.wake?.();
+    this.settling = this.settled = null;
+  }
+
   /** The pixels (RGBA, top row first) that a camera of the header's kind would see: what tests compare. */
   picture({ width_px, height_px, fx_px, fy_px, cx_px, cy_px, rotation, centre }, mostSplats = Infinity) {
     const eye = centre.map((x, i) => x - this.scene.header.origin[i]);
+    this.stop();
     this.renderer.render(this.scene, { rotation, eye, width: width_px, height: height_px, fx: fx_px, fy: fy_px, cx: cx_px, cy: cy_px },
       { light: this.lamp, maxAtoms: this.maxAtoms, mostSplats, section: this.section.box });
     return this.renderer.pixels();
   }
 
-  // Groups in the order in which they are wanted: coarse levels first, then those in view, the nearest first. Of levels those that the view
-  // asks for, and all above them.
   wanted() {
-    const { scene } = this, { groupBoxes: boxes, packed, tree } = scene, { eye, rows } = this.camera;
-    const groups = Array.from({ length: packed.nGroups }, (_, group) => group);
-    const far = groups.map((group) => {
-      const to = [0, 1, 2].map((i) => (boxes[6 * group + i] + boxes[6 * group + 3 + i]) / 2 - eye[i]), away = Math.hypot(...to);
-      return away * (dot(to, rows[2]) > 0.5 * away ? 1 : 10);
-    });
-    if (!tree) return groups.sort((a, b) => far[a] - far[b]);
-    const view = this.camera.view(...this.size(1)), seen = new Set(visibleGroups(scene, view)), wanted = new Set();
-    const shares = sharesOf(tree, view, { mostSplats: this.budget, isSeen: (group) => seen.has(group) });
-    for (let group = packed.nGroups - 1; group >= 0; --group) {
-      if ((shares[group] > 0 && seen.has(group)) || tree.level[group] === 0) wanted.add(group);
-      if (wanted.has(group) && tree.parent[group] >= 0) wanted.add(tree.parent[group]), tree.children[tree.parent[group]].forEach((c) => seen.has(c) && wanted.add(c));
-    }
-    return [...wanted].sort((a, b) => tree.level[a] - tree.level[b] || far[a] - far[b]);
+    return wantedGroups(this.scene, this.camera, this.camera.view(...this.size(1)), this.budget);
   }
 
   // --- words
@@ -233,7 +264,7 @@ export class Viewer {
   statistics() {
     const { source, scene, renderer } = this, view = this.shownView();
     return { splats: this.splats, allSplats: scene.header.n_splats, received: source.received, size: source.size, requests: source.requests, first: this.first, checked: scene.seals.checked,
-      frameMs: this.frameMs, gpuBytes: scene.bytes, pixels: view.width * view.height, complete: !!this.complete, times: this.times,
+      frameMs: this.frameMs, gpuBytes: scene.bytes, pixels: view.width * view.height, complete: !!this.complete, settled: !!this.settled, times: this.times,
       programs: [...renderer.programs.keys()], clipControl: !!renderer.clip };
   }
 
@@ -241,8 +272,8 @@ export class Viewer {
     const s = this.statistics(), count = (n) => (n >= 1e6 ? (n / 1e6).toFixed(2) + " M" : n.toLocaleString("en"));
     $("statistics").textContent = `${count(s.splats)} of ${count(s.allSplats)} splats · ${(Math.min(s.received, s.size) / 1e6).toFixed(1)} of ${(s.size / 1e6).toFixed(1)} MB`
       + ` · ${s.frameMs.toFixed(0)} ms a frame`;
-    $("loading").hidden = s.complete;
-    $("loading").value = s.received / s.size;
+    $("loading").hidden = s.complete && !this.settling;
+    $("loading").value = this.settling ? this.settling.done : s.received / s.size;
   }
 
   toAddress() {

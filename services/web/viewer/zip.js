@@ -42,7 +42,7 @@ function parsed(directory, count, end) {
 }
 
 /** Ask for members; `onMember(name, bytes)` hears each when it is whole. What lies close together is one request. */
-export async function readMembers(source, members, onMember, signal, largestGap = LARGEST_GAP) {
+export async function readMembers(source, members, onMember, signal, largestGap = LARGEST_GAP, again = false) {
   const spans = [];
   for (const member of [...members].sort((a, b) => a.start - b.start)) {
     const last = spans.at(-1);
@@ -50,11 +50,11 @@ export async function readMembers(source, members, onMember, signal, largestGap 
     else spans.push({ start: member.start, stop: member.stop, members: [member] });
   }
   const queue = spans.values();
-  const work = async () => { for (const span of queue) await readWhole(source, span, onMember, signal); };
+  const work = async () => { for (const span of queue) await readWhole(source, span, onMember, signal, again); };
   await Promise.all(Array.from({ length: Math.min(MOST_AT_ONCE, spans.length) }, work));
 }
 
-async function readWhole(source, { start, stop, members }, onMember, signal) {
+async function readWhole(source, { start, stop, members }, onMember, signal, again) {
   const bytes = new Uint8Array(stop - start);
   let next = 0;
   await source.stream(start, stop, (offset, part) => {
@@ -63,7 +63,7 @@ async function readWhole(source, { start, stop, members }, onMember, signal) {
       const member = members[next];
       onMember(member.name, bytes.subarray(member.start - start, member.stop - start));
     }
-  }, signal);
+  }, signal, again);
 }
 
 async function readSpan(source, start, stop) {

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import uvicorn
 
+from renderer.splats.renderer import Renderer
 from services.web.viewing import viewer_app
 from storage.packed.schema import Camera
 from tests.services.chromium import Page
@@ -56,6 +57,25 @@ def open_viewer(page: Page, url: str) -> None:
 
 def picture_of(page: Page, view: Camera, most_splats: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """(h, w, 3) uint8 and coverage (h, w) of what the viewer draws."""
-    text = page.look(_TEXT.replace("BYTES", f"viewer.picture({json.dumps(asdict(view))}, {most_splats or 'Infinity'})"))
+    return _pixels(page, f"viewer.picture({json.dumps(asdict(view))}, {most_splats or 'Infinity'})", view)
+
+
+def is_same_driver(page: Page, renderer: Renderer) -> bool:
+    """Whether the page is drawn by what draws the product's pictures, so that both round alike."""
+    drawn_by = page.look(
+        "(() => { const { gl } = viewer.renderer; return gl.getParameter(gl.getExtension('WEBGL_debug_renderer_info').UNMASKED_RENDERER_WEBGL); })()"
+    )
+    return renderer.context.info["GL_RENDERER"] in drawn_by
+
+
+def settled_picture(page: Page, view: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """The same of the picture that comes to rest at a view of the window's size."""
+    page.look(f"(viewer.complete = false, viewer.camera.stand({json.dumps(asdict(view))}), viewer.moved(), null)")
+    page.until("viewer.statistics().settled && !viewer.queued")
+    return _pixels(page, "viewer.renderer.pixels()", view)
+
+
+def _pixels(page: Page, script: str, view: Camera) -> tuple[np.ndarray, np.ndarray]:
+    text = page.look(_TEXT.replace("BYTES", script))
     pixels = np.frombuffer(b64decode(text), np.uint8).reshape(view.height_px, view.width_px, 4)
     return pixels[..., :3], pixels[..., 3] > 0

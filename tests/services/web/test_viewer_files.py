@@ -13,7 +13,7 @@ import pytest
 from numcodecs import Zstd
 
 from services.processes.export import export
-from services.web.viewer_page import FOLDER, POLICY, bundle, viewer_file
+from services.web.viewer_page import FOLDER, POLICY, viewer_file
 from tests.packed_files import Case, write_packed_file
 from tests.services.chromium import Page, chromium_path
 from tests.services.web.served import READY, open_viewer, serving, small
@@ -187,9 +187,12 @@ def test_one_page__opens_from_a_disk_and_asks_for_nothing(packed, tmp_path):
 
 
 def test_viewer__is_small():
-    code = sum(len(gzip.compress(viewer_file(path.name)[0], 9)) for path in FOLDER.glob("*.js"))
-    assert code <= 40_000
-    assert len(gzip.compress(bundle("start.js").encode(), 9)) <= 40_000
+    """All of its script, which is one file."""
+    script = viewer_file("page.js")[0]
+    assert b"import " not in script and all(
+        path.name.encode() in script for path in FOLDER.glob("*.js") if path.name != "page.js"
+    )
+    assert len(gzip.compress(script, 9)) <= 40_000
 
 
 def test_viewing__answers_this_machine_alone_and_in_ranges(url, packed):

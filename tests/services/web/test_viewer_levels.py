@@ -10,16 +10,16 @@ import pytest
 
 from pipeline.execution.executors import SerialExecutor
 from pipeline.planning.settings import settings_for
-from renderer.splats.detail import Detail, group_tree, shares_of
+from renderer.splats.detail import FINEST, Detail, group_tree, shares_of
 from renderer.splats.scene import GpuScene
 from services.processes.compress import compress
 from services.processes.export import export
 from storage.packed.packed import PackedFile
 from storage.packed.schema import GROUP, Camera
 from tests.pipeline.readers.workspace import write_ply
-from tests.services.chromium import Page, chromium_path
+from tests.services.chromium import MESA, Page, chromium_path
 from tests.services.scans import Heard
-from tests.services.web.served import open_viewer, picture_of, serving, small
+from tests.services.web.served import is_same_driver, open_viewer, picture_of, serving, settled_picture, small
 
 pytestmark = pytest.mark.skipif(chromium_path() is None, reason="needs Chromium (apt-get install chromium)")
 N = 5 * GROUP + 300
@@ -54,7 +54,7 @@ def url(packed):
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
-    opened = Page(tmp_path_factory.mktemp("profile"))
+    opened = Page(tmp_path_factory.mktemp("profile"), MESA)
     small(opened, SIZE, SIZE)
     yield opened
     opened.close()
@@ -72,8 +72,13 @@ def stand(page, view: Camera) -> None:
     page.until("viewer.complete && !viewer.queued")
 
 
-def db(squared: np.ndarray) -> float:
-    return float(10 * np.log10(255**2 / max(squared.mean(), 1e-9)))
+def assert_alike(page, renderer, picture, rgb, covered) -> None:
+    """50 dB and coverage within 0.001 where one driver draws both; else but for rims, whose corners each rounds in its way."""
+    error, both = ((picture.rgb.astype(float) - rgb) ** 2).mean(axis=-1), covered & picture.coverage
+    left_out, least, off = (0, 50, 0.001) if is_same_driver(page, renderer) else (0.01, 45, 0.004)
+    kept = np.sort(error[both])[: int((1 - left_out) * both.sum())]
+    assert 10 * np.log10(255**2 / max(kept.mean(), 1e-9)) >= least
+    assert (covered != picture.coverage).mean() <= off
 
 
 def test_levels__shares_are_those_of_the_renderer(page, url, scene):
@@ -89,7 +94,7 @@ def test_levels__shares_are_those_of_the_renderer(page, url, scene):
         stand(page, view)
         expected = shares_of(tree, view, scene.header, Detail(1.0, most))
         script = f"""(async () => {{
-          const {{ sharesOf }} = await import('/web/viewer/detail.js'), {{ visibleGroups }} = await import('/web/viewer/renderer.js');
+          const {{ sharesOf }} = await import('/web/viewer/detail.js'), {{ visibleGroups }} = await import('/web/viewer/view.js');
           const view = viewer.camera.view({SIZE}, {SIZE}), seen = new Set(visibleGroups(viewer.scene, view));
           return JSON.stringify([...sharesOf(viewer.scene.tree, view, {{ mostSplats: {most or "Infinity"}, isSeen: (g) => seen.has(g) }})]);
         }})()"""
@@ -105,10 +110,8 @@ def test_levels__pictures_are_those_of_the_renderer(page, url, scene, renderer, 
     gpu_scene = GpuScene(scene, renderer.context)
     picture = renderer.render(gpu_scene, view)
     gpu_scene.release()
-    both = covered & picture.coverage
-    assert both.mean() > 0.05 and (covered != picture.coverage).mean() <= 0.004  # rims of the square
-    squared = np.sort(((picture.rgb.astype(float) - rgb) ** 2).mean(axis=-1)[both])
-    assert db(squared[: -max(2, len(squared) // 100)]) >= 45
+    assert (covered & picture.coverage).mean() > 0.05
+    assert_alike(page, renderer, picture, rgb, covered)
     assert page.complaints == []
 
 
@@ -116,7 +119,7 @@ def test_levels__a_budget_bounds_what_is_drawn_and_kept(page, url, scene, render
     """A flight over all groups of the finest level with room for five of seven groups: groups go and come again, never more than those five lie in
     memory, nothing is a hole before what is wanted has come, and then pictures are those of the renderer with that budget."""
     budget = 9000
-    open_viewer(page, url + f"?budget={budget}")
+    open_viewer(page, url + f"?budget={budget}&settled=0")
     whole, gpu_scene = page.look("viewer.statistics().gpuBytes"), GpuScene(scene, renderer.context)
     shown: set[int] = set()
     tree = group_tree(scene)
@@ -125,9 +128,7 @@ def test_levels__a_budget_bounds_what_is_drawn_and_kept(page, url, scene, render
         view = view_from(*at)
         page.look(f"(viewer.complete = false, viewer.camera.stand({json.dumps(asdict(view))}), viewer.frame(1), null)")
         _, covered = picture_of(page, view, budget)
-        assert covered[20:140, 20:140].mean() > (
-            0.9 if at[0] < 1 else 0.1
-        )  # at once, but for pinholes of the coarser level
+        assert covered[20:140, 20:140].mean() == 1 or at[0] > 1  # at once
         stand(page, view)
         found = json.loads(page.look("JSON.stringify(viewer.statistics())"))
         assert found["splats"] <= budget and found["gpuBytes"] == whole
@@ -136,21 +137,63 @@ def test_levels__a_budget_bounds_what_is_drawn_and_kept(page, url, scene, render
         assert len(here) == 5
         rgb, covered = picture_of(page, view, budget)
         picture = renderer.render(gpu_scene, view, detail=Detail(1.0, budget))
-        both = covered & picture.coverage
-        squared = np.sort(((picture.rgb.astype(float) - rgb) ** 2).mean(axis=-1)[both])
-        assert db(squared[: -max(2, len(squared) // 100)]) >= 45 and (covered != picture.coverage).mean() <= 0.004
+        assert_alike(page, renderer, picture, rgb, covered)
     gpu_scene.release()
     assert len(shown) > 5 and page.complaints == []
 
 
+def test_levels__a_view_at_rest_settles_to_the_picture_of_all(page, packed, scene, renderer):
+    """Of a file of which half is in memory at a time: each byte is asked of the server once, the picture before stays on the canvas until all is
+    drawn, a pick meanwhile and a move are of the picture while one moves, and the coarsest level never leaves."""
+    budget, view, (app, sent) = 9000, view_from(1.2), counting()
+    gpu_scene = GpuScene(scene, renderer.context)
+    with serving(packed, app) as address:
+        open_viewer(page, address + f"?budget={budget}")
+        rgb, covered = settled_picture(page, view)
+        assert len(json.loads(page.look("JSON.stringify([...viewer.scene.pool.groupOf])"))) == 5
+        assert sent[0] <= packed.stat().st_size + 100_000 and page.look("viewer.splats") > 4 * budget
+        assert_alike(page, renderer, renderer.render(gpu_scene, view, detail=FINEST), rgb, covered)
+        on_canvas = "viewer.renderer.shown.splats"
+        meanwhile = f"""(async () => {{
+          viewer.camera.dolly(1.01), viewer.moved();
+          while (!(viewer.settling?.done > 0.2)) await new Promise(requestAnimationFrame);
+          const before = {on_canvas}, point = viewer.pick(80, 80);
+          return JSON.stringify([before, !!point, viewer.settling, {on_canvas}, viewer.scene.isShown(0)]);
+        }})()"""
+        before, is_picked, settling, after, is_shown = json.loads(page.look(meanwhile))
+        assert before == after <= budget and is_picked and settling is None and is_shown
+        page.until(f"viewer.statistics().settled && {on_canvas} > 30000")
+        page.look("(document.getElementById('light').click(), null)")
+        page.until(f"viewer.lamp && !viewer.queued && viewer.statistics().settled && {on_canvas} > 30000")
+        open_viewer(page, address + f"?budget={budget}&settled=0")
+        assert page.look(f"!viewer.settling && {on_canvas} <= {budget}") and page.complaints == []
+    gpu_scene.release()
+
+
+def counting():
+    """What counts the bytes that a server sends of a file, and the count."""
+    sent = [0]
+
+    def wrapped(app):
+        async def counted(scope, receive, send):
+            async def noted(message):
+                sent[0] += len(message.get("body", b"")) * (scope["path"] == "/content")
+                await send(message)
+
+            await app(scope, receive, noted)
+
+        return counted
+
+    return wrapped, sent
+
+
 def test_levels__no_hole_while_children_are_on_their_way(page, url, scene):
-    """Drawn with the coarsest level alone, as when nothing else has arrived: from nearer than it is made for, so that there are pinholes
-    between its splats, which are slimmer than those of the finest level."""
+    """Drawn with the coarsest level alone, as when nothing else has arrived: from nearer than it is made for."""
     open_viewer(page, url)
     stand(page, view_from(0.5))
     page.look("(viewer.scene.state.fill(0, 1), null)")
     _, covered = picture_of(page, view_from(0.5))
-    assert covered[20:140, 20:140].mean() > 0.99
+    assert covered[20:140, 20:140].all()
     page.open("about:blank")
 
 
