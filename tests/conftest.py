@@ -11,14 +11,20 @@ from storage.work.schema import not_of_the_table
 OF_OTHERS = ("sampled", "pack")  # whose arrays are rows of any other stage's, and those of the packed file
 
 
-# Kernels are compiled first; then what waits for services, beside what computes; files of seconds come last, so that no
-# worker ends long before the others (`make test` deals out files in this order).
+# Kernels are compiled first; then comes what waits for services, the longest files of all before the others; files of
+# seconds come last, so that no worker ends long before the others (`make test` deals out files in this order).
 ORDER = ("hard_cases", "golden", "pipeline", "services", "renderer", "storage")
+LONG = ("compose", "service", "image", "page", "faults", "bucket")
+
+
+def _place(item) -> tuple[int, bool]:
+    _, room, *rest = item.nodeid.partition("::")[0].split("/")
+    is_long = room == "services" and rest[-1] in {f"test_{name}.py" for name in LONG}
+    return ORDER.index(room) if room in ORDER else len(ORDER), not is_long
 
 
 def pytest_collection_modifyitems(items):
-    rooms = {f"tests/{room}/": i for i, room in enumerate(ORDER)}
-    items.sort(key=lambda item: next((i for room, i in rooms.items() if item.nodeid.startswith(room)), len(rooms)))
+    items.sort(key=_place)
 
 
 @pytest.fixture(scope="session")
