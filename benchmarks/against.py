@@ -4,7 +4,8 @@
 
 OLD_TREE is a checkout (`git worktree add OLD_TREE COMMIT`) that runs with this Python. `--options` are the newer's alone: what it has
 by default and the older lacks can be turned off. `--reading` prints only stages that read points and put them in order. Seconds
-are wall seconds of stages as their work folders say, processor seconds those of tasks without what compiling took.
+are wall seconds of stages as their work folders say, processor seconds those of tasks, with what a process takes to
+load its kernels.
 """
 
 from __future__ import annotations
@@ -70,8 +71,7 @@ def compressed(tree: Path, scan: Path, workers: int, options: list[str]) -> Run:
             wall[name] = wall.get(name, 0.0) + json.loads(summary.read_text())["seconds"]
             for result in (summary.parent / "results").glob("*.json"):
                 task = json.loads(result.read_text())
-                took = task["processor_seconds"] - task.get("compile_seconds", 0.0)
-                processor[name] = processor.get(name, 0.0) + took
+                processor[name] = processor.get(name, 0.0) + task["processor_seconds"]
         return Run(seconds, wall, processor)
 
 

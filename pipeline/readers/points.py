@@ -31,7 +31,26 @@ READERS = {
 HANDLED = f"a COLMAP dense workspace (folder or .zip), {', '.join(READERS)}"
 _VOLUMES = (".vti", ".slc", ".dcm")
 _POINT_FORMAT_AT, _PACKED = 104, 0xC0  # in a LAS header
+_MAGIC = {
+    b"\x1f\x8b": "gzip",
+    b"PK\x03\x04": "a .zip",
+    b"7z\xbc\xaf": "7-Zip",
+    b"Rar!": "RAR",
+    b"\x28\xb5\x2f\xfd": "Zstandard",
+    b"BZh": "bzip2",
+}
 _HINTS = {
+    **dict.fromkeys(
+        (".gz", ".7z", ".rar", ".tar", ".bz2", ".xz", ".zst", ".tgz"), "unpack it first, or make a .zip of it"
+    ),
+    **dict.fromkeys(
+        (".rcp", ".rcs", ".fls", ".fws", ".zfs", ".zfprj", ".lsproj", ".pod", ".rxp"),
+        "export it as .e57 from the scanner's program",
+    ),
+    **dict.fromkeys(
+        (".splat", ".spz", ".ksplat", ".sog"), "Gaussians are no scan; give the points that they were made from"
+    ),
+    **dict.fromkeys((".psx", ".mvs", ".nvm", ".out", ".rcproj"), "export photographs and points as a COLMAP workspace"),
     **dict.fromkeys(_VOLUMES, "write the volume as .nrrd or .nii"),
     **dict.fromkeys((".obj", ".stl", ".glb", ".gltf"), "meshes are not handled; sample points into a .ply"),
 }
@@ -59,6 +78,13 @@ def _open(path: str, options: ReadOptions) -> ScanSource:
 
 
 def _open_here(path: str, suffix: str, options: ReadOptions) -> ScanSource:
+    with open(path, "rb") as stream:
+        begins = stream.read(4)
+    for magic, packed in _MAGIC.items():
+        if begins.startswith(magic):
+            raise InvalidScan(
+                path, f"packed by {packed}, whatever its name says", f"a {suffix} file", "unpack it first"
+            )
     module, function = READERS[suffix]
     return getattr(import_module(f"pipeline.readers.{module}"), function)(path, options)
 

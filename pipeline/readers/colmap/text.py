@@ -19,6 +19,7 @@ from pipeline.readers.files.spelling import name_of, shown
 from storage.errors import InvalidScan, UnsupportedScan
 
 MAX_LINE_BYTES = 1 << 28  # a photo with 10 million image points in one line of images.txt
+WHOLE_SPHERES = ("EQUIRECTANGULAR", "SPHERE", "SPHERICAL")  # of COLMAP, OpenMVG and Metashape: no pinhole shows them
 MAX_TEXT_BYTES = 1 << 26  # cameras.txt, rigs.txt, frames.txt
 
 _N_POSE = 7  # quaternion w x y z, translation x y z
@@ -129,8 +130,10 @@ def plain_cameras(stream: BinaryIO, where: str, n_params: dict[str, int]) -> byt
                 f"{where}:line {number}", f"{len(words)} values", "number, model, width, height, parameters"
             )
         model = words[1][0]
-        if model not in n_params:
-            raise UnsupportedScan(f"{where}:line {number}", f"camera model {model[:40]}", ", ".join(n_params))
+        if model not in n_params or model in WHOLE_SPHERES:
+            handled = ", ".join(name for name in n_params if name not in WHOLE_SPHERES)
+            hint = "make pinhole photographs of it first, such as six sides of a cube" if model in WHOLE_SPHERES else ""
+            raise UnsupportedScan(f"{where}:line {number}", f"camera model {model[:40]}", handled, hint)
         whole = [_number(line, w, where, number, int) for w in (words[0], words[2], words[3])]
         params = [_number(line, w, where, number) for w in words[4:]]
         if len(params) != n_params[model]:

@@ -15,10 +15,11 @@ import numpy as np
 from pipeline.readers.colmap.model import Model, RegisteredPhoto
 from pipeline.readers.files.members import Members
 from pipeline.readers.files.spelling import shown
-from pipeline.readers.photos import MAX_SIDE_PX
+from pipeline.readers.photos import MAX_SIDE_PX, photo_size
 from storage.errors import InvalidScan, UnsupportedScan
 
 MAX_BYTES = 1 << 26
+SUFFIXES = (".png", ".jpg", ".jpeg")  # that a path may leave out
 _TO_Y_DOWN = np.diag([1.0, -1.0, -1.0])
 # nerfstudio's name: COLMAP's name, and which distortions it takes after fx, fy, cx, cy
 _MODELS = {
@@ -49,9 +50,28 @@ def read_transforms(members: Members, name: str) -> tuple[Model, str | None]:
         raise InvalidScan(where, f"no JSON{_place_of(error)}", "what nerfstudio writes") from error
     if not isinstance(data, dict) or not isinstance(data.get("frames"), list) or not data["frames"]:
         raise InvalidScan(f"{where}:frames", "missing or empty", "a list of photographs with poses")
-    photos = tuple(_photo(data, frame, f"{where}:frames[{i}]", i) for i, frame in enumerate(data["frames"]))
+    beside = name[: name.rindex("/") + 1] if "/" in name else ""
+    photos = tuple(
+        _photo(data, _whole(data, frame, members, beside), f"{where}:frames[{i}]", i)
+        for i, frame in enumerate(data["frames"])
+    )
     points = data.get("ply_file_path")
     return Model(name, photos), points if isinstance(points, str) else None
+
+
+def _whole(data: dict, frame: object, members: Members, beside: str) -> object:
+    """A frame with the suffix of its photograph and its size, where it leaves them out as those of rendered scenes do."""
+    if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+        return frame
+    path = frame["file_path"].replace("\\", "/").removeprefix("./")
+    there = next((s for s in ("", *SUFFIXES) if members.size(beside + path + s) is not None), None)
+    if there is None:
+        return frame
+    added: dict[str, object] = {"file_path": path + there} if there else {}
+    if not {"w", "h"} <= {*data, *frame}:
+        with members.local(beside + path + there) as photo:
+            added |= dict(zip(("w", "h"), photo_size(photo, shown(members.label(beside + path + there))), strict=True))
+    return {**frame, **added}
 
 
 def _value(data: dict, frame: dict, name: str, where: str, default: float | None = None) -> float:

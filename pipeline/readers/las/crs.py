@@ -23,6 +23,9 @@ _USER_DEFINED = 32767
 _MODEL_TYPE, _PROJECTED_CRS, _LINEAR_UNIT, _LINEAR_UNIT_SIZE = 1024, 3072, 3076, 3077
 _VERTICAL_CRS, _VERTICAL_UNIT = 4096, 4099
 _GEOGRAPHIC_MODEL = 2
+_GEODETIC = ("GEODCRS", "GEODETICCRS")
+_GEOCENTRIC = ("GEOCCS", *_GEODETIC)
+EARTH_CENTRED = "its coordinates are counted from the earth's centre: up, which is taken to be z, is not; turn them into a projected system first"
 
 _TOKEN = re.compile(r'"(?:[^"]|"")*"|[A-Za-z_][A-Za-z0-9_]*\s*[\[(]|[\])]|[^,\s"\[\]()]+')
 
@@ -91,11 +94,26 @@ def _units_of(root: _Node) -> tuple[str, str]:
     vertical = next((p for p in parts if p.keyword in ("VERT_CS", "VERTCS", "VERTCRS", "VERTICALCRS")), None)
     up = _unit_of(vertical) if vertical else UNKNOWN
     for part in parts:
-        if part.keyword in ("GEOGCS", "GEOGCRS", "GEOGRAPHICCRS"):
+        if part.keyword in ("GEOGCS", "GEOGCRS", "GEOGRAPHICCRS") or _is_ellipsoidal(part):
             return DEGREE, up
+        if part.keyword in _GEOCENTRIC:
+            return _unit_of(part), up
         if part.keyword in ("PROJCS", "PROJCRS", "PROJECTEDCRS", "LOCAL_CS", "ENGCRS"):
             return _unit_of(part), up
     return UNKNOWN, up
+
+
+def _is_ellipsoidal(part: _Node) -> bool:
+    """Whether a geodetic system has latitudes and longitudes, not places from the earth's centre."""
+    kind = part.find("CS")
+    return part.keyword in _GEODETIC and kind is not None and kind.values[:1] == ["ellipsoidal"]
+
+
+def is_geocentric(wkt: str) -> bool:
+    """Whether places are counted from the earth's centre, so that up is not along z."""
+    root = _parse_wkt(wkt)
+    crs = root.children[0] if root.children else root
+    return crs.keyword in _GEOCENTRIC and not _is_ellipsoidal(crs)
 
 
 def unit_from_wkt(wkt: str) -> str:
@@ -166,9 +184,9 @@ def units_from_records(records: Iterable[HasContent]) -> Units:
     of_crs = [r for r in records if r.user.strip() == "LASF_Projection"]
     warnings: list[str] = []
     for record in (r for r in of_crs if r.id == _WKT):
-        across, up = _units_of(_parse_wkt(_decoded(record.content)))
+        across, up = _units_of(_parse_wkt(text := _decoded(record.content)))
         if across != UNKNOWN:
-            return Units(across, up)
+            return Units(across, up, (EARTH_CENTRED,) if is_geocentric(text) else ())
         if record.content.strip(b"\0 \n"):
             warnings.append("its coordinate system (WKT) names no unit that can be read")
     shorts = next((r.content for r in of_crs if r.id == _KEYS), b"")

@@ -98,6 +98,9 @@ def read_header(path: str) -> LasHeader:
             first_long, n_long = struct.unpack_from("<QI", head, 235)
             n_points = struct.unpack_from("<Q", head, 247)[0] or n_points
             records += _long_records(stream, path, first_long, n_long, n_bytes, warnings)
+    if not n_points and n_bytes - points_at >= max(record_size, 1):
+        found = f"0 points, with {n_bytes - points_at} bytes after its header"
+        raise InvalidScan(f"{path}:point_count", found, "how many they are", "its writer may not have come to its end")
     _check_numbers(path, numbers)
     header = LasHeader(
         version=f"1.{minor}",

@@ -48,6 +48,7 @@ class _Opened:
     options: ReadOptions
     blocks: tuple[_Block, ...]
     look: Look
+    warnings: tuple[str, ...] = ()
 
     @property
     def n_points(self) -> int:
@@ -104,9 +105,22 @@ def _rows(block: _Block, values: np.ndarray, with_color: bool) -> tuple[dict[str
     return {name: rows[name] for name in _NAMES[7 if with_color else 4]}, {"range-zero": nothing}
 
 
+def _doubts(path: str, i: int, n_points: int, matrix: np.ndarray) -> list[str]:
+    """What is odd about block `i`: no points, or a matrix that is no turn."""
+    if not n_points:
+        return [f"{path}: block {i + 1} has no points and is left out"]
+    scales = np.linalg.norm(matrix[:3, :3], axis=1)
+    if np.abs(scales - 1).max() <= 1e-3:
+        return []
+    return [
+        f"{path}: the matrix of block {i + 1} scales points by {', '.join(f'{s:.4g}' for s in scales)}, and they are so scaled"
+    ]
+
+
 def open_ptx(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
     """A PTX file: all its blocks one after the other. Raises: InvalidScan naming line and column."""
-    n_bytes, blocks, firsts = os.path.getsize(path), [], []  # type: ignore[var-annotated]
+    n_bytes, blocks, firsts, n_empty = os.path.getsize(path), [], [], 0  # type: ignore[var-annotated]
+    warnings: list[str] = []
     with open(path, "rb") as stream:
         lines = numbered_lines(stream)
         while (head := _header(lines, path, n_bytes)) is not None:
@@ -122,12 +136,14 @@ def open_ptx(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
             block = _Block(n_points, n_columns, rotation, tuple(map(float, matrix[3, :3])))  # type: ignore[arg-type]
             n_first = min(n_points, FIRST_POINTS)
             rest = list(islice(lines, max(0, n_first - 1)))
+            warnings += _doubts(path, len(blocks) + n_empty, n_points, matrix)
+            n_empty += n_points == 0
             if n_points:
                 firsts.append((block, parse_rows([first, *rest], n_columns, path)))
                 blocks.append(block)
             for _ in islice(lines, n_points - n_first):
                 pass
-    opened = _Opened(path, options, tuple(blocks), Look())
+    opened = _Opened(path, options, tuple(blocks), Look(), tuple(warnings) if blocks else ())
     for block, values in firsts:
         opened.named.look_at(opened.look, *_rows(block, values, opened.has_color))
     return _source(opened)
@@ -156,7 +172,7 @@ def _pieces(opened: _Opened, max_points: int) -> Iterator[Piece]:
 
 
 def _source(opened: _Opened) -> ScanSource:
-    decision, warnings = opened.decision, []
+    decision, warnings = opened.decision, list(opened.warnings)
     bare = sum(b.n_columns == 4 for b in opened.blocks)
     if 0 < bare < len(opened.blocks):
         warnings.append(f"{opened.path}: {bare} of {len(opened.blocks)} blocks have no colours; none are used")

@@ -21,7 +21,7 @@ from pipeline.readers.attributes.options import ReadOptions
 from pipeline.readers.ply.rows import parse_rows
 from pipeline.readers.text.lines import COMMENTS, numbered_lines
 from pipeline.scan import Piece, ScanSource
-from storage.errors import InvalidScan
+from storage.errors import InvalidScan, UnsupportedScan
 
 FIRST_POINTS = 1 << 14  # that columns and ranges are told from
 MOST_COLUMNS = 256
@@ -135,8 +135,24 @@ def _are_colors(three: np.ndarray) -> bool:
     return bool(np.isfinite(three).all() and three.min() >= 0 and (whole or three.max() <= 1))
 
 
+def _refuse_grids(path: str) -> None:
+    """Heights in rows and columns, which would be read as points of three columns and more.
+
+    Raises: UnsupportedScan.
+    """
+    with open(path, "rb") as stream:
+        words = stream.read(4096).lower().split()
+    kind = "an ESRI ASCII grid" if words[:1] == [b"ncols"] and b"nrows" in words[:4] else ""
+    kind = "a Surfer grid" if words[:1] == [b"dsaa"] else kind
+    if kind:
+        raise UnsupportedScan(
+            path, kind, "lines of x y z and what else there is", "GDAL's gdal_translate -of XYZ makes them"
+        )
+
+
 def open_table(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
     """A text file of points. Raises: InvalidScan naming line and column of what is no number."""
+    _refuse_grids(path)
     first = next(_rows_of(path, None, None), None)
     if first is None:
         raise InvalidScan(path, "no line of numbers", "lines of x y z and what else there is")

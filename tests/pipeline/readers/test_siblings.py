@@ -456,3 +456,65 @@ def test_paths__that_are_no_utf_8_are_read_and_shown(tmp_path):
         made.rename(path)
         source = open_scan(path)
         assert source.path.endswith(f"für{name[-4:].decode()}") and len(gather(source, "position")) == N
+
+
+# --- files of other kinds, named for what they are ---
+
+
+@pytest.mark.parametrize(
+    "name, content, error, found",
+    [
+        ("a.ply", b"\x1f\x8b\x08\0", InvalidScan, "packed by gzip, whatever its name says; .*unpack it first"),
+        ("a.las", b"PK\x03\x04", InvalidScan, "packed by a .zip"),
+        ("a.xyz.gz", b"\x1f\x8b\x08\0", UnsupportedScan, "unpack it first"),
+        ("a.rcp", b"", UnsupportedScan, "export it as .e57"),
+        ("a.splat", b"", UnsupportedScan, "Gaussians are no scan"),
+        ("a.asc", b"ncols 4\nnrows 2\n1 2 3 4\n1 2 3 4\n", UnsupportedScan, "an ESRI ASCII grid"),
+        ("a.txt", b"DSAA\n2 2\n0 1\n0 1\n0 1\n1 2 3\n1 2 3\n", UnsupportedScan, "a Surfer grid"),
+    ],
+)
+def test_open__what_is_of_another_kind_is_named(tmp_path, name, content, error, found):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(error, match=found):
+        open_scan(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "other, program", [("sfm_data.json", "OpenMVG"), ("cameras.xml", "Metashape"), ("a.nvm", "VisualSFM")]
+)
+def test_container__photographs_without_cameras_that_are_known_are_said(tmp_path, other, program):
+    made = write_workspace(tmp_path / "scan")
+    shutil.rmtree(made.path / "sparse")
+    (made.path / other).write_text("{}")
+    assert f"3 photographs and cameras of {program} (there is no COLMAP model" in said(open_scan(made.path))
+
+
+def test_colmap__a_camera_that_sees_the_whole_sphere_is_named_whatever_its_parameters(tmp_path):
+    made = write_workspace(tmp_path / "scan", ending=".txt")
+    (made.path / "sparse" / "cameras.txt").write_text("1 EQUIRECTANGULAR 64 48\n")
+    with pytest.raises(UnsupportedScan, match="line 1: camera model EQUIRECTANGULAR; .*six sides of a cube"):
+        open_scan(made.path)
+
+
+def test_las__a_count_of_0_before_points_and_places_from_the_earths_centre_are_said(tmp_path):
+    scan = laspy.LasData(laspy.LasHeader(point_format=3, version="1.2"))
+    scan.x = scan.y = scan.z = np.arange(50.0)
+    wkt = b'GEOCCS["WGS 84",DATUM["D",SPHEROID["S",6378137,298.3]],PRIMEM["G",0],UNIT["metre",1]]'
+    scan.header.vlrs.append(VLR("LASF_Projection", 2112, "", wkt))
+    scan.write(tmp_path / "a.las")
+    assert "earth's centre" in said(open_scan(tmp_path / "a.las")) and open_scan(tmp_path / "a.las").unit == "metre"
+    whole = bytearray((tmp_path / "a.las").read_bytes())
+    whole[107:111] = bytes(4)
+    (tmp_path / "b.las").write_bytes(whole)
+    with pytest.raises(InvalidScan, match="point_count: 0 points, with 1700 bytes after"):
+        open_scan(tmp_path / "b.las")
+
+
+def test_ptx__an_empty_block_and_a_matrix_that_scales_are_said(tmp_path):
+    axes = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"
+    scaled, turn = "2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1\n", "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+    points = "".join(f"{i} 1 2 0.{i}\n" for i in range(1, 10))
+    (tmp_path / "a.ptx").write_text(f"3\n3\n{axes}{scaled}{points}0\n0\n{axes}{turn}")
+    source = open_scan(tmp_path / "a.ptx")
+    assert "block 2 has no points" in said(source) and "block 1 scales points by 2, 2, 2" in said(source)
+    assert gather(source, "position")[0].tolist() == [2, 2, 4]

@@ -50,6 +50,18 @@ def test_transforms__has_the_cameras_of_the_model_it_was_made_from(made, tmp_pat
     assert source.read_photo(2).shape == (48, 64, 3)
 
 
+def test_transforms__of_rendered_scenes_leave_out_sizes_and_suffixes(made):
+    path, cameras = made
+    data = read(path)
+    frames = [f | {"file_path": "./" + f["file_path"].removesuffix(".png")} for f in data["frames"]]
+    write(path, {"camera_angle_x": 2 * np.arctan(32 / 60), "frames": frames})
+    source = open_scan(path)
+    got, expected = source.cameras[1], cameras[1]
+    assert (got.width_px, got.height_px, got.cy_px) == (64, 48, 24) and got.fx_px == pytest.approx(60)
+    assert source.read_photo(1).shape == (48, 64, 3) and len(source.cameras) == len(cameras)
+    np.testing.assert_allclose(got.centre, expected.centre, atol=1e-12)
+
+
 def test_transforms__a_frame_may_have_a_lens_of_its_own(made):
     path, _ = made
     data = read(path)
