@@ -1,12 +1,15 @@
 """What station maps show at fewer points: pictures of a tenth and a hundredth of a laser scan's points, with one colour a splat and with the
 maps in the file, against pictures of all points; and how long frames take.
 
-    python -m benchmarks.station_maps SCAN [--station x,y,z] [--shares 0.1 0.01] [--json]
+    python -m benchmarks.station_maps SCAN [--station x,y,z] [--shares 0.1 0.01] [--preset balanced] [--json]
 
 Views: two near the first station, 2 and 20 % of the distance that it looks off it, in the directions in which all points cover most; and
 each of them away, 50 degrees to the left and right about what it looks at; one far, where all points are 200 px large. PSNR and SSIM
-where both cover. Spill: pixels covered that all points leave open, of those that these cover. Missing: the other way round. Frames are
-timed in turns with those of all points; the ratio is the median over the rounds.
+where both cover. Spill: pixels covered that all points leave open, of those that these cover. Missing: the other way round. Frames, the
+seconds of their passes, are timed in turns with those of all points; the ratio is the median over the rounds.
+
+Where photographs are known that the scan took no colours from, each is compared with its view of the files, on what all points cover and
+the file does too. Where it has several stations, each one's points are looked up in the others' maps.
 """
 
 from __future__ import annotations
@@ -17,12 +20,12 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.station_photographs import OtherStation, held_out_photographs, other_stations
 from renderer.evaluate.compare import psnr_db, ssim
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
@@ -76,17 +79,35 @@ def views_of(scene: PackedScene, station: np.ndarray, draw) -> list[View]:
     return [*found, View("far", looking("far", middle + distance * np.array([0.8, 0.0, 0.6]), middle))]
 
 
-def packed(scan: Path, out: Path, share: float, texture: str, station: str | None) -> tuple[PackedScene, int]:
-    command = [sys.executable, "-m", "services.cli.main", "compress", str(scan), "--out", str(out), "--preset", "draft"]
+@dataclass(frozen=True)
+class Asked:
+    """Of the command line."""
+
+    scan: Path
+    shares: list[float]
+    preset: str
+    station: str | None
+
+
+def packed(asked: Asked, folder: Path, share: float, texture: str) -> tuple[PackedScene, int]:
+    out, work = folder / f"{share} {texture}", folder / "work"
+    command = [sys.executable, "-m", "services.cli.main", "compress", str(asked.scan), "--out", str(out)]
     command += [
+        "--preset",
+        asked.preset,
         "--no-render",
         "--texture",
         texture,
         "--executor",
         "serial",
-        *(["--density", str(share)] if share < 1 else []),
+        "--work",
+        str(work),
     ]
-    subprocess.run([*command, *([f"--station={station}"] if station else [])], check=True, capture_output=True)
+    command += [
+        *(["--density", str(share)] if share < 1 else []),
+        *([f"--station={asked.station}"] if asked.station else []),
+    ]
+    subprocess.run(command, check=True, capture_output=True)
     (file,) = out.glob("*.splatpress")
     with PackedFile(file) as opened:
         return opened.load(), file.stat().st_size
@@ -102,37 +123,50 @@ def compared(found: Picture, full: Picture) -> dict:
     }
 
 
-def measured(scan: Path, shares: list[float], station: str | None) -> list[dict]:
-    renderer, rows = Renderer(), []
+@dataclass(frozen=True)
+class Found:
+    """What was measured, as rows to print."""
+
+    views: list[dict]
+    photographs: list[dict]
+    other_stations: list[OtherStation]
+
+
+def measured(asked: Asked) -> Found:
+    renderer = Renderer()
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        kinds = [(1.0, "color"), *((share, texture) for share in shares for texture in ("color", "map"))]
-        made = {kind: packed(scan, folder / f"{kind[0]} {kind[1]}", *kind, station) for kind in kinds}
+        kinds = [(1.0, "color"), *((share, texture) for share in asked.shares for texture in ("color", "map"))]
+        made = {kind: packed(asked, Path(name), *kind) for kind in kinds}
+        others = [] if asked.station else other_stations(asked.scan, Path(name) / "work")
     scenes, sizes = ({kind: pair[i] for kind, pair in made.items()} for i in (0, 1))
     drawn = {key: GpuScene(scene, renderer.context) for key, scene in scenes.items()}
-    full = drawn[1.0, "color"]
+    full, of_all = drawn[1.0, "color"], scenes[1.0, "color"]
     maps = next(scene.header.maps for (_, texture), scene in scenes.items() if texture == "map")
     if not maps:
-        raise SystemExit(f"{scan}: no station; allowed: a scan with stations, or --station")
-    for view in views_of(scenes[1.0, "color"], np.array(maps[0].centre), lambda camera: renderer.render(full, camera)):
+        raise SystemExit(f"{asked.scan}: no station; allowed: a scan with stations, or --station")
+    rows, photographs = [], []
+    for view in views_of(of_all, np.array(maps[0].centre), lambda camera: renderer.render(full, camera)):
         reference = renderer.render(full, view.camera)
         for key in list(scenes)[1:]:
             row = {"view": view.name, "share": key[0], "texture": key[1], "file_bytes": sizes[key]}
-            rows.append(
-                row
-                | compared(renderer.render(drawn[key], view.camera), reference)
-                | {"times_as_fast": faster(renderer, full, drawn[key], view.camera)}
-            )
-    return rows
+            row |= compared(renderer.render(drawn[key], view.camera), reference)
+            rows.append(row | {"times_as_fast": faster(renderer, full, drawn[key], view.camera)})
+    for camera, photo in held_out_photographs(asked.scan):
+        reference = renderer.render(full, camera)
+        for (share, texture), scene in drawn.items():
+            picture = renderer.render(scene, camera)
+            both = picture.coverage & reference.coverage
+            row = {"view": camera.name, "share": share, "texture": texture, "file_bytes": sizes[share, texture]}
+            row |= {"psnr_db": psnr_db(picture.rgb, photo, both), "ssim": ssim(picture.rgb, photo, both)}
+            photographs.append(row | {"covers": float(both.sum() / reference.coverage.sum())})
+    return Found(rows, photographs, others)
 
 
 def faster(renderer: Renderer, full: GpuScene, thin: GpuScene, camera: Camera) -> float:
     """How many frames are drawn while one of all points is."""
 
     def seconds(scene: GpuScene) -> float:
-        begun = time.perf_counter()
-        renderer.render(scene, camera)
-        return time.perf_counter() - begun
+        return sum(renderer.render(scene, camera).pass_seconds.values())
 
     return statistics.median(seconds(full) / seconds(thin) for _ in range(ROUNDS))
 
@@ -142,20 +176,32 @@ def main() -> None:
     parser.add_argument("scan", type=Path)
     parser.add_argument("--station")
     parser.add_argument("--shares", type=float, nargs="+", default=[0.1, 0.01])
+    parser.add_argument("--preset", default="balanced")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    rows = measured(options.scan, options.shares, options.station)
+    found = measured(Asked(options.scan, options.shares, options.preset, options.station))
     if options.json:
-        print(json.dumps(rows))
+        print(json.dumps(asdict(found)))
         return
     print(
         f"{'view':15} {'share':>6} {'texture':8} {'file kB':>8} {'PSNR dB':>8} {'SSIM':>6} {'spill':>7} {'missing':>8} {'as fast':>8}"
     )
-    for r in rows:
-        psnr, alike = (f"{r[k]:.{n}f}" if r[k] is not None else "-" for k, n in (("psnr_db", 2), ("ssim", 3)))
+    for r in found.views:
+        print(f"{_figures(r)} {r['spill']:7.2%} {r['missing']:8.2%} {r['times_as_fast']:7.1f}x")
+    if found.photographs:
+        print(f"{'photograph':15} {'share':>6} {'texture':8} {'file kB':>8} {'PSNR dB':>8} {'SSIM':>6} {'covers':>7}")
+        for r in found.photographs:
+            print(f"{_figures(r)} {r['covers']:7.2%}")
+    for other in found.other_stations:
         print(
-            f"{r['view']:15} {r['share']:6g} {r['texture']:8} {r['file_bytes'] / 1e3:8.0f} {psnr:>8} {alike:>6} {r['spill']:7.2%} {r['missing']:8.2%} {r['times_as_fast']:7.1f}x"
+            f"points of station {other.of} in the map of {other.by}, {other.apart:.1f} away: wrong {other.wrong_untested:.1%}; with the depth test "
+            f"{other.seen * other.wrong:.1%} of all, {other.wrong:.1%} of the {other.seen:.0%} that it shows"
         )
+
+
+def _figures(r: dict) -> str:
+    psnr, alike = (f"{r[k]:.{n}f}" if r[k] is not None else "-" for k, n in (("psnr_db", 2), ("ssim", 3)))
+    return f"{r['view']:15} {r['share']:6g} {r['texture']:8} {r['file_bytes'] / 1e3:8.0f} {psnr:>8} {alike:>6}"
 
 
 if __name__ == "__main__":

@@ -67,9 +67,9 @@ class Map:
         r = 2 / np.pi * np.arctan2(rho, abs(z)) / max(rho, 1e-30)
         return int(z > 0), h * (x * r + 0.5 + (z > 0)), h * (y * r + 0.5)
 
-    def taps(self, chart: int, column: float, row: float, level: int = 0) -> list[tuple[int, int, float]]:
-        """Row, column and weight of the four texels of a level about a place of level 0."""
-        h, column, row = self.height >> level, column / 2**level - 0.5, row / 2**level - 0.5
+    def taps(self, chart: int, column: float, row: float) -> list[tuple[int, int, float]]:
+        """Row, column and weight of the four texels about a place."""
+        h, column, row = self.height, column - 0.5, row - 0.5
         found = []
         for dy in (0, 1):
             for dx in (0, 1):
@@ -79,12 +79,25 @@ class Map:
                 found.append((min(max(r, 0), h - 1), c, weight))
         return found
 
-    def shown(self, f: np.ndarray, slack: float) -> tuple[str, list]:
+    def texel(self, f: np.ndarray, level: int = 0) -> tuple[int, int]:
+        """Row and column of the texel of a level in which a direction lies."""
+        chart, column, row = self.place(*f)
+        first, h = (chart * self.height) >> level, self.height >> level
+        width = 4 * h if chart == 2 else h
+        column, row = int(np.floor(column / 2**level)) - first, int(np.floor(row / 2**level))
+        return min(row, h - 1), first + (column % width if chart == 2 else min(column, width - 1))
+
+    def code(self, f: np.ndarray) -> float:
+        return float(1 + np.log(np.linalg.norm(f) / self.nearest) / self.step)
+
+    def shown(self, f: np.ndarray, slack: float, level: int) -> tuple[str, list]:
         """Whether it shows a fragment at `f` from the station, hides it, or leaves it free, and the taps that fit."""
-        away = np.linalg.norm(f)
-        if slack > away / 2:
-            return "hidden", []
-        code, off = 1 + np.log(away / self.nearest) / self.step, slack / away / self.step
+        code, off = self.code(f), slack / np.linalg.norm(f) / self.step
+        if level > 0:
+            there = self.codes[self.texel(f)]
+            if there > 0 and abs(there - code) <= off:
+                return "shown", []
+            return ("hidden" if 0 < there < code else "free"), []
         taps = [tap for tap in self.taps(*self.place(*f)) if self.codes[tap[:2]] > 0]
         fit = [tap for tap in taps if abs(self.codes[tap[:2]] - code) <= off]
         before = sum(w for r, c, w in taps if self.codes[r, c] < code - off)
@@ -92,16 +105,21 @@ class Map:
             return "shown", fit
         return ("hidden" if before >= 0.25 else "free"), []
 
+    def moved(self, f: np.ndarray, fit: list, eye: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """Along the ray from the eye, to where the surface of the taps that fit lies."""
+        ray = (f - eye) / np.linalg.norm(f - eye)
+        if abs(ray @ normal) < 0.3:
+            return f
+        there = sum(w * self.codes[r, c] for r, c, w in fit) / sum(w for *_, w in fit)
+        return f + ray * (f @ normal) * (np.exp((there - self.code(f)) * self.step) - 1) / (ray @ normal)
+
     def look_up(self, f: np.ndarray, fit: list, level: int) -> np.ndarray:
         """(3,) sRGB, 255 is white."""
-        taps, n = (fit, 1) if level == 0 else (self.taps(*self.place(*f), level), 2**level)
-        total, weights = np.zeros(3), 0.0
-        for row, column, weight in taps:
+        if level > 0:
+            (row, column), n = self.texel(f, level), 2**level
             block = slice(row * n, row * n + n), slice(column * n, column * n + n)
-            known = self.codes[block] > 0
-            total += weight * (self.color[block] * known[..., None]).sum(axis=(0, 1)) / n**2
-            weights += weight * known.mean()
-        return total / max(weights, 1e-9)
+            return self.color[block][self.codes[block] > 0].mean(axis=0)
+        return sum(w * self.color[row, column] for row, column, w in fit) / sum(w for *_, w in fit)
 
 
 @dataclass(frozen=True)
@@ -112,6 +130,7 @@ class Fragments:
     z: np.ndarray
     pushed_z: np.ndarray
     area_px: float | None
+    ball: np.ndarray | None = None  # (m, 3) of an ellipsoid, in its half axes
 
 
 class Packed:
@@ -414,12 +433,17 @@ def map_tiers(packed: Packed, view: View, splat: Decoded, found: Fragments) -> t
     if found.area_px is not None:
         n_texels = abs(middle @ across) / (away * (texel * away) ** 2)
         level = int(np.floor(max(0.0, 0.5 * np.log2(n_texels / 2 / max(found.area_px, 0.25))) + 0.45))
+    level, to_eye = min(level, 4), splat.position - view.centre
+    moves = slack * np.linalg.norm(np.cross(middle, to_eye)) > 0.5 * texel * away**2 * np.linalg.norm(to_eye)
     for i, place in enumerate(found.place):
-        f = middle + place @ axes
-        what, fit = seen.shown(f, slack)
-        tier[i] = {"shown": 1.0, "hidden": SECOND, "free": np.inf}[what]
+        f = middle + (place @ axes if found.ball is None else found.ball[i] @ splat.axes)
+        what, fit = ("hidden", []) if slack > np.linalg.norm(f) / 2 else seen.shown(f, slack, level)
+        if what == "shown" and level == 0 and moves:
+            f = seen.moved(f, fit, view.centre - seen.centre, across / np.linalg.norm(across))
+            what, fit = seen.shown(f, slack, level)
+        tier[i] = {"shown": 1.0, "hidden": SECOND if found.d2[i] < 0.25 else np.inf, "free": np.inf}[what]
         if what == "shown":
-            color[i] = to_linear(seen.look_up(f, fit, min(level, 4)) / 255)
+            color[i] = to_linear(seen.look_up(f, fit, level) / 255)
     return tier, color
 
 
@@ -451,7 +475,7 @@ def fragments(splat: Decoded, view: View, near: float, margin_radii: float) -> F
     k = np.sqrt((1 - (on_rim**2).sum(axis=1)).clip(0))
     ball = (np.sqrt(distance**2 - 1) * on_rim @ across + (1 + distance * k)[:, None] * e) / (distance + k)[:, None]
     deeper = (distance + 1) / (distance + np.sqrt(1 - found.d2))
-    return Fragments(found.pixel, ball[:, :2], found.d2, found.z * deeper, found.pushed_z * deeper, found.area_px)
+    return Fragments(found.pixel, ball[:, :2], found.d2, found.z * deeper, found.pushed_z * deeper, found.area_px, ball)
 
 
 def _of_disc(middle, axes, radius, line, view: View, near: float, margin: float) -> Fragments:

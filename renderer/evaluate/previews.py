@@ -21,7 +21,7 @@ from renderer.report.document import ViewMeasured
 from renderer.splats.baseline import PhotoSplats
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
-from renderer.splats.views import framed_views, view_of
+from renderer.splats.views import framed_views, station_views, view_of
 from storage.packed.packed import PackedScene
 from storage.packed.schema import Camera
 
@@ -56,11 +56,12 @@ def make_previews(
     renderer: Renderer | None = None,
     options: PreviewOptions = PreviewOptions(),
     progress: Callable[[int, int], None] = lambda done, total: None,
+    stations: Sequence[tuple[float, float, float]] = (),
 ) -> list[ViewMeasured]:
     """Write pictures into `folder`/previews and return `quality.views` of the report.
 
     Renderings are PNGs whose alpha is their coverage. From up to `n_cameras` of the scene's cameras, evenly among them: `NAME.packed.png` and, with `read_photo`,
-    `NAME.baseline.png` and `NAME.photo.jpg`. Without cameras: `n_orbits` views around the scene, packed alone.
+    `NAME.baseline.png` and `NAME.photo.jpg`. Without cameras: from up to `n_cameras` of the `stations` of a laser scan, and `n_orbits` views around the scene, packed alone.
     `progress` is told after every view how many of them are done.
 
     Figures are None where there is nothing to compare with; `holes` are of the outline (`holes.py`), `accumulation` is
@@ -74,7 +75,9 @@ def make_previews(
     chosen = even_choice(len(cameras), options.n_cameras)
     views = [limited_view(cameras[i], options.max_side_px) for i in chosen]
     if not cameras:
-        views, read_photo = framed_views(scene, options.n_orbits, options.orbit_size_px), None
+        inside = [stations[i] for i in even_choice(len(stations), options.n_cameras)]
+        views = station_views(scene, inside, options.orbit_size_px)
+        views, read_photo = views + framed_views(scene, options.n_orbits, options.orbit_size_px), None
     names = safe_names([view.name for view in views])
     renderer = renderer or Renderer()
     device = renderer.context.info["GL_RENDERER"]

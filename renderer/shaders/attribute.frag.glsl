@@ -55,8 +55,8 @@ void main() {
     gl_FragDepth = gl_FragCoord.z;
 #endif
     if (map_place.x >= 0) {
-        MapLookup found = look_up_depth(on_square(), map_depth.w == 0.0);  // coarser levels take all four texels, as they show the surface where it is
-        if (found.what == FREE) discard;
+        MapLookup found = look_up_depth();
+        if (is_no_fragment(found.what, d2)) discard;
         if (found.what == SHOWN) color = look_up_color(found);
         else gl_FragDepth *= BEHIND_ALL;
     }

@@ -13,6 +13,9 @@
 #include "polar_capped.glsl"
 #include "map_of_splat.glsl"
 #endif
+#ifdef UNMAPPED
+#include "unmapped.glsl"
+#endif
 #include "srgb.glsl"
 #if defined(N_ATOMS) || defined(CLIPLINE) || defined(ELLIPSOID)
 #include "bits.glsl"
@@ -43,7 +46,6 @@ out vec4 place;
 #ifdef DETAIL
 flat out float share;
 #endif
-const float MAP_COARSEST = 4.0;  // mip level of maps: heights are whole numbers of 16 rows
 
 flat out vec3 average;  // in linear light where there are neither atoms nor maps, else sRGB
 
@@ -58,7 +60,8 @@ void main() {
     Ellipsoid ellipsoid = decode_ellipsoid(splat, ellipsoids[first_ellipsoid(group) + row]);
     Disc disc = outline_of(ellipsoid);
 #ifdef MAPPED
-    set_map(splat, square_u, square_v, ellipsoid.centre.z);
+    set_map(splat, ellipsoid.a, ellipsoid.b, ellipsoid.centre);
+    map_w = camera_to_world(ellipsoid.c);
 #endif
 #else
     Disc disc = decode_disc(splat);
@@ -66,17 +69,27 @@ void main() {
 #include "front.vert.glsl"
 #endif
 #ifdef MAPPED
-    set_map(splat, disc.u, disc.v, disc.centre.z);
+    set_map(splat, disc.u, disc.v, disc.centre);
 #endif
 #endif
 #ifdef DETAIL
     share = share_of(group);
+#endif
+#ifdef UNMAPPED
+#include "unmapped.vert.glsl"
 #endif
     if (is_cut(disc)) {
         gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
         return;
     }
     Quad quad = splat_quad(disc);
+#ifdef MAPPED
+    set_map_level(quad.area_px);
+    if (is_of_other_program()) {
+        gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+        return;
+    }
+#endif
     SET_NORMAL(disc)
     gl_Position = quad.clip;
     place = quad.place;
@@ -98,7 +111,6 @@ void main() {
     read_atoms(group, row);
 #elif defined(MAPPED)
     average = decode_color(splat);
-    if (map_place.x >= 0) map_depth.w = min(floor(mip_level(0.5 * texels_of_map(), quad.area_px) + TO_COARSER), MAP_COARSEST);
 #else
     average = to_linear(decode_color(splat));
 #endif

@@ -17,9 +17,6 @@ struct Ellipsoid {
 
 flat out float eye_distance;  // 0 where the eye is inside
 flat out mat3 facing;         // axes x, y, z of the disc in those of the ball
-#ifdef MAPPED
-vec3 square_u, square_v;      // the half axes a and b, which span the square that its colours lie on
-#endif
 
 Ellipsoid decode_ellipsoid(uint splat, uint word) {
     ivec2 normal_code;
@@ -36,10 +33,6 @@ Ellipsoid decode_ellipsoid(uint splat, uint word) {
 }
 
 Disc outline_of(Ellipsoid e) {
-#ifdef MAPPED
-    square_u = e.a;
-    square_v = e.b;
-#endif
     vec3 eye = -vec3(dot(e.centre, e.a) / dot(e.a, e.a), dot(e.centre, e.b) / dot(e.b, e.b), dot(e.centre, e.c) / dot(e.c, e.c));
     eye_distance = length(eye);
     if (eye_distance <= 1.0) {

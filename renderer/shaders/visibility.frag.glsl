@@ -19,8 +19,8 @@ void main() {
     gl_FragDepth = gl_FragCoord.z;
 #endif
     if (map_place.x >= 0) {
-        uint what = look_up_depth(on_square(), false).what;
-        if (what == FREE) discard;
+        uint what = look_up_depth().what;
+        if (is_no_fragment(what, d2)) discard;
         if (what == HIDDEN) gl_FragDepth *= BEHIND_ALL;
     }
 #endif

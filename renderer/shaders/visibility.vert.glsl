@@ -14,6 +14,9 @@
 #include "polar_capped.glsl"
 #include "map_of_splat.glsl"
 #endif
+#ifdef UNMAPPED
+#include "unmapped.glsl"
+#endif
 #if defined(CLIPLINE) || defined(ELLIPSOID)
 #include "bits.glsl"
 #include "groups.glsl"
@@ -34,7 +37,8 @@ void main() {
     Ellipsoid ellipsoid = decode_ellipsoid(splat, ellipsoids[first_ellipsoid(drawn_group()) + drawn_row()]);
     Disc disc = outline_of(ellipsoid);
 #ifdef MAPPED
-    set_map(splat, square_u, square_v, ellipsoid.centre.z);
+    set_map(splat, ellipsoid.a, ellipsoid.b, ellipsoid.centre);
+    map_w = camera_to_world(ellipsoid.c);
 #endif
 #else
     Disc disc = decode_disc(splat);
@@ -42,14 +46,24 @@ void main() {
 #include "front.vert.glsl"
 #endif
 #ifdef MAPPED
-    set_map(splat, disc.u, disc.v, disc.centre.z);
+    set_map(splat, disc.u, disc.v, disc.centre);
 #endif
+#endif
+#ifdef UNMAPPED
+#include "unmapped.vert.glsl"
 #endif
     if (is_cut(disc)) {
         gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
         return;
     }
     Quad quad = splat_quad(disc);
+#ifdef MAPPED
+    set_map_level(quad.area_px);
+    if (is_of_other_program()) {
+        gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+        return;
+    }
+#endif
     gl_Position = quad.clip;
     place = quad.place;
 #ifdef CLIPLINE

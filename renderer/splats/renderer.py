@@ -173,12 +173,13 @@ class Renderer:
         self.context.depth_func = ">"
         batches, n_leading = gpu_scene.scene.header.batches, gpu_scene.n_leading
         if n_leading:  # atoms do not matter here: all at once
-            name, drawing = self._programs.drawing(
-                "visibility", LEADING=int(n_leading < len(batches)), **gpu_scene.defines
-            )
-            set_uniforms(drawing, n_leading=n_leading)
-            self._draw_groups(gpu_scene, drawing, len(batches))
-            frame.programs.append(name)
+            for look in gpu_scene.looks:
+                name, drawing = self._programs.drawing(
+                    "visibility", LEADING=int(n_leading < len(batches)), **gpu_scene.defines, **look
+                )
+                set_uniforms(drawing, n_leading=n_leading)
+                self._draw_groups(gpu_scene, drawing, len(batches))
+                frame.programs.append(name)
         for batch in range(n_leading, len(batches)):
             self._draw_batch(
                 frame,
@@ -246,14 +247,15 @@ class Renderer:
     def _draw_batch(self, frame: _Frame, gpu_scene: GpuScene, batch: int, name: str, **defines: int) -> None:
         batches = gpu_scene.scene.header.batches
         leads = batch == 0 and gpu_scene.n_leading == 1  # so no splat needs to be looked for
-        name, drawing = self._programs.drawing(
-            name, **defines, BY_BATCH=int(not leads), LEADING=int(leads and len(batches) > 1)
-        )
-        set_uniforms(drawing, batch=batch, n_leading=1, atoms_stored=batches[batch].n_atoms, **_lamp_of(frame))
-        if gpu_scene.pages is not None:
-            set_uniforms(drawing, **gpu_scene.pages.uniforms)
-        self._draw_groups(gpu_scene, drawing, len(batches) if leads else batch)
-        frame.programs.append(name)
+        for look in gpu_scene.looks:
+            program, drawing = self._programs.drawing(
+                name, **defines, **look, BY_BATCH=int(not leads), LEADING=int(leads and len(batches) > 1)
+            )
+            set_uniforms(drawing, batch=batch, n_leading=1, atoms_stored=batches[batch].n_atoms, **_lamp_of(frame))
+            if gpu_scene.pages is not None:
+                set_uniforms(drawing, **gpu_scene.pages.uniforms)
+            self._draw_groups(gpu_scene, drawing, len(batches) if leads else batch)
+            frame.programs.append(program)
 
     @staticmethod
     def _draw_groups(gpu_scene: GpuScene, drawing: moderngl.VertexArray, row: int) -> None:

@@ -15,7 +15,7 @@ from renderer.splats.detail import Detail, GroupTree, group_tree, shares_of
 from renderer.splats.pages import GpuPages
 from renderer.splats.stacks import has_stacks
 from renderer.splats.targets import NARROW, WIDE
-from renderer.splats.upload.maps import GpuMaps, map_frames, upload_maps
+from renderer.splats.upload.maps import GpuMaps, MapsInView, map_frames, maps_in_view, upload_maps
 from renderer.splats.upload.tables import (
     box_words,
     color_box_words,
@@ -64,6 +64,8 @@ class GpuScene:
     accumulation: str = NARROW  # of its colours: wide where splats are copies, and once the renderer finds overdraw
     watched: bool = True  # whether the renderer looks for overdraw, and may widen: not where the job asked for 16 bits
     maps: GpuMaps | None = None  # of a scene that is textured from stations
+    in_view: MapsInView | None = None  # of such a scene
+    looks_up: bool = True  # whether the next passes look splats up in them
     tree: GroupTree | None = None  # of a scene with levels
     pages: GpuPages | None = None  # of its photographs, where they are drawn
     n_chosen: int = 0  # splats of the groups that were chosen last, in view or not
@@ -104,7 +106,7 @@ class GpuScene:
             if header.maps:
                 self._upload(SPLAT_MAPS, "maps", arrays["station"], "maps of splats")
                 self._upload(MAP_FRAMES, "maps", map_frames(header), "frames of maps")
-                self.maps = upload_maps(self.context, self.scene)
+                self.maps, self.in_view = upload_maps(self.context, self.scene), maps_in_view(self.scene)
                 self.bytes_by_part["maps"] += self.maps.n_bytes
             if header.levels:
                 self.tree = group_tree(self.scene)
@@ -135,11 +137,22 @@ class GpuScene:
         with_boxes, with_levels = int(bool(self.scene.header.color_step)), int(self.tree is not None)
         header, of_boxes = self.scene.header, {"COLOR_BOXES": with_boxes, "DETAIL": with_levels}
         forms = {"RUNS": int(header.geometry == RUNS), "QUADRICS": int(header.geometry == QUADRICS)}
-        sources = {**forms, "MAPPED": int(bool(header.maps)), "FRONT": int(self.front_only)}
+        sources = {**forms, "FRONT": int(self.front_only)}
         return {**of_boxes, "SIZE_BITS": header.size_bits, **sources}
 
+    @property
+    def looks(self) -> tuple[dict[str, int], ...]:
+        """What splats are drawn by programs of their own, one after the other: those that are not looked up in maps, those at coarser levels, those
+        at the finest, and those whose fragments move there. Processors that draw run all of a shader's branches, so each has what its
+        splats need."""
+        if not (self.scene.header.maps and self.looks_up):
+            return ({},)
+        return {"UNMAPPED": 1}, *({"MAPPED": 1, "LOOKED_UP": kind} for kind in (1, 2, 3))
+
     def show(self, view: Camera, detail: Detail) -> None:
-        """Choose the groups that the next passes draw of it."""
+        """Choose the groups that the next passes draw of it, and whether they look any splat up in its map."""
+        if self.in_view is not None:
+            self.looks_up = self.in_view.any_looked_up(view, self.scene.header.origin)
         if self.tree is not None:
             shares = shares_of(self.tree, view, self.scene.header, detail)
             with self.context:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -17,6 +18,8 @@ from storage.packed.schema import CHUNK, Camera, Header
 Direction = tuple[float, float, float]  # in the scan's own axes, of any length
 ORBIT_FIELD_DEGREES = 45.0  # of the shorter side of the picture
 ORBIT_HEIGHT_DEGREES = 20.0
+STATION_FIELD_DEGREES = 70.0  # of the shorter side too
+STATION_TILT_DEGREES, STATION_WAYS = 20.0, 12
 MARGIN = 1.08  # about what fills the picture
 SPARED = 1.2  # times the ball of the bulk: corners of a flat scan that it cuts off are no strays
 FRAMED_FROM = 8  # directions of an orbit from each of which all of the bulk is to be in the picture
@@ -89,6 +92,36 @@ def framed_views(scene: PackedScene, n: int, size: tuple[int, int], up: Directio
         centre = np.array(view.centre) + np.array([*aside, -back]) @ rotation
         result.append(replace(view, centre=tuple(centre.tolist())))
     return result
+
+
+def station_views(
+    scene: PackedScene, stations: Sequence[tuple[float, float, float]], size: tuple[int, int]
+) -> list[Camera]:
+    """From where each laser scanner stood (absolute), towards where most of the scan lies: of STATION_WAYS level directions that with most
+    chunks of the bulk within half of STATION_FIELD_DEGREES, tilted to their mean height by at most STATION_TILT_DEGREES."""
+    low, high = bulk_of(scene)
+    upright, middle = up_direction(scene.header), (low + high) / 2 + scene.header.origin
+    start = _start_direction(scene.header, np.zeros(3), upright)
+    side, angles = np.cross(upright, start), np.arange(STATION_WAYS) * 2 * np.pi / STATION_WAYS
+    ways = np.cos(angles)[:, None] * start + np.sin(angles)[:, None] * side  # (w, 3)
+    views = []
+    for index, station in enumerate(stations):
+        away = middle - np.asarray(station, np.float64)
+        height = away @ upright
+        level = away - height[:, None] * upright
+        distance = np.maximum(np.linalg.norm(level, axis=1), scene.header.radius)
+        seen = level @ ways.T / distance[:, None] > np.cos(np.radians(STATION_FIELD_DEGREES / 2))  # (m, w)
+        best = int(seen.sum(axis=0).argmax())
+        rise = np.clip(
+            (height / distance)[seen[:, best]].mean() if seen[:, best].any() else 0.0,
+            *(np.tan(np.radians(STATION_TILT_DEGREES)) * np.array([-1, 1])),
+        )
+        target = np.asarray(station) + max(distance.mean(), scene.header.radius) * (ways[best] + rise * upright)
+        field = np.radians(STATION_FIELD_DEGREES)
+        views.append(
+            _camera_at(f"station_{index + 1:03d}", np.asarray(station, np.float64), target, upright, field, size)
+        )
+    return views
 
 
 def _centred(at: np.ndarray, back: float, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -8,18 +8,47 @@ largest map.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import moderngl
 import numpy as np
 
 from pipeline.maps.stored import VOID, decode_codes, decode_colors, halved
+from pipeline.splats.decoded import scene_radii
+from renderer.splats.upload.tables import group_boxes
 from storage.errors import ResourceExhausted
 from storage.packed.packed import PackedScene
-from storage.packed.schema import Header
+from storage.packed.schema import GROUP, Camera, Header
 
 MIP_LEVELS = 5  # of colours, as MAP_ROWS lets heights be halved
 COLORS_UNIT, DEPTHS_UNIT = 1, 2  # station_map.glsl says the same
+LOOKED_UP_FROM_PX = 2.5  # map_of_splat.glsl says the same
+
+
+@dataclass(frozen=True)
+class MapsInView:
+    """Tells which views look any splat up in its map: most of those that show a scan from afar do not, and programs without maps draw them
+    several times as fast."""
+
+    low: np.ndarray  # (n_groups, 3) corners of groups against the origin, whole splats in them
+    high: np.ndarray
+    radius: np.ndarray  # (n_groups,) of the largest splat
+
+    def any_looked_up(self, view: Camera, origin: Sequence[float]) -> bool:
+        """Whether a splat before the view's plane may be LOOKED_UP_FROM_PX wide."""
+        ahead = np.array(view.rotation[2])
+        eye = (np.array(view.centre) - origin) @ ahead
+        nearest = (np.where(ahead > 0, self.low, self.high) * ahead).sum(axis=1) - eye
+        farthest = (np.where(ahead > 0, self.high, self.low) * ahead).sum(axis=1) - eye
+        large = self.radius * max(view.fx_px, view.fy_px) >= LOOKED_UP_FROM_PX * nearest
+        return bool((large & (farthest > 0)).any())
+
+
+def maps_in_view(scene: PackedScene) -> MapsInView:
+    """Of a scene with maps."""
+    boxes, radius = group_boxes(scene).astype(np.float64), scene_radii(scene)
+    return MapsInView(boxes[:, :3], boxes[:, 3:], np.maximum.reduceat(radius, np.arange(0, len(radius), GROUP)))
 
 
 @dataclass

@@ -20,7 +20,7 @@ from renderer.evaluate.previews import (
 )
 from renderer.splats.scene import GpuScene
 from renderer.splats.targets import NARROW, WIDE
-from renderer.splats.views import view_of
+from renderer.splats.views import station_views, view_of
 from tests.scenes import Settings, Splats, build_scene, camera_looking, random_dictionary
 
 SIZE = (120, 90)
@@ -109,6 +109,16 @@ def test_previews__without_cameras_orbit_the_scan(renderer, tmp_path):
     assert all(getattr(row, key) is None for row in rows for key in FIGURES)
     assert any(row.coverage > 0.1 for row in rows)
     assert len(list((tmp_path / "previews").iterdir())) == 3
+
+
+def test_previews__without_cameras_look_from_stations_at_most_of_the_scan(renderer, tmp_path):
+    options = PreviewOptions(n_cameras=2, n_orbits=1, orbit_size_px=(64, 48))
+    scene = wall(names=())
+    stations = [(x, -1.5, 0.0) for x in (-1.0, 0.0, 1.0)]
+    rows = make_previews(scene, tmp_path, None, renderer, options, stations=stations)
+    assert [row.camera for row in rows] == ["station_001", "station_002", "orbit_000"]
+    for row, view in zip(rows, station_views(scene, stations[::2], (64, 48)), strict=False):
+        assert view.centre in stations and row.coverage > 0.1
 
 
 def test_previews__take_at_most_so_many_cameras_evenly(renderer, tmp_path):

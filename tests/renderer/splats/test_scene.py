@@ -10,7 +10,8 @@ from renderer.splats.scene import DRAWS, GpuScene, storage_buffer
 from renderer.splats.upload.tables import group_boxes, group_table, running_counts, splat_words
 from storage.errors import ResourceExhausted
 from storage.packed.schema import CHUNK, GROUP, MIP_SIZES
-from tests.scenes import Settings, build_scene, coded, random_dictionary, sheet
+from tests.mapped_scenes import wall_map, with_maps
+from tests.scenes import Settings, build_scene, camera_looking, coded, random_dictionary, sheet
 
 
 def scene_of_two_groups():
@@ -98,3 +99,18 @@ def test_storage_buffer__refuses_more_than_the_driver_takes_and_names_the_sizes(
     context = SimpleNamespace(info={"GL_MAX_SHADER_STORAGE_BLOCK_SIZE": 1000, "GL_RENDERER": "a small one"})
     with pytest.raises(ResourceExhausted, match="1,004 bytes.*1,000 bytes with a small one"):
         storage_buffer(context, np.zeros(251, np.float32), "codes")
+
+
+def test_gpu_scene__from_afar_takes_programs_without_maps_and_draws_the_same(renderer):
+    scene = build_scene(sheet(np.random.default_rng(2), 80), Settings(radius=0.15))
+    gpu_scene = GpuScene(with_maps(scene, wall_map()), renderer.context)
+    near, far = (camera_looking((0, -away, 0), (0, 0, 0), (48, 40), (60, 60)) for away in (2.0, 8.0))
+    renderer.render(gpu_scene, near)
+    assert len(gpu_scene.looks) > 1
+    picture = renderer.render(gpu_scene, far)
+    assert gpu_scene.looks == ({},)
+    gpu_scene.in_view, gpu_scene.looks_up = None, True
+    in_full = renderer.render(gpu_scene, far)
+    gpu_scene.release()
+    assert picture.coverage.any() and (picture.coverage == in_full.coverage).all()
+    assert np.abs(picture.rgb.astype(int) - in_full.rgb).max() <= 1
