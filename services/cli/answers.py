@@ -21,12 +21,13 @@ class ServiceError(SplatpressError):
         super().__init__(f"service answered {status}", problem.get("detail", ""), "", problem.get("hint", ""))
         self.status, self.problem = status, problem
         self.kind = problem.get("class", "internal")
-        self.exit_code = ARGUMENTS if status in OF_THE_CALL else BY_KIND.get(self.kind, INTERNAL)
+        self.is_of_the_call = status in OF_THE_CALL and self.kind == "data"
+        self.exit_code = ARGUMENTS if self.is_of_the_call else BY_KIND.get(self.kind, INTERNAL)
 
     @property
     def title(self) -> str:
         """What was asked for wrongly by its own name; nothing is wrong with a scan then."""
-        return self.problem.get("title", "refused") if self.status in OF_THE_CALL else super().title
+        return self.problem.get("title", "refused") if self.is_of_the_call else super().title
 
     def __reduce__(self):
         return type(self), (self.status, self.problem)

@@ -123,8 +123,10 @@ def _print_notes(error: Exception) -> None:
 
 def _asked(error: Exception) -> str:
     """The service that an error of httpx is about."""
-    request = getattr(error, "_request", None)
-    return "the service" if request is None else str(request.url.copy_with(path="/", query=None))
+    try:
+        return str(error.request.url.copy_with(path="/", query=None))  # type: ignore[attr-defined]
+    except (RuntimeError, AttributeError):  # it is about none
+        return "the service"
 
 
 class _Version(argparse.Action):

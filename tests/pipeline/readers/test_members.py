@@ -9,6 +9,7 @@ import pytest
 from pipeline.readers import open_scan
 from pipeline.readers.files import members
 from pipeline.readers.files.members import Folder, open_archive
+from pipeline.readers.files.spelling import by_name
 from pipeline.readers.files.workspaces import find_workspace
 from storage.errors import InvalidScan, UnsupportedScan
 
@@ -117,3 +118,11 @@ def test_members__folder_and_archive_answer_alike(tmp_path):
             assert open(path, "rb").read() == b"hello" and path.endswith(".txt")
         with source.local("sub/b.txt", 3) as path:
             assert open(path, "rb").read().startswith(b"hel")
+
+
+def test_by_name__warnings_call_a_scan_and_what_lies_beside_it_by_their_names(tmp_path, monkeypatch):
+    scan = tmp_path / "scan.e57"
+    said = f"{scan}: no unit; {tmp_path}/scan.json is not read; elsewhere/scan.e57"
+    assert by_name(said, str(scan)) == "scan.e57: no unit; scan.json is not read; elsewhere/scan.e57"
+    monkeypatch.chdir(tmp_path)
+    assert by_name(f"{scan}: no unit", "scan.e57") == "scan.e57: no unit" == by_name("scan.e57: no unit", "scan.e57")
