@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection
 
 from pipeline.planning.knobs import BY_NAME, KNOBS, VIEW_KNOBS, Knob
 from pipeline.planning.settings import DEFAULT_PRESET, PRESETS, Settings, settings_for
+from services.cli.wording import as_options
 
 
 class WrongArgument(ValueError):
@@ -83,7 +84,7 @@ def settings_of(options: argparse.Namespace) -> Settings:
     try:
         return settings_for(options.preset, **{name: BY_NAME[name].parsed(text) for name, text in given.items()})
     except ValueError as error:
-        raise WrongArgument(str(error)) from error
+        raise WrongArgument(as_options(str(error))) from error
 
 
 def target_in_words(options: argparse.Namespace, textured: bool) -> str | None:
@@ -91,7 +92,7 @@ def target_in_words(options: argparse.Namespace, textured: bool) -> str | None:
     if (target := options.target_psnr_db) is None:
         return None
     if not textured:
-        return f"target_psnr_db {target} is not used: this scan gives colours, no textures"
+        return f"--target-psnr-db {target} is not used: this scan gives colours, no textures"
     return f"target: a splat takes no further atom once it has {target} dB, so all of them together differ from it"
 
 

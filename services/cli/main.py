@@ -50,7 +50,8 @@ def main(arguments: list[str] | None = None) -> int:
         with _terminable():
             return options.command(options)
     except SplatpressError as error:
-        print(f"splatpress: {error.title}: {as_options(str(error))}", file=sys.stderr)
+        said = str(error) if hasattr(error, "problem") else as_options(str(error))  # a service has options by name
+        print(f"splatpress: {error.title}: {said}", file=sys.stderr)
         _print_notes(error)
         return error.exit_code
     except WrongArgument as error:

@@ -14,5 +14,5 @@ def as_options(text: str) -> str:
     '--budget-bytes: 3 bytes a splat; allowed: 4 and more'
     """
     long = "|".join(name for name in BY_NAME if "_" in name)  # no other word looks like these
-    knob = rf"\b(?:{long})\b(?![-/.])|^(?:{'|'.join(BY_NAME)})(?=: )"
+    knob = rf"\b(?:{long})\b(?![-/.])|^(?:{'|'.join(BY_NAME)})(?=: | is )"
     return re.sub(knob, lambda found: "--" + found[0].replace("_", "-"), text)

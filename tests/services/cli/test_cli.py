@@ -56,7 +56,7 @@ def test_cli__json_is_the_last_line_of_stdout(scan, tmp_path, capsys):
         (
             ["compress", "{scan}", "--out", "{tmp}/o", "--dictionary-bits", "7"],
             1,
-            "dictionary_bits is 7; allowed: auto, 8",
+            "--dictionary-bits is 7; allowed: auto, 8",
         ),
         (
             ["compress", "{scan}", "--out", "{tmp}/o", "--preset", "fast"],

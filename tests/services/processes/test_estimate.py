@@ -109,7 +109,7 @@ def test_estimate__points_without_photographs_have_bytes_and_no_psnr(tmp_path, c
     assert main(["estimate", str(scan), "--executor", "serial", "--target-psnr-db", "42"]) == 0
     said = capsys.readouterr().out
     assert (
-        "target_psnr_db 42 is not used" in said
+        "--target-psnr-db 42 is not used" in said
         and "Bytes on the GPU" in said
         and [p.name for p in tmp_path.iterdir()] == ["ball.ply"]
     )
