@@ -11,7 +11,7 @@ from pipeline.effects.block import Block, Sources
 from pipeline.effects.cliplines.eyes import Eye, cell_of, eye_of_splats, eyes_of
 from pipeline.effects.cliplines.lines import best_lines, disc_points
 from pipeline.effects.cliplines.nearest import Scales
-from pipeline.execution.compiled import kernel, part
+from pipeline.execution.compiled import kernel
 from pipeline.summaries import Clipped
 from storage.work import arrays, tiles, work
 
@@ -122,29 +122,26 @@ def _foreign(
     return foreign
 
 
-@part()
-def _cell_of_point(c, p, q, r, point, eye, around, scale, origin, shape):
-    """Row and column of the cell that a point of a disc falls into."""
-    a, b = point
-    x = c[0] + r * (a * p[0] + b * q[0]) + origin[0]
-    y = c[1] + r * (a * p[1] + b * q[1]) + origin[1]
-    z = c[2] + r * (a * p[2] + b * q[2]) + origin[2]
-    row, column, _ = cell_of(eye, around, scale, shape[1], shape[0], x, y, z)
-    return row, column
-
-
-@kernel()
+@kernel(error_model="numpy")
 def _bound(bounds, rows, centre, u, v, points, radius, eye, around, scale, origin, shape):
     """Top, bottom, left and right of the cells of all discs' points, into `bounds` (4,)."""
+    height, width = shape
+    top, bottom, left, right = bounds[0], bounds[1], bounds[2], bounds[3]
     for i in rows:
-        for j in range(len(points)):
-            row, column = _cell_of_point(centre[i], u[i], v[i], radius[i], points[j], eye, around, scale, origin, shape)
+        r = radius[i]
+        for j in range(points.shape[0]):
+            a, b = points[j, 0], points[j, 1]
+            x = centre[i, 0] + r * (a * u[i, 0] + b * v[i, 0]) + origin[0]
+            y = centre[i, 1] + r * (a * u[i, 1] + b * v[i, 1]) + origin[1]
+            z = centre[i, 2] + r * (a * u[i, 2] + b * v[i, 2]) + origin[2]
+            row, column, _ = cell_of(eye, around, scale, width, height, x, y, z)
             if row >= 0:
-                bounds[0], bounds[1] = min(bounds[0], row), max(bounds[1], row + 1)
-                bounds[2], bounds[3] = min(bounds[2], column), max(bounds[3], column + 1)
+                top, bottom = min(top, row), max(bottom, row + 1)
+                left, right = min(left, column), max(right, column + 1)
+    bounds[0], bounds[1], bounds[2], bounds[3] = top, bottom, left, right
 
 
-@kernel()
+@kernel(error_model="numpy")
 def _look_up(
     foreign,
     rows,
@@ -165,11 +162,20 @@ def _look_up(
     left,
 ):
     """Mark the points of discs whose nearest point lies further than `foreign_radii` of theirs from the disc's plane."""
-    for k, i in enumerate(rows):
-        c, n, r = centre[i], normal[i], radius[i]
-        for j in range(len(points)):
-            row, column = _cell_of_point(c, u[i], v[i], r, points[j], eye, around, scale, origin, shape)
+    height, width = shape
+    for k in range(rows.shape[0]):
+        i = rows[k]
+        r = radius[i]
+        for j in range(points.shape[0]):
+            a, b = points[j, 0], points[j, 1]
+            x = centre[i, 0] + r * (a * u[i, 0] + b * v[i, 0]) + origin[0]
+            y = centre[i, 1] + r * (a * u[i, 1] + b * v[i, 1]) + origin[1]
+            z = centre[i, 2] + r * (a * u[i, 2] + b * v[i, 2]) + origin[2]
+            row, column, _ = cell_of(eye, around, scale, width, height, x, y, z)
             if row >= 0:
-                found = known[row - top, column - left]
-                off = (found[0] - c[0]) * n[0] + (found[1] - c[1]) * n[1] + (found[2] - c[2]) * n[2]
+                at, to = row - top, column - left
+                off = (known[at, to, 0] - centre[i, 0]) * normal[i, 0] + (known[at, to, 1] - centre[i, 1]) * normal[
+                    i, 1
+                ]
+                off += (known[at, to, 2] - centre[i, 2]) * normal[i, 2]
                 foreign[k, j] = abs(off) > foreign_radii * r
