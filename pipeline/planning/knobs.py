@@ -137,7 +137,7 @@ KNOBS = (
     Knob(
         "atom_size",
         int,
-        "texels to a side of an atom, with the default coder; auto: the fewest that show the target with 6 dB to spare",
+        "texels to a side of an atom, with the default coder; auto: the fewest that show the target with 6 dB to spare, no more than 2 bytes a splat pay for",
         "detail, where a splat covers as many photo pixels",
         "four times the dictionary's bytes, and the time of learning",
         "coefficients",

@@ -38,6 +38,10 @@ DICTIONARY_BYTES_A_SPLAT = 0.5
 # the last, flat walls show them.
 COLOR_STEP_AT_40_DB, MOST_COLOR_STEP = 2.0, 3.2
 FEWEST_INDEX_BITS, MOST_INDEX_BITS = 8, 12
+# Bytes a splat that the fewest atoms of a size may take with their mip levels, 8x8 excepted. Thinned, `balanced`, bytes of the file a splat:
+# fountain_p11 of 2,014 splats with 32x32, 16x16, 8x8 texels 90.2, 46.5, 36.7 at 27.34, 27.30, 26.73 dB; of 5,000 45.8, 28.8, 23.1 at 28.73,
+# 28.71, 28.07; of 19,997 22.9, 18.9, 17.2 at 31.92, 31.90, 31.48; monstree of 5,015 47.4, 31.1, 26.2 at 24.03, 24.02, 23.91.
+MOST_BYTES_OF_FEWEST = 2.0
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ def code_patches(
     )
     if not (settings.max_atoms and training.summary.n_patches):
         return Coded(patches, colors, encode(run, patches.folder, colors.folder, None, settings), None, (), 0, 0)
-    form = _form(training.summary, settings, tolerance, most_texels)
+    form = _form(training.summary, settings, tolerance, most_texels, n_splats or training.summary.n_splats)
     if form is None:
         space: StageRecord = run.do(Components(training.folder, tolerance * 10 ** (-settings.subspace_floor_db / 10)))
     else:
@@ -116,16 +120,27 @@ def color_step(settings: Settings) -> int:
     )
 
 
-def _form(training: Training, settings: Settings, tolerance: float, most_texels: int) -> AtomForm | None:
-    """The atoms of the default coder: of the fewest texels that show what the target asks for, and of no more than
-    views show; None for the paper's."""
+def _form(training: Training, settings: Settings, tolerance: float, most_texels: int, n_splats: int) -> AtomForm | None:
+    """The atoms of the default coder: of the fewest texels that show what the target asks for, of no more than views
+    show, and of no more than the scan pays for; None for the paper's."""
     if settings.coder == "paper":
         return None
     share = training.n_active / training.n_splats
     fine = [s for s in ATOM_SIZES if training.beyond[str(s)] * share <= BEYOND_ATOMS * tolerance]
-    return AtomForm(
-        min(*fine, most_texels, ATOM_SIZES[0]) if settings.atom_size == "auto" else int(settings.atom_size), SYMMETRIES
-    )
+    if settings.atom_size != "auto":
+        return AtomForm(int(settings.atom_size), SYMMETRIES)
+    return AtomForm(min(*fine, most_texels, affordable_size(n_splats)), SYMMETRIES)
+
+
+def affordable_size(n_splats: int) -> int:
+    """The most texels to a side of which a scan of so many splats pays for the fewest atoms.
+
+    >>> [affordable_size(n) for n in (2_000, 20_000, 330_000)]
+    [8, 16, 32]
+    """
+    fewest = 2**FEWEST_INDEX_BITS // SYMMETRIES
+    paid = [size for size in ATOM_SIZES if 4 * size**2 * fewest <= MOST_BYTES_OF_FEWEST * n_splats]
+    return max([*paid, min(ATOM_SIZES)])
 
 
 def index_bits(settings: Settings, form: AtomForm | None, n_splats: int) -> int:

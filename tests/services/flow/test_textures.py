@@ -5,6 +5,7 @@ import pytest
 
 from pipeline.execution.executors import SerialExecutor
 from pipeline.planning.settings import settings_for
+from services.flow.textures import affordable_size
 from services.processes.compress import compress
 from storage.packed.packed import PackedFile
 from tests.pipeline.execution.test_stage import Heard
@@ -68,3 +69,9 @@ def test_coders__the_default_takes_small_atoms_in_turns_where_they_show_the_targ
 def test_coders__a_lower_target_costs_less(made):
     assert texture_bytes(made["lower"]) < texture_bytes(made["default"])
     assert made["lower"]["atoms"]["mean"] < made["default"]["atoms"]["mean"]
+
+
+def test_coders__atoms_are_no_larger_than_splats_pay_for_them():
+    """A dictionary of 32 atoms with its mip levels is 8, 33 or 131 kB."""
+    sizes = {n: affordable_size(n) for n in (1, 4_000, 16_383, 16_384, 65_535, 65_536)}
+    assert sizes == {1: 8, 4_000: 8, 16_383: 8, 16_384: 16, 65_535: 16, 65_536: 32}
