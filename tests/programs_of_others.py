@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-PACKAGES = "@playcanvas/splat-transform gltf-validator zarrita @zarrita/storage axe-core"
+PACKAGES = "@playcanvas/splat-transform 3d-tiles-tools gltf-validator zarrita @zarrita/storage axe-core"
 HINT = f"npm install --no-save {PACKAGES}, and NODE_PATH to its node_modules"
 
 
@@ -44,6 +44,15 @@ def complaints_of_gltf_validator(path: Path) -> list[dict]:
         f"""import fs from "fs"; const v = validator.default;
         const found = await v.validateBytes(new Uint8Array(fs.readFileSync({json.dumps(str(path))}))); return found.issues.messages;""",
     )
+
+
+def upgraded_by_tiles_tools(tileset: Path, out: Path) -> str:
+    """What CesiumGS' 3d-tiles-tools says while it reads a tileset with all of its contents and writes them anew."""
+    program = node_module("3d-tiles-tools") / "build" / "src" / "cli.mjs"
+    command = ["node", str(program), "upgrade", "-i", str(tileset), "-o", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout + done.stderr
 
 
 def read_by_zarrita(path: Path, array: str) -> dict:

@@ -14,7 +14,7 @@ from pipeline.exports.cloud import cloud_of
 from services.processes.export import export
 from storage.packed.schema import GROUP
 from tests.packed_files import write_arrays
-from tests.programs_of_others import complaints_of_gltf_validator
+from tests.programs_of_others import complaints_of_gltf_validator, upgraded_by_tiles_tools
 from tests.scenes import Settings, build_scene, sheet
 
 UTM = (450000.25, 5400000.5, 100.0)
@@ -88,3 +88,15 @@ def test_tiles__contents_are_valid_and_lie_in_their_boxes(tiled, tmp_path):
     complaints = complaints_of_gltf_validator(tmp_path / tiles[-1]["content"]["uri"])
     own = ("UNSUPPORTED_EXTENSION", "KHR_gaussian_splatting:")  # what the validator does not know yet
     assert not [c for c in complaints if c["code"] != own[0] and own[1] not in c["pointer"]]
+
+
+def test_tiles__are_opened_by_the_tools_of_others(tiled, tmp_path):
+    """All of a tileset's contents are found and read; where one is missing the same tools say so."""
+    with zipfile.ZipFile(tiled[1].path) as archive:
+        archive.extractall(tmp_path / "made")
+        names = set(archive.namelist())
+    said = upgraded_by_tiles_tools(tmp_path / "made" / "tileset.json", tmp_path / "again")
+    assert "WARN" not in said and "ERROR" not in said
+    assert {path.name for path in (tmp_path / "again").iterdir()} == names
+    (tmp_path / "made" / "3.glb").unlink()
+    assert "No input found for 3.glb" in upgraded_by_tiles_tools(tmp_path / "made" / "tileset.json", tmp_path / "less")
