@@ -44,7 +44,7 @@ export function guard(work) {
       tell("");
       return await work(event);
     } catch (error) {
-      if (error.name === "AbortError") return undefined;
+      if (error.name === "AbortError" || (error.status === 401 && !hasToken())) return undefined; // the form asks for one, and nothing is wrong yet
       tell(error instanceof TypeError ? "the service does not answer" : error.message);
       return undefined;
     }

@@ -188,6 +188,9 @@ def test_page__signs_in_and_out(tmp_path, page):
     try:
         page.open(api.url + "/")
         page.until("!document.getElementById('login').hidden")
+        assert page.look("document.getElementById('problem').hidden")  # nothing is wrong before a token was tried
+        page.look("document.getElementById('token').value = 'none'; document.querySelector('#login button').click()")
+        page.until("/not known/.test(document.getElementById('problem').textContent)")
         is_without_serious_findings(page)
         page.look(
             f"document.getElementById('token').value = '{api.token('ann')}'; document.querySelector('#login button').click()"
