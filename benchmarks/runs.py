@@ -1,9 +1,9 @@
 """Points and iso-surfaces as runs of cells of the HCP grid, beside Table 1 of DuoDecim (2006): hit rate, efficiency, errors, bits a cell
 on a graphics card and on disk, cells a second of a processor, and how long the compute shader takes.
 
-    python benchmarks/runs.py SCAN.ply [VOLUME.nrrd=60 ...] [--json] [--no-gpu]
+    python -m benchmarks.runs SCAN.ply [VOLUME.nrrd=60 made:torus:mesh ...] [--json] [--no-gpu]
 
-Every scan is sampled with slices across each axis; the one with the longest runs is kept. Of a volume the cells are those of its surface.
+Every scan is sampled with slices across each axis; the one with the longest runs is kept. Of a volume the cells are those of its surface; `made` is what benchmarks/made_scans.py makes.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from benchmarks.made_scans import made
 from pipeline.geometry.hcp import centres_of
 from pipeline.geometry.normals import decode_normals
 from pipeline.geometry.runs.cells import average_normals, in_grid, mean_spacing, search_size
@@ -164,6 +165,8 @@ def gpu_ms(codes: RunCodes) -> float:
 
 
 def points_of(path: str) -> tuple[np.ndarray, np.ndarray]:
+    if path.startswith("made:"):
+        return made(*path.split(":")[1:])
     pieces = list(open_scan(path).pieces(1 << 16))
     position = np.concatenate([piece.position for piece in pieces])
     known = np.isfinite(position).all(axis=1)

@@ -89,6 +89,7 @@ class VolumeSurfaces:
     cell: float  # spacing of the grid
     method: str
     border: str
+    is_closed: bool  # surfaces end nowhere and look outwards, so that from outside no back is seen
     surfaces: tuple[SurfaceFound, ...]
 
 

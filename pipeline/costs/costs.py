@@ -9,7 +9,6 @@ modelled: a store shared by many machines counts as fast as a local disk.
 
 from __future__ import annotations
 
-import heapq
 import json
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from pathlib import Path
 from pipeline.catalogue import CATALOGUE, Phase, Task
 from pipeline.coding.beam.form import Beam, beam_of
 from pipeline.coding.ksvd import BLOCK as TRAINING_BLOCK
+from pipeline.costs.makespan import DISPATCH_S, makespan
 from pipeline.execution.executors import MOST_A_CALL, calls_of
 from pipeline.execution.task import CALL_S
 from pipeline.stages.packed.pack import TASK_SPLATS as PACK_BLOCK
@@ -28,11 +28,8 @@ from storage.packed.levels import FEWER
 from storage.packed.schema import ATOM_SIZES, GROUP
 from storage.work.arrays import BLOCK
 
-DISPATCH_S = 1e-3  # of Dask's scheduler, a call: its documentation says "about 1 ms", and one process does it all
-# Times as long that a task takes beside others: two processes that coded blocks side by side, without Dask, took 2.88 s
-# where one after the other they took 5.26 s; two cores share caches and memory.
+# Times as long that a task takes beside others: two processes side by side took 2.88 s where one after the other took 5.26 s.
 CROWDED = 1.10
-MOST_SIMULATED = 20_000  # tasks of a stage; more go on as the last of these did
 SAMPLED = 16  # blocks that effects are measured on
 MEASURED = 16  # bytes a splat of what is said of a patch: average, energy
 KILO, SMALLEST = 1024, min(ATOM_SIZES)  # indices of atoms, and texels to a side of the smallest
@@ -46,9 +43,8 @@ def _modelled() -> dict[str, Task]:
     """What a task is, by stage, in the order of the catalogue."""
     tasks: dict[str, Task] = {}
     for entry in CATALOGUE:
-        if entry.name == "thin":  # goes with the points of the file; a plan counts those that are kept
-            continue
-        if entry.phase != Phase.EVALUATION and entry.task not in (Task.VOLUME, Task.SLICES):  # those go with voxels
+        # A plan is told how many points are kept, and of which iso values.
+        if entry.phase != Phase.EVALUATION and entry.name not in ("thin", "iso-values"):
             tasks[entry.name] = entry.task
         if entry.name == "ingest":
             tasks[PHOTOGRAPHS] = Task.PHOTO
@@ -56,6 +52,11 @@ def _modelled() -> dict[str, Task]:
 
 
 TASKS = _modelled()
+RUNS = {entry.name for entry in CATALOGUE if entry.when == "geometry runs"}
+VOLUMES = {name for name, task in TASKS.items() if task in (Task.VOLUME, Task.SLICES)}
+OF_CELLS = set(list(TASKS)[list(TASKS).index("run-points") :])  # stages that know the cells of runs for the points
+CELLS_A_POINT = 0.67  # of a scan at the usual hit rate of 1.6, with 7 % that close gaps; of a volume all
+VOXELS_A_TASK, BRICK = 1 << 23, 1 << 20  # of iso-surface, about; points of pipeline/geometry/runs/bricks.py
 BEYOND_MEMORY = {entry.name for entry in CATALOGUE if entry.task == Task.PART and entry.when}
 BY_ATOMS = {entry.name for entry in CATALOGUE if entry.by_atoms}  # whose costs go with the number of indices
 READS = {entry.name: entry.reads for entry in CATALOGUE} | {  # the training set reads its own share of patches
@@ -124,6 +125,8 @@ class Job:
     # fountain_p11, kept and made again alternating, 34 and 34 processor seconds.
     keeps_patches: bool = False
     pages: bool = False  # whether photographs are packed in pages too
+    geometry: str = "boxes"
+    n_voxels: int = 0  # of a volume, whose surfaces have `n_splats` points
 
 
 @dataclass(frozen=True)
@@ -175,9 +178,15 @@ def plan_job(job: Job, costs: dict[str, StageCost]) -> list[StagePlan]:
     called_for = (
         name
         for name in TASKS
-        if name in costs and (name not in BEYOND_MEMORY or job.n_splats > MOST_HELD) and (name != PAGES or job.pages)
+        if name in costs and (name not in BEYOND_MEMORY or job.n_splats > MOST_HELD) and _is_called_for(name, job)
     )
     return [_plan_stage(name, costs[name], job, kilos, written) for name in called_for]
+
+
+def _is_called_for(name: str, job: Job) -> bool:
+    if name in VOLUMES or name in ("ingest", PHOTOGRAPHS):
+        return (name in VOLUMES) == bool(job.n_voxels)
+    return (name != PAGES or job.pages) and (name not in RUNS or job.geometry == "runs")
 
 
 def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dict[str, float]) -> StagePlan:
@@ -231,8 +240,14 @@ def _beam_us(cost: StageCost, beam: Beam | None, kilos: float) -> float:
 
 def _units(name: str, job: Job) -> float:
     kind = TASKS[name]
+    if name in VOLUMES:
+        return job.n_voxels
     if kind == Task.PHOTO:
         return job.n_photographs * job.megapixels
+    if name == "run-grid":
+        return job.n_splats
+    if name in OF_CELLS and job.geometry == "runs" and not job.n_voxels:
+        job = replace(job, n_splats=round(CELLS_A_POINT * job.n_splats), geometry="boxes")
     if kind == Task.STATION and not job.n_stations:
         return 0
     if kind == Task.SAMPLE:
@@ -250,29 +265,14 @@ def _n_tasks(name: str, job: Job) -> int:
         Task.SLICE: max(SLICE, job.n_splats // MOST_SLICES),
         Task.PART: max(PART, job.n_splats // MOST_PARTS) if name in BEYOND_MEMORY else MOST_HELD,
         Task.BLOCK: BLOCK,
+        Task.BRICK: BRICK,
+        Task.SLICES: VOXELS_A_TASK,
         Task.SAMPLE: BLOCK,
         Task.GROUP: PACK_BLOCK,
         Task.POINTS_OF_GROUP: FEWER * GROUP,
         Task.TRAINING: TRAINING_BLOCK,
     }.get(kind)
     return 1 if rows is None else max(1, -(-int(_units(name, job)) // rows))
-
-
-def makespan(n_tasks: int, task_s: float, n_workers: int, dispatch_s: float = DISPATCH_S) -> float:
-    """Seconds until equal tasks are done: one scheduler hands each to the worker that is free first."""
-    simulated = min(n_tasks, MOST_SIMULATED)
-    free = [0.0] * min(n_workers, simulated)
-    scheduler, ends = 0.0, [0.0, 0.0]
-    for i in range(simulated):
-        scheduler = max(scheduler, free[0]) + dispatch_s
-        heapq.heapreplace(free, scheduler + task_s)
-        if i == simulated // 2:
-            ends[0] = scheduler
-    if simulated == 0:
-        return 0.0
-    ends[1] = scheduler
-    rate = (ends[1] - ends[0]) / max(1, simulated - 1 - simulated // 2)
-    return max(free) + (n_tasks - simulated) * rate
 
 
 def first_limit(job: Job, plans: list[StagePlan], memory_bytes: float) -> tuple[str, str]:

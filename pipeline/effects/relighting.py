@@ -9,8 +9,9 @@ UNLIT = "its colours have no light in them"  # why it is on where nobody asked
 
 
 def _conclude(sums: list[dict], sources: Sources) -> Measured:
-    strays = {} if sources.scan.volume else {"strays": True}
-    outcome = {"lamp": True} | strays if sources.scan.is_albedo else {}
+    volume = sources.scan.volume
+    more = {"strays": True} if volume is None else {"closed": True} if volume.is_closed else {}
+    outcome = {"lamp": True} | more if sources.scan.is_albedo else {}
     return Measured(1.0, 1.0, outcome)
 
 

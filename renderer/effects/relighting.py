@@ -48,3 +48,8 @@ def has_own_lamp(header: Header) -> bool:
 def may_have_strays(header: Header) -> bool:
     """Whether points were scanned; a volume's surfaces have none that lie by themselves for no reason."""
     return not has_own_lamp(header) or bool(header.effects["relighting"].get("strays"))
+
+
+def is_closed(header: Header) -> bool:
+    """Whether surfaces end nowhere and look outwards: who sees them from outside sees no back."""
+    return bool(header.effects.get("relighting", {}).get("closed"))

@@ -21,7 +21,7 @@ from renderer.report.document import ViewMeasured
 from renderer.splats.baseline import PhotoSplats
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
-from renderer.splats.views import framed_views, station_views, view_of
+from renderer.splats.views import framed_views, hides_backs, station_views, view_of
 from storage.packed.packed import PackedScene
 from storage.packed.schema import Camera
 
@@ -81,7 +81,7 @@ def make_previews(
     names = safe_names([view.name for view in views])
     renderer = renderer or Renderer()
     device = renderer.context.info["GL_RENDERER"]
-    gpu_scene = GpuScene(scene, renderer.context)
+    gpu_scene = GpuScene(scene, renderer.context, front_only=hides_backs(scene, views))
     photos = PhotoSplats(gpu_scene, read_photo) if read_photo else None
     waiting: list[Future] = []
 

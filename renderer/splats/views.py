@@ -9,8 +9,8 @@ from itertools import product
 import numpy as np
 
 from pipeline.cameras.pinhole import resized
-from pipeline.splats.decoded import scene_bounds
-from renderer.effects.relighting import may_have_strays
+from pipeline.splats.decoded import scene_bounds, scene_radii
+from renderer.effects.relighting import is_closed, may_have_strays
 from storage.packed.batches import CHUNKS_PER_GROUP
 from storage.packed.packed import PackedScene
 from storage.packed.schema import CHUNK, Camera, Header
@@ -159,6 +159,17 @@ def bulk_of(scene: PackedScene, spared: float = 1.0) -> tuple[np.ndarray, np.nda
     most, usual = np.quantile(reach, [1 - STRAY_SHARE, 1 - TRIMMED_SHARE])
     within = reach <= max(spared * min(most, LONGEST_TAIL * usual), reach.min())
     return low[within], high[within]
+
+
+def hides_backs(scene: PackedScene, views: Sequence[Camera]) -> bool:
+    """Whether all discs that show their backs in these views are hidden by others: closed surfaces, seen from outside of all they reach to."""
+    if not is_closed(scene.header):
+        return False
+    low, high = scene_bounds(scene)
+    reach = float(scene_radii(scene).max())
+    low, high = low.min(axis=0) - reach, high.max(axis=0) + reach
+    at = np.array([view.centre for view in views]) - scene.header.origin
+    return bool(((at < low) | (at > high)).any(axis=1).all())
 
 
 def up_direction(header: Header) -> np.ndarray:

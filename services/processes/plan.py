@@ -33,6 +33,7 @@ def plan(
     megapixels: float,
     speed: float = 1.0,
     pages: bool = False,
+    n_voxels: int = 0,
 ) -> dict:
     """The plan as the command prints it with --json, for a machine that takes `speed` times as long as the one measured
     on."""
@@ -48,6 +49,8 @@ def plan(
         form.size if form else PATCH_SIZE,
         pursuit=settings.pursuit if form else "omp",
         pages=pages,
+        geometry=settings.geometry,
+        n_voxels=n_voxels,
     )
     costs = known_costs(speed=speed)
     stages = plan_job(job, costs)

@@ -17,7 +17,7 @@ from renderer.splats.detail import Detail
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
 from renderer.splats.targets import NARROW, WIDE
-from renderer.splats.views import framed_views, orbit_views, view_of
+from renderer.splats.views import framed_views, hides_backs, orbit_views, view_of
 from storage.errors import InvalidScan
 from storage.packed.packed import PackedFile, PackedScene
 from storage.packed.schema import GROUP, MAX_ATOMS, QUADRICS, Camera, Header
@@ -48,7 +48,8 @@ def render_views(
     is that of pipeline.planning.knobs.VIEW_KNOBS. With a `light`
     it is lit, whether or not the file asks for it; with smoothed normals, unless it was planned without. `up` is
     what is up around the scan, where the file does not know; `detail` which of its levels are drawn, with `pool_mib` from
-    no more than so many MiB of its splats in memory. With `front_only` discs that show their backs are left out."""
+    no more than so many MiB of its splats in memory. With `front_only`, or where they are hidden
+    anyway, discs that show their backs are left out."""
     renderer = Renderer()
 
     def prepare(gpu_scene: GpuScene) -> None:
@@ -59,11 +60,14 @@ def render_views(
 
     paths, frames = [], []
     with PackedFile(packed) as opened:
-        scene, draw = _drawn(opened, renderer, pool_mib, prepare, front_only)
+        scene = _viewed(opened, pool_mib)
         if camera is not None:
             views = [view_of(_camera_named(scene.header, camera, packed), size)]
         else:
             views = (orbit_views if animated else framed_views)(scene, n_orbit, size or DEFAULT_SIZE, up)
+        draw = _drawing(
+            opened, scene, renderer, pool_mib, prepare, front_only or (pool_mib is None and hides_backs(scene, views))
+        )
         for view, name in zip(views, safe_names([v.name for v in views])):
             paths.append(out / f"{name}.png")
             paths[-1].parent.mkdir(parents=True, exist_ok=True)
@@ -77,29 +81,33 @@ def render_views(
     return paths
 
 
-def _drawn(
-    opened: PackedFile,
-    renderer: Renderer,
-    pool_mib: float | None,
-    prepare: Callable[[GpuScene], None],
-    front_only: bool,
-) -> tuple[PackedScene, Callable[..., Picture]]:
-    """What views are made of, and a function that draws one; with a pool no more than the boxes of the file, or
-    the coarsest level over quadrics, is read for that."""
+def _viewed(opened: PackedFile, pool_mib: float | None) -> PackedScene:
+    """What views are made of; with a pool no more than the boxes of the file, or the coarsest level over quadrics, is read for that."""
     if pool_mib is None:
-        scene = opened.load()
-        gpu_scene = GpuScene(scene, renderer.context, front_only=front_only)
-        prepare(gpu_scene)
-        return scene, partial(renderer.render, gpu_scene)
-    pooled = PooledFile(opened, renderer.context, int(pool_mib * (1 << 20)), prepare)
+        return opened.load()
     if (
         opened.header.geometry == QUADRICS
     ):  # whose chunks lie where their splats are decoded: those of the coarsest level, which views go by
         coarsest = range(opened.header.levels[0] // GROUP)
         rows = {group: opened.rows_of_group(group) for group in coarsest}
-        return opened.joined(rows, opened.of_all()), partial(pooled.render, renderer)
-    boxes = {name: opened.read(name) for name in ("box_low", "box_size")}
-    return PackedScene(opened.header, boxes), partial(pooled.render, renderer)
+        return opened.joined(rows, opened.of_all())
+    return PackedScene(opened.header, {name: opened.read(name) for name in ("box_low", "box_size")})
+
+
+def _drawing(
+    opened: PackedFile,
+    scene: PackedScene,
+    renderer: Renderer,
+    pool_mib: float | None,
+    prepare: Callable[[GpuScene], None],
+    front_only: bool,
+) -> Callable[..., Picture]:
+    """A function that draws a view."""
+    if pool_mib is not None:
+        return partial(PooledFile(opened, renderer.context, int(pool_mib * (1 << 20)), prepare).render, renderer)
+    gpu_scene = GpuScene(scene, renderer.context, front_only=front_only)
+    prepare(gpu_scene)
+    return partial(renderer.render, gpu_scene)
 
 
 def _camera_named(header: Header, name: str, packed: Path) -> Camera:

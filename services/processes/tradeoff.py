@@ -30,6 +30,7 @@ from services.flow.run import Run
 from services.processes.kinds import BUDGET_S
 from storage.errors import InvalidScan
 from storage.packed.packed import SUFFIX, PackedFile
+from storage.packed.schema import RUNS
 from storage.whole import placed_whole
 
 OF_POINTS = {
@@ -250,6 +251,12 @@ def _shown(psnr_db: float | None) -> float:
     return BEST_DB if psnr_db is None else min(BEST_DB, psnr_db)
 
 
+def _fullness(point: LadderPoint) -> tuple:
+    """What orders points by how much of a scan they show: all of its points before cells, of cells the finest, else those without levels."""
+    of_runs = point.settings["geometry"] == RUNS
+    return point.settings["density"], not of_runs, point.splats if of_runs else -point.splats
+
+
 def _pictures(
     run: Run, points: list[LadderPoint], packed: list[Path], photographs: Path | None, out: Path
 ) -> tuple[list[LadderPoint], tuple[CloseUp, ...]]:
@@ -262,7 +269,7 @@ def _pictures(
         photos = Variant("photographs", packed[0], photographs)
         close_ups = run.paint(draw_close_ups, [photos, *variants], packed[0], photographs, out, SPOTS)
     run.progress.advance(PICTURES, 1, 0)
-    fullest = max(range(len(points)), key=lambda i: (points[i].settings["density"], -points[i].splats))
+    fullest = max(range(len(points)), key=lambda i: _fullness(points[i]))
     psnrs = run.paint(picture_psnrs, variants, photographs, fullest)
     run.progress.advance(PICTURES, 1, 0)
     measured = [

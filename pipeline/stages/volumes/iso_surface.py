@@ -28,7 +28,8 @@ CLOSE_CELLS = 0.01  # off a surface by more than so much of a cell: counted as l
 @dataclass(frozen=True)
 class BrickOfSurfaces:
     """What a task tells of its slices: the box of its points, None where there are none; by iso value how many there are, were
-    added, lie off the surface, and had no direction, and by how many cells the others are off, summed."""
+    added, lie off the surface, and had no direction, and by how many cells the others are off, summed; the largest value of its voxels at the
+    border of the volume, None where it has none."""
 
     n_splats: int
     low: list[float] | None
@@ -38,6 +39,7 @@ class BrickOfSurfaces:
     n_off: list[int]
     n_flat: list[int]
     off: list[float]
+    highest_at_border: float | None
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,7 @@ class IsoSurface:
             n_off=[int((~(s.off <= CLOSE_CELLS * lattice.size)).sum()) for s in found],
             n_flat=[int((~np.isfinite(s.off)).sum()) for s in found],
             off=[float(o[o <= CLOSE_CELLS].sum()) for o in off],
+            highest_at_border=highest_at_border(voxels, k0, self._n_slices(pad)),
         )
 
     def finalise(self, folder: Path, results: list[BrickOfSurfaces]) -> ScanRead:
@@ -128,6 +131,7 @@ class IsoSurface:
             cell=lattice.size,
             method=self.method,
             border=self.border,
+            is_closed=self._is_closed(volume, results),
             surfaces=tuple(surfaces),
         )
         return ScanRead(
@@ -148,6 +152,14 @@ class IsoSurface:
             volume=surfaces_of,
             grid=grid_of(lattice, (low + high) / 2) if self.on_cells else None,
         )
+
+    def _is_closed(self, volume: VolumeRead, results: list[BrickOfSurfaces]) -> bool:
+        """Whether all surfaces end nowhere and look outwards: all voxels are known, and those of the border lower than any of their values."""
+        highest = max(r.highest_at_border for r in results if r.highest_at_border is not None)
+        return not volume.n_unknown and highest < min(iso.value for iso in self.isos)
+
+    def _n_slices(self, pad: float | None) -> int:
+        return work.summary(self.voxels, VolumeRead).shape[2] + (0 if pad is None else 2)
 
     def _surface(self, i: int, results: list[BrickOfSurfaces]) -> SurfaceFound:
         total = {
@@ -205,6 +217,15 @@ class IsoSurface:
     def _slices(self, lattice: Lattice) -> int:
         n_i, n_j, _ = work.summary(self.voxels, VolumeRead).shape
         return lattice.slices_a_task(n_i * n_j)
+
+
+def highest_at_border(voxels: np.ndarray, first: int, n: int) -> float | None:
+    """Of slices from `first` on, (n_k, n_j, n_i), of a volume of `n`, the largest value in the planes that bound it."""
+    planes = [voxels[:, (0, -1)], voxels[:, :, (0, -1)]]
+    planes += [voxels[:1]] if first == 0 else []
+    planes += [voxels[-1:]] if first + len(voxels) == n else []
+    found = max(float(np.nanmax(plane, initial=-np.inf)) for plane in planes)
+    return found if np.isfinite(found) else None
 
 
 def grid_of(lattice: Lattice, middle: np.ndarray) -> GridFrame:

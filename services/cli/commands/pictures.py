@@ -28,7 +28,7 @@ def add_render(commands) -> None:
     render.add_argument(
         "--front",
         action="store_true",
-        help="leave out discs that show their backs: faster, and the same picture of a closed surface",
+        help="leave out discs that show their backs, as is done where they are known to be hidden: closed surfaces of a volume, seen from outside",
     )
     render.add_argument("--size", type=size, metavar="WxH", help="default: the camera's own, or 1280x720")
     render.add_argument(

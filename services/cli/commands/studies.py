@@ -218,8 +218,15 @@ def add_plan(commands) -> None:
         help="on the machine that the costs were measured on; default: on machines as fast as this one",
     )
     plan.add_argument("--pages", action="store_true", help="with the photographs in pages beside it")
+    plan.add_argument(
+        "--voxels",
+        type=large_count,
+        default=0,
+        metavar="N",
+        help="of a volume whose surfaces have so many splats, as 832e6",
+    )
     plan.add_argument("--json", action="store_true")
-    add_settings(plan, ("coder", "dictionary_bits", "training_splats", "iterations"))
+    add_settings(plan, ("coder", "dictionary_bits", "training_splats", "iterations", "geometry"))
     plan.set_defaults(command=_plan)
 
 
@@ -235,6 +242,7 @@ def _plan(options: argparse.Namespace) -> int:
         options.megapixels,
         speed,
         options.pages,
+        options.voxels,
     )
     print(json.dumps(found) if options.json else as_text(found))
     return OK

@@ -17,9 +17,9 @@ from pipeline.costs.costs import (
     StageCost,
     first_limit,
     known_costs,
-    makespan,
     plan_job,
 )
+from pipeline.costs.makespan import makespan
 from pipeline.costs.probe import probe_seconds
 from pipeline.execution.executors import MOST_A_CALL, MOST_SERVED, calls_of
 from pipeline.planning.settings import Settings
@@ -48,7 +48,7 @@ def test_makespan__is_what_can_be_reckoned_by_hand(n_tasks, task_s, n_workers, d
 @pytest.mark.parametrize(("task_s", "n_workers"), [(0.8, 24), (0.01, 24), (0.05, 1000)])
 def test_makespan__of_many_tasks_goes_on_as_it_began(task_s, n_workers, monkeypatch):
     whole = makespan(20_000, task_s, n_workers)
-    monkeypatch.setattr("pipeline.costs.costs.MOST_SIMULATED", 5_000)
+    monkeypatch.setattr("pipeline.costs.makespan.MOST_SIMULATED", 5_000)
     assert makespan(20_000, task_s, n_workers) == pytest.approx(whole, rel=0.02)
 
 
@@ -153,6 +153,21 @@ def test_plan__the_costs_that_are_known_are_of_all_stages_and_sound():
     assert set(TASKS) - some <= set(costs) <= set(TASKS)
     values = np.array([[*vars(cost).values()] for cost in costs.values()])
     assert np.isfinite(values).all() and (values >= 0).all() and all(cost.task_us_a_unit > 0 for cost in costs.values())
+
+
+def test_plan__runs_and_volumes_take_what_their_own_stages_take_and_only_they():
+    def names(**of) -> set[str]:
+        return {p.name for p in plan_job(Job(10**6, 4, **of), FLAT)}
+
+    runs, volume, plain = names(geometry="runs"), names(n_voxels=10**8), names()
+    assert runs - plain == {"run-grid", "run-cells", "runs", "run-points"} and plain <= runs
+    assert volume - plain == {"voxels", "iso-surface"} and plain - volume == {"ingest", "photographs"}
+    of_cells = {p.name: p.seconds for p in plan_job(Job(10**6, 1, geometry="runs"), FLAT)}
+    of_points = {p.name: p.seconds for p in plan_job(Job(10**6, 1), FLAT)}
+    assert of_cells["pack"] == pytest.approx(0.67 * of_points["pack"], rel=0.02)
+    assert of_cells["partition"] == of_points["partition"]
+    taken = {n: plan(10**6, 4, Settings(geometry="runs"), 0, 9.0, n_voxels=n)["seconds"] for n in (10**7, 10**9)}
+    assert taken[10**9] > 1.5 * taken[10**7]
 
 
 def test_plan__more_workers_are_never_slower_and_totals_are_sums():

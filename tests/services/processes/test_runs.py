@@ -21,6 +21,7 @@ from pipeline.planning.settings import settings_for
 from pipeline.splats.decoded import scene_normal_codes, scene_positions
 from services.cli.main import main
 from services.processes.compress import compress
+from services.processes.estimate import estimate
 from storage.errors import SplatpressError
 from storage.packed.packed import PackedFile
 from tests.hard_cases.scans import write_points
@@ -87,6 +88,14 @@ def test_runs__report_what_they_lose_and_cost(of_runs):
     sizes, n = of_runs[0]["sizes"]["arrays"], of_runs[1].header.n_splats
     counted = sum(8 * size for name, size in sizes.items() if name.startswith("run_")) / n
     assert sum(runs["bits"].values()) == pytest.approx(counted, rel=0.01)
+
+
+def test_runs__are_estimated_with_their_stages(ball_of_points, of_runs):
+    told, _ = of_runs
+    found = estimate(ball_of_points[0], settings_for("draft", geometry="runs"), SerialExecutor(), Heard())
+    assert {"run-grid", "run-cells", "runs", "run-points"} <= {row["name"] for row in found["stages"]}
+    assert found["gpu_bytes"]["value"] == pytest.approx(told["sizes"]["gpu_bytes"], rel=0.05)
+    assert found["file_bytes"]["value"] == pytest.approx(told["sizes"]["file_bytes"], rel=0.05)
 
 
 def test_runs__become_a_page_too(of_runs, out, capsys):

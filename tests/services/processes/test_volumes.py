@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import nibabel as nib
 import numpy as np
 import pytest
+from scipy.ndimage import binary_erosion
 
 from pipeline.execution.executors import DaskExecutor, SerialExecutor
+from pipeline.geometry.normals import decode_normals
 from pipeline.geometry.positions import Boxes, decode_positions
 from pipeline.planning.settings import settings_for
+from pipeline.splats.decoded import scene_normal_codes, scene_positions
+from renderer.evaluate.compare import psnr_db
 from renderer.splats.scene import GpuScene
-from renderer.splats.views import orbit_views
+from renderer.splats.views import hides_backs, orbit_views
 from services.cli.main import main
 from services.processes.compress import compress
 from services.processes.inspect import check, inspect
@@ -176,6 +181,40 @@ def test_render__surfaces_are_lit_by_a_lamp_unless_that_is_off(volume, tmp_path,
     lit, flat = picture(""), picture("relighting=off")
     assert np.abs(flat - 128).max() <= 1
     assert lit.max() - lit.min() > 40 and lit.max() <= 128
+
+
+def test_render__backs_of_closed_surfaces_are_left_out_from_outside_and_nothing_else(tmp_path, renderer):
+    shape, spacing = (26, 26, 26), (1.0, 1.0, 1.0)
+    made(
+        write_nrrd(tmp_path / "whole.nrrd", ball(shape, spacing, radius=8.0).astype(np.float32)),
+        tmp_path / "whole",
+        iso="50",
+        geometry="runs",
+    )
+    made(
+        write_nrrd(tmp_path / "cut.nrrd", ball(shape, spacing, radius=8.0)[:14].astype(np.float32)),
+        tmp_path / "cut",
+        iso="50",
+    )
+    with PackedFile(tmp_path / "whole" / "whole.splatpress") as packed:
+        scene = packed.load()
+    views = orbit_views(scene, 6, (200, 150))
+    inside = replace(views[0], centre=tuple(scene_positions(scene).mean(axis=0) + scene.header.origin))
+    assert hides_backs(scene, views) and not hides_backs(scene, [*views, inside])
+    assert not hides_backs(packed_of(tmp_path / "cut")[2], views)
+    both, front = (GpuScene(scene, renderer.context, front_only=on) for on in (False, True))
+    position, normal = scene_positions(scene) + scene.header.origin, decode_normals(scene_normal_codes(scene))
+    for view in views:
+        turned = ((position - view.centre) * normal).sum(axis=1) > 0
+        a, b = (renderer.render(gpu_scene, view) for gpu_scene in (both, front))
+        assert turned.mean() > 0.3
+        rim = a.coverage & ~binary_erosion(a.coverage)
+        assert (a.coverage != b.coverage).sum() < 0.7 * rim.sum()  # less than a pixel about the outline
+        assert (
+            psnr_db(a.rgb, b.rgb, binary_erosion(a.coverage & b.coverage, iterations=8)) > 50
+        )  # further in than a disc reaches
+    both.release()
+    front.release()
 
 
 @pytest.mark.parametrize(
