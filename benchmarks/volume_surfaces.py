@@ -2,8 +2,8 @@
 
     python -m benchmarks.volume_surfaces VOLUME.nrrd=60 [...] [--pictures FOLDER] [--json]
 
-Each is compressed (`draft`) in boxes and in runs. Distances are in voxels, from each splat as packed to the corners, middles of edges and of
-triangles of marching cubes (scikit-image), which lie about .2 apart, and from the corners to the nearest splat. Pictures have the surface in
+Each is compressed (`draft`) in boxes and in runs. Distances are in voxels, from each splat as packed to points on the triangles
+of marching cubes (scikit-image), which lie about .2 apart, and from their corners to the nearest splat. Pictures have the surface in
 boxes, in runs, and marching cubes' triangles as a cloud of points under the same lamp, by a depth buffer of their own.
 """
 
@@ -58,8 +58,7 @@ def _rows(text: str, pictures: Path | None) -> list[dict]:
     matrix = np.array(volume.directions)
     placed = corners @ matrix.T + volume.origin
     of_triangles = placed[triangles]
-    edges = [(of_triangles[:, a] + of_triangles[:, b]) / 2 for a, b in ((0, 1), (1, 2), (2, 0))]
-    mesh = cKDTree(np.concatenate([placed, *edges, of_triangles.mean(axis=1)]))
+    mesh = cKDTree(np.einsum("sk,mkd->msd", _shares(FINER), of_triangles).reshape(-1, 3))
     rows, scenes = [], []
     for geometry in ("boxes", "runs"):
         scene = _made(path, iso, geometry)
@@ -106,11 +105,16 @@ def _points_in(normals: np.ndarray, corners: np.ndarray, voxels: np.ndarray) -> 
     return float(voxels[tuple(at.T)].mean()) > float(voxels[tuple(back.T)].mean())
 
 
+def _shares(n: int) -> np.ndarray:
+    """Barycentric places (n (n + 1) / 2, 3) spread over a triangle."""
+    a, b = np.meshgrid((np.arange(n) + 1 / 3) / n, (np.arange(n) + 1 / 3) / n)
+    inside = a + b < 1
+    return np.stack([1 - a[inside] - b[inside], a[inside], b[inside]], axis=1)
+
+
 def _cloud(view: Camera, triangles: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Points on triangles (m, 3, 3) through a depth buffer, lit by the usual lamp."""
-    a, b = np.meshgrid(np.arange(FINER) / FINER, np.arange(FINER) / FINER)
-    a, b = (x[a + b < 1] for x in (a, b))
-    share = np.stack([1 - a - b, a, b], axis=1)
+    share = _shares(FINER)
     position = np.einsum("sk,mkd->msd", share, triangles).reshape(-1, 3)
     normal = np.einsum("sk,mkd->msd", share, normals).reshape(-1, 3)
     rotation = np.array(view.rotation)

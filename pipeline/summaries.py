@@ -2,8 +2,7 @@
 
 `finalise` of a stage returns one, and what it returns is what its folder is read as. A folder may stand for another
 stage's: coarser levels and samples for points, surfaces of a volume for an ingest, photographs in one light for those
-as taken. Whoever needs only a part that all of them have reads that part: `Photographs`, `InParts`, `Counted`. What only
-one file reads stands in that file.
+as taken. Whoever needs a part that all have reads that part: `Photographs`, `InParts`. What only one file reads stands in it.
 
 Lengths are in the scan's unit; PSNR has a peak of 1 and is None where nothing was measured.
 """

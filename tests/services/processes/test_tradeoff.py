@@ -264,11 +264,11 @@ def test_tradeoff__a_scan_without_photographs_is_compared_with_all_of_its_points
 def test_tradeoff__cells_of_runs_are_a_knob_with_errors_bytes_and_pictures(tmp_path, renderer):
     ball, settings = point_scan(tmp_path / "ball.ply"), settings_for("draft", geometry="runs", cell=0.1)
     found = tradeoff(ball, tmp_path / "out", settings, SerialExecutor(), Heard(), knobs=parsed_knobs(["cell=0.4"]))
-    fine, coarse = found["points"]
-    assert (fine["key"], coarse["key"]) == ("chosen", "cell=0.4")
-    assert coarse["command"] == "--preset draft --geometry runs --cell 0.4"
-    assert coarse["splats"] < fine["splats"] and coarse["file_bytes"] < fine["file_bytes"]
-    assert fine["picture_psnr_db"] == BEST_DB and coarse["picture_psnr_db"] < 40  # against the finest cells
+    fine, coarse = found.points
+    assert (fine.key, coarse.key) == ("chosen", "cell=0.4")
+    assert coarse.command == "--preset draft --geometry runs --cell 0.4"
+    assert coarse.splats < fine.splats and coarse.file_bytes < fine.file_bytes
+    assert fine.picture_psnr_db == BEST_DB and coarse.picture_psnr_db < 40  # against the finest cells
 
 
 def test_tradeoff__wrong_knobs_and_budgets_are_named(scan, tmp_path, capsys):
