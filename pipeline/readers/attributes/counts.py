@@ -14,6 +14,7 @@ from pipeline.scan import Piece, ScanSource
 
 # Steps of coordinates above this share of the spacing of points move points by an eighth of it and more.
 COARSE_SHARE = 0.25
+FAR_SPANS = 1000.0  # a site of 100 m is 0.001 degrees, with heights of metres
 
 T = TypeVar("T")
 
@@ -118,7 +119,7 @@ class PointCounts:
                 f"{self.n_not_finite} of {self.n_points} points have a position that is not finite and are dropped"
             )
         found += black_points(source, self.n_kept, self.n_without_color, self.n_without_intensity)
-        return found + self.coarse_steps(source)
+        return found + self.coarse_steps(source) + self.likely_degrees(source)
 
     def coarse_steps(self, source: ScanSource) -> list[str]:
         """A warning where coordinates are kept in steps that are not small against the spacing of points."""
@@ -137,6 +138,21 @@ class PointCounts:
         return [
             f"positions are kept {kept} and reach {away:g}, where they differ by {step:.3g} at least, "
             f"but points lie about {spacing:.3g} apart: detail is lost; export with an offset or as float64"
+        ]
+
+    def likely_degrees(self, source: ScanSource) -> list[str]:
+        """A warning where x and y of a scan without a unit look like longitudes and latitudes: within their range, far from zero
+        for what they span, and spanning next to nothing beside z."""
+        if source.unit != "unknown" or self.n_kept < 2:
+            return []
+        extent, away = self.high - self.low, np.maximum(np.abs(self.low), np.abs(self.high))
+        across = float(extent[:2].max())
+        is_within = away[0] <= 180 and away[1] <= 90 and bool((away[:2] >= FAR_SPANS * extent[:2]).all())
+        if not is_within or not 0 < across * FAR_SPANS < extent[2]:
+            return []
+        return [
+            f"x and y span {across:.3g} about ({self.low[0]:.6g}, {self.low[1]:.6g}) where z spans {extent[2]:.3g}: they may be "
+            "degrees; turn them into a projected system first"
         ]
 
 

@@ -47,8 +47,7 @@ class Evidence:
         self.n_points += len(values)
         if self.first is None:
             some = values[:: max(1, len(values) // FEW)]
-            distinct, counts = np.unique(some, axis=0, return_counts=True)
-            self.first = distinct[counts.argmax()].astype(np.float64)
+            self.first = _most_frequent(some)
         values = np.ascontiguousarray(values)
         if values.dtype in (np.uint8, np.uint16):
             counts = np.zeros(1 << 16, np.int64)
@@ -108,6 +107,19 @@ class Evidence:
     def share_above(self, top: float) -> float:
         """Of the values that are not 0, those above `top`, which is one of the tops."""
         return self.above[int(np.searchsorted(_TOPS, top))] / max(1, self.above[0])
+
+
+def _most_frequent(values: np.ndarray) -> np.ndarray:
+    """The row (channels,) float64 that occurs most often among `values` (n, channels); of equally frequent ones the lowest."""
+    if values.dtype in (np.uint8, np.uint16) and values.shape[1] <= 3:  # as one number: sorted in a fifth of the time
+        key = np.zeros(len(values), np.int64)
+        for channel in values.T:
+            key = key << 16 | channel
+        distinct, counts = np.unique(key, return_counts=True)
+        found = int(distinct[counts.argmax()])
+        return np.array([found >> 16 * i & 0xFFFF for i in reversed(range(values.shape[1]))], np.float64)
+    distinct, counts = np.unique(values, axis=0, return_counts=True)
+    return distinct[counts.argmax()].astype(np.float64)
 
 
 @dataclass(frozen=True)

@@ -109,9 +109,8 @@ def _is_ellipsoidal(part: _Node) -> bool:
     return part.keyword in _GEODETIC and kind is not None and kind.values[:1] == ["ellipsoidal"]
 
 
-def is_geocentric(wkt: str) -> bool:
+def _is_geocentric(root: _Node) -> bool:
     """Whether places are counted from the earth's centre, so that up is not along z."""
-    root = _parse_wkt(wkt)
     crs = root.children[0] if root.children else root
     return crs.keyword in _GEOCENTRIC and not _is_ellipsoidal(crs)
 
@@ -184,9 +183,9 @@ def units_from_records(records: Iterable[HasContent]) -> Units:
     of_crs = [r for r in records if r.user.strip() == "LASF_Projection"]
     warnings: list[str] = []
     for record in (r for r in of_crs if r.id == _WKT):
-        across, up = _units_of(_parse_wkt(text := _decoded(record.content)))
+        across, up = _units_of(root := _parse_wkt(_decoded(record.content)))
         if across != UNKNOWN:
-            return Units(across, up, (EARTH_CENTRED,) if is_geocentric(text) else ())
+            return Units(across, up, (EARTH_CENTRED,) if _is_geocentric(root) else ())
         if record.content.strip(b"\0 \n"):
             warnings.append("its coordinate system (WKT) names no unit that can be read")
     shorts = next((r.content for r in of_crs if r.id == _KEYS), b"")

@@ -291,7 +291,7 @@ def open_las(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
         with _refusing(path), closing(_open_records(path, header)) as records:
             for start, n in probe_starts(header.n_points):
                 rows = records.read(start, n)
-                source_ids |= set(np.unique(rows["source id"]).tolist())
+                source_ids |= set(np.flatnonzero(np.bincount(rows["source id"])).tolist())
                 _look_at(look, rows, header, _masks(rows, header, options.left_out))
     with _refusing(path):
         return _source(_Opened(path, header, options, look, tuple(sorted(source_ids))))

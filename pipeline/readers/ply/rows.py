@@ -20,6 +20,7 @@ from pipeline.readers.ply.header import MAX_LINE_BYTES, Element, PlyHeader
 from storage.errors import InvalidScan
 
 BLOCK_BYTES = 1 << 20
+DIGITS = frozenset("0123456789-+.")  # that nearly every row begins with: it is no comment
 MAX_ROW_BYTES = 1 << 24  # a record with lists of 4 million items
 
 Rows = dict[int, np.ndarray]  # by the place of a property in its element
@@ -168,7 +169,7 @@ def _numbered_lines(stream: BinaryIO, first: int) -> Iterator[tuple[int, str]]:
     try:
         number = first
         while line := text.readline(MAX_LINE_BYTES):
-            if (words := line.strip()) and not words.startswith(("comment", "#")):
+            if line[0] in DIGITS or ((words := line.strip()) and not words.startswith(("comment", "#"))):
                 yield number, line
             number += 1
     finally:
@@ -202,10 +203,11 @@ def _plain_numbers(line: str) -> str:
 
 def parse_rows(lines: list[tuple[int, str]], n_columns: int, where: str, delimiter: str | None = None) -> np.ndarray:
     """Numbers (n, n_columns) of numbered lines. Raises: InvalidScan naming the first line that has others."""
+    rows = [line for _, line in lines]
+    if any(mark in "".join(rows) for mark in "#("):
+        rows = [_plain_numbers(line) for line in rows]
     try:
-        values = np.loadtxt(
-            (_plain_numbers(l) for _, l in lines), np.float64, comments=None, ndmin=2, delimiter=delimiter
-        )
+        values = np.loadtxt(rows, np.float64, comments=None, ndmin=2, delimiter=delimiter)
     except ValueError:
         values = None
     if values is not None and values.shape == (len(lines), n_columns):

@@ -518,3 +518,10 @@ def test_ptx__an_empty_block_and_a_matrix_that_scales_are_said(tmp_path):
     source = open_scan(tmp_path / "a.ptx")
     assert "block 2 has no points" in said(source) and "block 1 scales points by 2, 2, 2" in said(source)
     assert gather(source, "position")[0].tolist() == [2, 2, 4]
+
+
+@pytest.mark.parametrize("scale, is_told", [(1e-5, True), (1.0, False)])
+def test_text__coordinates_that_may_be_degrees_are_said(tmp_path, scale, is_told):
+    rows = np.random.default_rng(0).random((50, 3)) * [scale, scale, 5] + [11.5, 48.1, 500]
+    np.savetxt(tmp_path / "a.xyz", rows, fmt="%.9f")
+    assert any("may be degrees" in f.text for f in check_scan(tmp_path / "a.xyz")) == is_told
