@@ -21,8 +21,8 @@ from services.flow.textures import Coded, code_patches
 from storage.maps import MOST_MAPS
 
 # What atoms take in the file beyond one colour a splat, at 36 dB (draft, a tenth of the points): 1.7 of pump_e57 over quadrics (129,704 bytes
-# become 155,309 at 38.6 dB; with maps 179,811 at 36.1), 2.5 of fountain_3stations (488,866, 634,855; 740,686), 3.9 of conference_room. Their
-# geometric mean decides all three as their bytes do.
+# become 155,309 at 38.6 dB; with maps 179,811 at 36.1), 2.5 of fountain_3stations (488,866, 634,855; 740,686), 3.9 of conference_room (410,847
+# with one colour; with maps 739,610). Their geometric mean decides these three as their bytes do.
 ATOM_BYTES_A_SPLAT = 2.5
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -118,8 +119,10 @@ def settings_with_maps(options: argparse.Namespace) -> Settings:
     if not options.maps:
         return settings
     if settings.texture == "color":
-        raise WrongArgument("--maps with --texture color, which shows none of them; allowed: --texture auto, atoms")
-    return replace(settings, texture="atoms")
+        raise WrongArgument(
+            "--maps with --texture color, which shows none of them; allowed: --texture auto, atoms, map"
+        )
+    return settings if settings.texture == "map" else replace(settings, texture="atoms")
 
 
 def _map(options: argparse.Namespace) -> int:
@@ -148,5 +151,8 @@ def maps_as_text(rows: list[dict], out: Path) -> str:
             f"{out / row['files'][0]}"
         )
     return "\n".join(
-        [*lines, f"edit the pictures, then: splatpress compress SCAN --maps {out} --density 0.1 --out DIR"]
+        [
+            *lines,
+            f"edit the pictures, then: splatpress compress SCAN --maps {shlex.quote(str(out))} --density 0.1 --out DIR",
+        ]
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from PIL import Image
 from pipeline.execution.executors import DaskExecutor, SerialExecutor
 from pipeline.maps.light import levels_with
 from pipeline.maps.station_map import NOTHING
+from pipeline.planning.knobs import KNOBS
 from pipeline.planning.settings import settings_for
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.stages.maps.panoramas import read_map
@@ -22,6 +24,8 @@ from pipeline.summaries import Points
 from renderer.evaluate.compare import psnr_of_error
 from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
+from services.cli.arguments import WrongArgument, add_knobs, add_preset
+from services.cli.commands.looks import add_edited_maps, settings_with_maps
 from services.flow.map_pictures import map_scan
 from services.processes import estimate as pilot
 from services.processes.compress import compress
@@ -216,6 +220,22 @@ def test_map__writes_a_picture_a_station_and_takes_it_back_edited(scan, made, tm
     gpu_scene.release()
     is_green = np.abs(rgb[coverage].astype(int) - [0, 200, 60]).max(axis=1) < 30
     assert is_green.mean() > 0.95
+
+
+def settings_asked(*words: str):
+    parser = argparse.ArgumentParser()
+    add_knobs(parser, [knob.name for knob in KNOBS])
+    add_preset(parser)
+    add_edited_maps(parser)
+    return settings_with_maps(parser.parse_args([*words]))
+
+
+def test_compress__edited_maps_ask_for_a_texture_and_keep_the_one_asked_for():
+    assert settings_asked("--maps", "dir").texture == "atoms"
+    assert settings_asked("--maps", "dir", "--texture", "map").texture == "map"
+    assert settings_asked("--texture", "color").texture == "color"
+    with pytest.raises(WrongArgument, match="allowed: --texture auto, atoms, map"):
+        settings_asked("--maps", "dir", "--texture", "color")
 
 
 def paint(path: Path) -> None:
