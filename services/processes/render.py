@@ -9,8 +9,9 @@ from pathlib import Path
 
 from renderer.effects.relighting import Light
 from renderer.evaluate.coverage import surface_coverage
-from renderer.evaluate.holes import outline_holes, painted_holes
+from renderer.evaluate.holes import outline_holes, outline_of, painted_holes
 from renderer.evaluate.previews import safe_names
+from renderer.evaluate.unscanned import scanned_points, surrounded
 from renderer.pictures import on_background, save_animation, save_picture
 from renderer.residency.pooled import PooledFile
 from renderer.splats.detail import Detail
@@ -120,24 +121,22 @@ def _camera_named(header: Header, name: str, packed: Path) -> Camera:
 
 def coverage_of(packed: Path, up: tuple[float, float, float] | None = None, pictures: Path | None = None) -> dict:
     """`surface`: rows of three views from one distance, ring_000 and on, as `renderer.evaluate.coverage` measures discs; `outline`: of four orbit views as they are drawn,
-    `camera`, `coverage` and `holes`, the share of pixels without a splat inside the outline closed by 9x9 px, and what part of it the scan has no
-    points for: `unscanned`, which discs twice as large leave open too. Into the folder `pictures` goes each view with its holes painted."""
+    `camera`, `coverage` and `holes`, the share of pixels without a splat inside the outline closed by 9x9 px: of these `uncovered` have points of
+    the scan on all sides, `unscanned` have not (renderer/evaluate/unscanned.py). Into the folder `pictures` goes each view with its holes painted."""
     with PackedFile(packed) as opened:
         scene = opened.load()
     renderer = Renderer()
     views = framed_views(scene, OUTLINE_VIEWS, SIZE_PX, up)
-    found, twice = (
-        _pictures(renderer, replace(scene, header=replace(scene.header, radius=times * scene.header.radius)), views)
-        for times in (1, 2)
-    )
-    outline = []
-    for view, drawn, larger in zip(views, found, twice):
-        filled = drawn.coverage | larger.coverage
+    outline, points = [], scanned_points(scene)
+    for view, drawn in zip(views, _pictures(renderer, scene, views)):
+        uncovered = surrounded(view, outline_of(drawn.coverage) & ~drawn.coverage, *points)
+        filled = drawn.coverage | uncovered
         outline.append(
             {
                 "camera": view.name,
                 "coverage": float(drawn.coverage.mean()),
                 "holes": outline_holes(drawn.coverage),
+                "uncovered": outline_holes(drawn.coverage, ~uncovered),
                 "unscanned": outline_holes(drawn.coverage, filled),
             }
         )

@@ -109,11 +109,12 @@ def _coverage(options: argparse.Namespace) -> int:
         shares = "".join(f"{100 * row[k]:8.2f}%" for k in ("holes", "see_through", "before"))
         print(f"{row['camera']:<12}{shares}{row['overdraw']:10.2f}")
     print(
-        f"{'view':<12}{'covered':>9}{'holes':>9}{'unscanned':>11}   of the picture; inside the outline, closed by 9x9 px; "
-        "of these, open with discs twice as large"
+        f"{'view':<12}{'covered':>9}{'holes':>9}{'uncovered':>11}{'unscanned':>11}   of the picture; inside the outline, closed by "
+        "9x9 px; of these, with points of the scan on all sides, and without"
     )
     for row in found["outline"]:
         print(
-            f"{row['camera']:<12}{100 * row['coverage']:8.2f}%{100 * row['holes']:8.2f}%{100 * row['unscanned']:10.2f}%"
+            f"{row['camera']:<12}{100 * row['coverage']:8.2f}%{100 * row['holes']:8.2f}%{100 * row['uncovered']:10.2f}%"
+            f"{100 * row['unscanned']:10.2f}%"
         )
     return OK
