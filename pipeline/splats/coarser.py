@@ -1,4 +1,9 @@
-"""Splats of the next coarser level: each stands for about four of the finer one that lie together.
+"""Splats of the next coarser level: each stands for some of the finer one that lie together, on average four.
+
+Cells are of one size, not of one number: of a chunk's splats the cell that is spread furthest is parted next (a tree-structured
+quantiser: Gersho and Gray, Vector Quantization and Signal Compression, section 12.4). So rims, twigs and strays keep splats that even
+counts spend where points are dense. PSNR to the finest level's pictures of a quarter and a twentieth (benchmarks/levels.py): conference_room 29.8 and
+27.5 dB for 28.8 and 25.9 of equal counts, monstree 30.9 for 30.1. Normals or colours among what is spread change nothing (0.1 dB).
 
 Where the four lie in one plane they are merged: their mean by area, their mean normal. Elsewhere (an edge, a twig, a rim) the
 one in their middle stands for them, so that no splat floats between two surfaces. Its area is theirs together, and more
@@ -12,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.execution.compiled import kernel
+from pipeline.execution.compiled import kernel, part
 from pipeline.summaries import Points
 from storage.packed.levels import FEWER, n_coarser
 from storage.packed.schema import CHUNK, GROUP
@@ -67,8 +72,8 @@ def coarser_splats(
 ) -> Coarser:
     """The GROUP splats that stand for n.
 
-    Guarantees: every splat belongs to one cell, cells hold n / GROUP splats, one more or less; the chunks of the result are of
-    consecutive splats of the finer level; centres lie within the box of their cell; equal inputs give equal results.
+    Guarantees: every splat belongs to one cell, and none is empty; the chunks of the result are of consecutive splats of the finer
+    level, equally many; centres lie within the box of their cell; equal inputs give equal results.
     """
     axes = np.ascontiguousarray(np.asarray(position, np.float64).T)
     order, first = np.arange(len(position)), np.empty(GROUP + 1, np.int64)
@@ -100,29 +105,53 @@ def _to_srgb(linear: np.ndarray) -> np.ndarray:
 
 @kernel()
 def _cells(axes, order, start, stop, first):
-    """Halve order[start:stop] along its longest axis until there are as many cells as `first` (2^k,) has rows; where each begins."""
+    """Part order[start:stop] into as many cells as `first` has rows, at the mean of the longest axis of the one whose splats lie
+    furthest from theirs, by the sum of squares; where each begins."""
     n_cells = len(first)
-    first[0] = start
-    ends = np.full(n_cells + 1, stop, np.int64)
-    ends[0] = start
-    step = n_cells
-    while step > 1:
-        half = step // 2
-        for cell in range(0, n_cells, step):
-            begin, end = ends[cell], ends[cell + step]
-            middle = begin + (end - begin) // 2
-            axis, longest = 0, -1.0
-            for a in range(3):
-                low, high = np.inf, -np.inf
-                for i in range(begin, end):
-                    low, high = min(low, axes[a, order[i]]), max(high, axes[a, order[i]])
-                if high - low > longest:
-                    axis, longest = a, high - low
-            inside = order[begin:end]
-            order[begin:end] = inside[np.argsort(axes[axis][inside], kind="mergesort")]
-            ends[cell + half] = middle
-        step = half
-    first[:] = ends[:n_cells]
+    begin, end, spare = np.empty(n_cells, np.int64), np.empty(n_cells, np.int64), np.empty(stop - start, np.int64)
+    spread, axis, middle = np.empty(n_cells), np.empty(n_cells, np.int64), np.empty(n_cells)
+    begin[0], end[0], widest = start, stop, 0
+    for n in range(1, n_cells):
+        for cell in (widest, n - 1):
+            spread[cell], axis[cell], middle[cell] = _spread(axes, order, begin[cell], end[cell])
+        widest = 0
+        for cell in range(1, n):
+            more = end[cell] - begin[cell] - end[widest] + begin[widest]
+            if spread[cell] > spread[widest] or (spread[cell] == spread[widest] and more > 0):
+                widest = cell
+        at, n_above = begin[widest], 0
+        for i in range(begin[widest], end[widest]):
+            splat = order[i]
+            if axes[axis[widest], splat] < middle[widest]:
+                order[at] = splat
+                at += 1
+            else:
+                spare[n_above] = splat
+                n_above += 1
+        order[at : at + n_above] = spare[:n_above]
+        if at == begin[widest] or at == end[widest]:  # all in one place
+            at = begin[widest] + (end[widest] - begin[widest]) // 2
+        begin[n], end[n], end[widest] = at, end[widest], at
+    first[:] = np.sort(begin)
+
+
+@part()
+def _spread(axes, order, begin, end):
+    """The sum of squares of the splats order[begin:end] about their mean, -1 of one alone; the axis with most of it, and the mean on it."""
+    if end - begin < 2:
+        return -1.0, 0, 0.0
+    total, most, axis, middle = 0.0, -1.0, 0, 0.0
+    for a in range(3):
+        base, mean, squares = axes[a, order[begin]], 0.0, 0.0  # against one of them: equal ones have no spread
+        for i in range(begin, end):
+            mean += axes[a, order[i]] - base
+        mean /= end - begin
+        for i in range(begin, end):
+            squares += (axes[a, order[i]] - base - mean) ** 2
+        total += squares
+        if squares > most:
+            most, axis, middle = squares, a, base + mean
+    return total, axis, middle
 
 
 @kernel()
