@@ -89,9 +89,7 @@ def run_stage(stage: Stage[S], work_folder: Path, executor: Executor, progress: 
     begun = time.perf_counter()
     folder = work.stage_folder(work_folder, stage)
     reused = work.is_complete(folder)
-    if not reused:
-        _bring_into_being(stage, folder, executor, progress)
-    tasks = work.finished_tasks(folder).values()
+    tasks = (work.finished_tasks(folder) if reused else _bring_into_being(stage, folder, executor, progress)).values()
     record = StageRecord(
         stage.name,
         folder,
@@ -118,7 +116,8 @@ def result_type(stage: Stage) -> Any:
     return get_type_hints(type(stage).run)["return"]
 
 
-def _bring_into_being(stage: Stage, folder: Path, executor: Executor, progress: Progress) -> None:
+def _bring_into_being(stage: Stage, folder: Path, executor: Executor, progress: Progress) -> dict[int, TaskRecord]:
+    """Its tasks: their records are not read again, which one process would do for all."""
     begun, plan = time.perf_counter(), folder / "plan.json"
     if place.is_file(plan):
         work.sweep(folder)
@@ -141,3 +140,4 @@ def _bring_into_being(stage: Stage, folder: Path, executor: Executor, progress: 
     except BaseException:
         work.sweep(folder)
         raise
+    return tasks
