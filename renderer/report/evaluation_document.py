@@ -35,6 +35,7 @@ class EvaluatedRow(Part, frozen=True):
     learning: tuple[LearningPass, ...]
     factor_total: float | None
     factor_texture: float | None
+    picture_psnr_db: float | None = None  # against photographs, from their cameras; of what is drawn alone
 
 
 class AtomsByTarget(Part, frozen=True):

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
+from msgspec import structs
+
 from pipeline.execution.stage import Executor, Progress, StageRecord
 from pipeline.planning.settings import Settings
 from pipeline.stages.pages.coded import FILE, PageForm
@@ -17,6 +19,7 @@ from pipeline.stages.texture.patch_sample import PatchSample
 from pipeline.summaries import Photographs
 from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluate.held_out import HeldOut, compare_held_out
+from renderer.evaluate.picture_psnr import picture_psnrs
 from renderer.report.evaluation_document import AtomsByTarget, EvaluationDocument, Failure, HeldOutPhotos
 from renderer.splats.baseline import PHOTO_BUDGET_BYTES, texture_bytes
 from services.flow.asked import prepare_asked
@@ -194,13 +197,17 @@ def _pictures(e: Evaluation, out: Path) -> None:
     chosen = next((name for name in e.packed if name != "average"), "average")
     variants = _variants(e)
     begun = time.perf_counter()
-    e.run.progress.begin("pictures", 2)
+    e.run.progress.begin("pictures", 3)
+    psnrs = e.run.paint(picture_psnrs, variants, e.prepared.photos)
+    for key, psnr in zip([*e.photos, *e.packed], psnrs, strict=True):
+        e.rows[key] = structs.replace(e.rows[key], picture_psnr_db=psnr)
+    e.run.progress.advance("pictures", 1, 0)
     close_ups = e.run.paint(draw_close_ups, variants, e.packed[chosen], e.prepared.photos, out)
     e.run.progress.advance("pictures", 1, 0)
     passes = e.run.paint(
         time_passes, [v for v in variants if v.photos is None or v.name in ("photos LOD 0", "photos LOD 1")]
     )
-    e.run.progress.end(StageRecord("pictures", out, None, time.perf_counter() - begun, 0, 2, 0, False))
+    e.run.progress.end(StageRecord("pictures", out, None, time.perf_counter() - begun, 0, 3, 0, False))
     e.close_ups, e.passes, e.close_ups_of = tuple(close_ups), tuple(passes), chosen
 
 

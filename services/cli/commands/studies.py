@@ -83,14 +83,17 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 
 def _table_1(rows: Sequence) -> str:
-    lines = [f"{'textures':<28}{'texture bytes':>15}{'B a splat':>11}{'PSNR dB':>9}{'visible':>9}{'seconds':>9}"]
+    lines = [
+        f"{'textures':<28}{'texture bytes':>15}{'B a splat':>11}{'PSNR dB':>9}{'visible':>9}{'picture':>9}{'seconds':>9}"
+    ]
     for row in rows:
         psnr = [
             f"{db:9.2f}" if db is not None else f"{'exact':>9}" for db in (row.texture_psnr_db, row.visible_psnr_db)
         ]
+        psnr.append(f"{row.picture_psnr_db:9.2f}" if row.picture_psnr_db is not None else f"{'-':>9}")
         name = f"{row.name}, {row.coder}" if row.kind == "ours" else row.name
         lines.append(
-            f"{name:<28}{row.texture_bytes:>15,}{row.bytes_per_splat:>11.2f}{psnr[0]}{psnr[1]}{row.seconds:>9.1f}"
+            f"{name:<28}{row.texture_bytes:>15,}{row.bytes_per_splat:>11.2f}{''.join(psnr)}{row.seconds:>9.1f}"
         )
     return "\n".join(lines)
 

@@ -84,6 +84,12 @@ def test_evaluate__what_keeps_more_loses_less(made):
     assert rows["average"]["texture_psnr_db"] < rows["d8w4"]["texture_psnr_db"]
 
 
+def test_evaluate__pictures_of_what_is_drawn_are_compared_with_the_photographs(made):
+    found = {key: row["picture_psnr_db"] for key, row in made[2].items()}
+    assert found["jpeg"] is None and found["per-splat"] is None
+    assert 10 < found["average"] < found["d8w4"] < found["lod0"] < 60
+
+
 def test_evaluate__our_rows_are_what_compress_makes(made, scan, tmp_path):
     report = compress(
         scan,
