@@ -1,7 +1,8 @@
 """What Gaussian exports lose on photographs that textured nothing: `python -m benchmarks.exports SCAN [--held-out 4 8]`.
 
 Packs the scan without those photographs, draws the packed file and its Gaussians from their cameras, and compares both
-with the photographs, over the pixels that the packed file covers. `--sigma` and `--opacity` try other Gaussians.
+with the photographs, over the pixels that the packed file covers; the last rows are of twelve Gaussians a splat (`export --textured`). `--sigma` and
+`--opacity` try other Gaussians.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from benchmarks.gaussian_pictures import picture
 from benchmarks.patches import Silent
 from pipeline.effects.exposure.photographs import read_photo
 from pipeline.execution.executors import SerialExecutor
-from pipeline.exports.cloud import cloud_of
+from pipeline.exports.cloud import cloud_of, samples_of
 from pipeline.exports.gaussians import OPACITY, SIGMA_IN_RADII, gaussians_of
 from pipeline.planning.settings import settings_for
 from renderer.evaluate.compare import psnr_db
@@ -60,7 +61,8 @@ def measure(options: argparse.Namespace) -> list[dict]:
         scene = packed.load()
     renderer = Renderer()
     gpu_scene = GpuScene(scene, renderer.context)
-    gaussians, rows = gaussians_of(cloud_of(scene)), []
+    cloud, rows = cloud_of(scene), []
+    gaussians, textured = gaussians_of(cloud), gaussians_of(samples_of(scene, cloud))
     for i in held_out:
         view, photo = scene.header.cameras[i], read_photo(prepared.photos, i)
         shown = renderer.render(gpu_scene, view)
@@ -73,6 +75,9 @@ def measure(options: argparse.Namespace) -> list[dict]:
                 rows.append(
                     {"photo": view.name, "sigma": sigma, "opacity": opacity, "packed_db": packed_db, "gaussians_db": db}
                 )
+        rgb, _ = picture(textured, view)
+        db = psnr_db(rgb, photo, shown.coverage)
+        rows.append({"photo": view.name, "sigma": "textured", "packed_db": packed_db, "gaussians_db": db})
     return rows
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.exports import glb, las, ply, sog, spz, tiles
 from pipeline.exports.cloud import GRID, Cloud, cloud_of, samples_of
-from pipeline.exports.formats import FORMATS, PAGE, POINTS, TILES
+from pipeline.exports.formats import FORMATS, GAUSSIANS, PAGE, POINTS, TILES
 from pipeline.exports.gaussians import Gaussians, gaussians_of, to_y_up, turned
 from renderer.splats.detail import parents_of
 from renderer.splats.views import up_direction
@@ -23,6 +23,7 @@ from storage.packed.packed import PackedFile, PackedScene
 from storage.packed.schema import GROUP, Header
 from storage.whole import whole
 
+SAMPLED = (POINTS, GAUSSIANS)  # kinds that may have more than one for a splat
 METRES = {"metre": 1.0, "foot": 0.3048, "US survey foot": 1200 / 3937}
 
 
@@ -38,19 +39,20 @@ class Exported:
 
 
 def export(packed: Path, format: str, out: Path, textured: bool = False) -> Exported:
-    """Write `packed` as one of FORMATS to the path `out`, which appears when it is whole. With `textured`, points are samples of textures.
+    """Write `packed` as one of FORMATS to the path `out`, which appears when it is whole. With `textured`, points or Gaussians are
+    samples of textures, twelve a splat.
 
-    Raises: UnsupportedScan for a format that is unknown, or that has no points where `textured` asks for more of
+    Raises: UnsupportedScan for a format that is unknown, or that is no list of points or Gaussians where `textured` asks for more of
     them, or for a file without atoms.
     """
     if format not in FORMATS:
         raise UnsupportedScan("export", f"format {format!r}", ", ".join(FORMATS))
     chosen = FORMATS[format]
-    if textured and chosen.kind != POINTS:
+    if textured and chosen.kind not in SAMPLED:
         raise UnsupportedScan(
             "export",
             f"{format} with textures as more points",
-            ", ".join(name for name, known in FORMATS.items() if known.kind == POINTS),
+            ", ".join(name for name, known in FORMATS.items() if known.kind in SAMPLED),
         )
     with PackedFile(packed) as opened:
         if chosen.kind == PAGE:

@@ -8,7 +8,7 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from pipeline.exports.formats import FORMATS, POINTS
+from pipeline.exports.formats import FORMATS, GAUSSIANS, POINTS
 from services.cli.arguments import WrongArgument
 from services.cli.exit_codes import OK
 
@@ -30,7 +30,8 @@ def add_export(commands) -> None:
     export.add_argument(
         "--textured",
         action="store_true",
-        help=f"keep textures as more points: {', '.join(n for n, known in FORMATS.items() if known.kind == POINTS)}",
+        help="keep textures as twelve points or Gaussians a splat: "
+        + ", ".join(n for n, known in FORMATS.items() if known.kind in (POINTS, GAUSSIANS)),
     )
     export.add_argument("--overwrite", "-w", action="store_true", help="replace FILE")
     export.add_argument("--json", action="store_true", help="what was written and lost as the last line of stdout")

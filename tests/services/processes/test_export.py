@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.exports.cloud import WINDOW_IN_RADII, cloud_of, samples_of
+from pipeline.exports.cloud import GRID_RADIUS, WINDOW_IN_RADII, cloud_of, samples_of
 from pipeline.exports.formats import FORMATS, PAGE, POINTS
 from pipeline.exports.gaussians import FLATNESS, OPACITY, SH_0, SIGMA_IN_RADII, gaussians_of, to_y_up
 from services.cli.main import main
@@ -186,6 +186,19 @@ def test_gaussians__open_in_splat_transform(packed, scene, format, position, col
         assert (rotation.inv() * Rotation.from_quat(gaussians.rotation)).magnitude().max() < 0.02
 
 
+def test_gaussians__of_textures_open_in_splat_transform(packed, scene, tmp_path):
+    """Twelve a splat, each a third as large, with the colours that its texture has there."""
+    made = export(packed, "3dgs-ply", tmp_path / "a.ply", textured=True)
+    names, rows = read_by_splat_transform(tmp_path / "a.ply")
+    read, samples = dict(zip(names, np.array(rows).T, strict=True)), samples_of(scene, cloud_of(scene))
+    assert made.n_elements == len(rows) == len(samples) == 12 * 300 and "samples of each" in " ".join(made.lost)
+    np.testing.assert_allclose(np.column_stack([read[axis] for axis in "xyz"]), samples.position, atol=1e-5)
+    color = np.column_stack([read[f"f_dc_{i}"] for i in range(3)]) * SH_0 + 0.5
+    np.testing.assert_allclose(color, samples.color, atol=1e-5)
+    discs = ~samples.solid
+    np.testing.assert_allclose(np.exp(read["scale_0"])[discs], SIGMA_IN_RADII * GRID_RADIUS * 0.1, rtol=1e-4)
+
+
 def test_glb__passes_the_validator_and_opens_in_pygltflib(packed, scene, tmp_path):
     import pygltflib
 
@@ -225,8 +238,9 @@ def test_glb__has_what_the_extension_asks_for(packed, tmp_path):
 def test_export__refuses_what_it_cannot(packed, tmp_path):
     with pytest.raises(UnsupportedScan, match="obj.*ply, las"):
         export(packed, "obj", tmp_path / "a.obj")
-    with pytest.raises(UnsupportedScan, match="spz with textures.*ply, las, laz"):
-        export(packed, "spz", tmp_path / "a.spz", textured=True)
+    for format in ("3dtiles", "html"):
+        with pytest.raises(UnsupportedScan, match=f"{format} with textures.*ply, las, laz, 3dgs-ply, spz, sog, glb"):
+            export(packed, format, tmp_path / "a", textured=True)
     assert not list(tmp_path.iterdir())
 
 
