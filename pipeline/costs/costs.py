@@ -17,6 +17,7 @@ from pipeline.catalogue import CATALOGUE, Phase, Task
 from pipeline.coding.beam.form import Beam, beam_of
 from pipeline.coding.ksvd import BLOCK as TRAINING_BLOCK
 from pipeline.costs.makespan import DISPATCH_S, makespan
+from pipeline.costs.of_maps import told_by_stations
 from pipeline.execution.executors import MOST_A_CALL, calls_of
 from pipeline.execution.task import CALL_S
 from pipeline.stages.packed.pack import TASK_SPLATS as PACK_BLOCK
@@ -81,9 +82,8 @@ PARTLY_READ = {
     ("encode", "resample"): 0,
     ("pack", "colors"): 4,
 }
-LONE_PATCH_BYTES = (
-    13_900  # of photographs, for each of five training patches of a block (`fountain_p11`): they are not read whole
-)
+# Of photographs, for each of five training patches of a block (`fountain_p11`): they are not read whole.
+LONE_PATCH_BYTES = 13_900
 
 
 @dataclass(frozen=True)
@@ -105,6 +105,7 @@ class StageCost:
     # indices a step, a child its weights.
     task_us_a_unit_a_node_a_kilo: float = 0.0
     task_us_a_unit_a_child: float = 0.0
+    task_s: float = 0.0  # of each task, whatever its units
 
 
 @dataclass(frozen=True)
@@ -175,25 +176,24 @@ def plan_job(job: Job, costs: dict[str, StageCost]) -> list[StagePlan]:
     }
     if not job.keeps_patches and "resample" in written:
         written["resample"] = float(MEASURED) * job.n_splats
-    called_for = (
-        name
-        for name in TASKS
-        if name in costs and (name not in BEYOND_MEMORY or job.n_splats > MOST_HELD) and _is_called_for(name, job)
-    )
+    called_for = (name for name in TASKS if name in costs and _is_called_for(name, job))
     return [_plan_stage(name, costs[name], job, kilos, written) for name in called_for]
 
 
 def _is_called_for(name: str, job: Job) -> bool:
+    if (told := told_by_stations(name, job.n_stations)) is not None:
+        return told
     if name in VOLUMES or name in ("ingest", PHOTOGRAPHS):
         return (name in VOLUMES) == bool(job.n_voxels)
-    return (name != PAGES or job.pages) and (name not in RUNS or job.geometry == "runs")
+    is_large = name not in BEYOND_MEMORY or job.n_splats > MOST_HELD
+    return is_large and (name != PAGES or job.pages) and (name not in RUNS or job.geometry == "runs")
 
 
 def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dict[str, float]) -> StagePlan:
     passes = job.iterations if name == "ksvd-update" else 1
     units, n_tasks = _units(name, job), _n_tasks(name, job)
     task_s = 1e-6 * (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos) * units / max(1, n_tasks)
-    task_s += 1e-6 * _beam_us(cost, beam_of(job.pursuit), kilos) * units / max(1, n_tasks)
+    task_s += cost.task_s + 1e-6 * _beam_us(cost, beam_of(job.pursuit), kilos) * units / max(1, n_tasks)
     task_s *= CROWDED if min(n_tasks, job.n_workers) > 1 else 1.0
     once_s = cost.once_s + 1e-6 * cost.once_us_a_unit * units + cost.once_s_a_kilo * kilos
     calls = calls_of(n_tasks, job.n_workers)

@@ -34,14 +34,15 @@ def plan(
     speed: float = 1.0,
     pages: bool = False,
     n_voxels: int = 0,
+    n_stations: int = 0,
 ) -> dict:
     """The plan as the command prints it with --json, for a machine that takes `speed` times as long as the one measured
-    on."""
+    on; of a laser scan of so many stations with their maps as texture, in place of photographs."""
     form = _likely_form(settings)
     job = Job(
         n_splats,
         n_workers,
-        n_photographs,
+        0 if n_stations else n_photographs,
         megapixels,
         settings.training_splats,
         settings.iterations,
@@ -51,6 +52,7 @@ def plan(
         pages=pages,
         geometry=settings.geometry,
         n_voxels=n_voxels,
+        n_stations=n_stations,
     )
     costs = known_costs(speed=speed)
     stages = plan_job(job, costs)

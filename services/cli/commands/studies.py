@@ -228,6 +228,13 @@ def add_plan(commands) -> None:
         metavar="N",
         help="of a volume whose surfaces have so many splats, as 832e6",
     )
+    plan.add_argument(
+        "--stations",
+        type=count,
+        default=0,
+        metavar="N",
+        help="of a laser scan that is textured from their maps, in place of photographs",
+    )
     plan.add_argument("--json", action="store_true")
     add_settings(plan, ("coder", "dictionary_bits", "training_splats", "iterations", "geometry"))
     plan.set_defaults(command=_plan)
@@ -246,6 +253,7 @@ def _plan(options: argparse.Namespace) -> int:
         speed,
         options.pages,
         options.voxels,
+        options.stations,
     )
     print(json.dumps(found) if options.json else as_text(found))
     return OK

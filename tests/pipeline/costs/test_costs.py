@@ -141,6 +141,16 @@ def test_plan__says_what_breaks_first(change, workers, words):
     assert first_limit(job, plan_job(job, costs), 4 << 30)[0].startswith(words)
 
 
+def test_plan__a_scan_of_stations_has_a_task_a_station_and_no_dictionary():
+    costs = {name: replace(cost, task_s=2.0) if name == "map-pictures" else cost for name, cost in FLAT.items()}
+    plans = {p.name: p for p in plan_job(Job(10**9, 1, n_stations=31), costs)}
+    assert plans["panoramas"].n_tasks == plans["map-pictures"].n_tasks == 31
+    assert plans["map-pictures"].task_s == pytest.approx(2 + 10.0 * 1e-6 * 10**9 / 31)
+    assert {"mapped-splats", "station-light", "pack"} < set(plans) and not {"ksvd-update", "resample"} & set(plans)
+    of_one = {p.name for p in plan_job(Job(10**9, 1, n_stations=1), costs)}
+    assert "station-light" not in of_one and not {"panoramas"} & {p.name for p in plan_job(Job(10**9, 1), costs)}
+
+
 def test_plan__no_worker_holds_more_of_a_large_scan_than_of_one_that_fits():
     costs = {name: replace(cost, memory_bytes_a_unit=100.0) for name, cost in FLAT.items()}
     fits, large = ({p.name: p.worker_bytes for p in plan_job(Job(n, 4, 10), costs)} for n in (2 * MOST_HELD, 10**10))
