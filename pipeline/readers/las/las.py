@@ -2,7 +2,8 @@
 
 The header is read here and not by a library, as its counts have to be checked before anything is read
 (pipeline/readers/las/header.py). Colours are 16 bits by the standard, yet many writers leave 8 or 12 bits there, or zeros:
-pipeline/readers/attributes/ranges.py tells. Normals are taken from extra bytes.
+pipeline/readers/attributes/ranges.py tells. Normals are taken from extra bytes, and colours where
+the point format has none.
 
 References: ASPRS LAS 1.4 R15.
 """
@@ -24,8 +25,9 @@ from pipeline.readers.attributes.marks import set_marks
 from pipeline.readers.attributes.names import columns_of
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.readers.attributes.ranges import to_8_bits
+from pipeline.readers.las.columns import RGB_AT, color_fields, colors_of, layout_of, normals_of, placed
 from pipeline.readers.las.crs import DEGREE, UNKNOWN, Units, units_from_records
-from pipeline.readers.las.header import LASZIP, RECORD_SIZES, LasHeader, extra_fields, read_header
+from pipeline.readers.las.header import LASZIP, LasHeader, extra_fields, read_header
 from pipeline.scan import Piece, ScanSource
 from storage.errors import InvalidScan, SplatpressError
 
@@ -33,7 +35,6 @@ NOISE = (7, 18)
 OVERLAP = 12  # a class up to point format 5, a flag from 6 on
 TOP = 65535.0
 
-_RGB_AT = {2: 20, 3: 28, 5: 28, 7: 30, 8: 30, 10: 30}
 _STANDARD = ("return number", "scan angle", "user data", "gps time")
 
 
@@ -57,21 +58,6 @@ def _reason_of(error: BaseException) -> str:
     if "fill whole buffer" in text or isinstance(error, EOFError):
         return "its compressed points end early"
     return "its compressed points are damaged, or contradict its header"
-
-
-def _layout(header: LasHeader) -> np.dtype:
-    """The fields of a record that are read, by name."""
-    new = header.point_format >= 6
-    fields = {"X": ("<i4", 0), "Y": ("<i4", 4), "Z": ("<i4", 8), "intensity": ("<u2", 12), "flags": ("u1", 15)}
-    fields["class"] = ("u1", 16 if new else 15)
-    fields["source id"] = ("<u2", 20 if new else 18)
-    if at := _RGB_AT.get(header.point_format):
-        fields |= {name: ("<u2", at + 2 * i) for i, name in enumerate(("red", "green", "blue"))}
-    first = RECORD_SIZES[header.point_format]
-    fields |= {f"extra {f.name}": (f"<{f.dtype}", first + f.at) for f in extra_fields(header)}
-    names, values = list(fields), list(fields.values())
-    kinds, at = [v[0] for v in values], [v[1] for v in values]  # type: ignore[assignment]
-    return np.dtype({"names": names, "formats": kinds, "offsets": at, "itemsize": header.record_size})  # type: ignore[call-overload]
 
 
 class _Records(Protocol):
@@ -115,14 +101,10 @@ class _Packed:
 
 
 def _open_records(path: str, header: LasHeader) -> _Records:
-    return (_Packed if header.compressed else _Plain)(path, header, _layout(header))
+    return (_Packed if header.compressed else _Plain)(path, header, layout_of(header))
 
 
 # --- what a record says ---
-
-
-def _colors(rows: np.ndarray) -> np.ndarray | None:  # (n, 3) uint16
-    return np.stack([rows[c] for c in ("red", "green", "blue")], axis=1) if "red" in rows.dtype.names else None
 
 
 def _masks(rows: np.ndarray, header: LasHeader, wanted: frozenset[str]) -> dict[str, np.ndarray]:
@@ -136,18 +118,6 @@ def _masks(rows: np.ndarray, header: LasHeader, wanted: frozenset[str]) -> dict[
         "overlap": lambda: (class_ == OVERLAP) | (flags & 8 != 0 if new else False),
     }
     return {name: mask() for name, mask in found.items() if name in wanted}
-
-
-def _normal(rows: np.ndarray, header: LasHeader, names: tuple[str, ...]) -> np.ndarray | None:  # (n, 3) float32
-    if not names:
-        return None
-    fields = {f.name: f for f in extra_fields(header)}
-    columns = [rows[f"extra {n}"] * fields[n].scale + fields[n].offset for n in names]
-    return np.stack(columns, axis=1).astype(np.float32)
-
-
-def _look_at(look: Look, rows: np.ndarray, header: LasHeader, masks: dict[str, np.ndarray]) -> None:
-    look.add(len(rows), _colors(rows), rows["intensity"], masks)
 
 
 # --- opening ---
@@ -181,7 +151,7 @@ def _slice(opened: _Opened, start: int, stop: int, max_points: int) -> Iterator[
     wanted = options.left_out
     scales, offsets = np.array(header.scales), np.array(header.offsets)
     scales[2], offsets[2] = scales[2] * options.height_scale, offsets[2] * options.height_scale
-    normals = columns_of(f.name for f in extra_fields(header)).normal
+    normals, fields = columns_of(f.name for f in extra_fields(header)).normal, color_fields(header)
     with _refusing(opened.path), closing(_open_records(opened.path, header)) as records:
         for first in range(start, stop, max_points):
             n = min(max_points, stop - first)
@@ -191,12 +161,13 @@ def _slice(opened: _Opened, start: int, stop: int, max_points: int) -> Iterator[
                 raise InvalidScan(f"{opened.path}:point_count", found, f"{header.n_points}, as the header promises")
             masks = _masks(rows, header, wanted)
             look = opened.look.like() if opened.is_sample else None
+            colors = colors_of(rows, fields) if look is not None or decision.top else None
             if look is not None:
-                _look_at(look, rows, header, masks)
+                look.add(n, colors, rows["intensity"], masks)
             yield Piece(
-                position=np.stack([rows["X"], rows["Y"], rows["Z"]], axis=1) * scales + offsets,
-                normal=_normal(rows, header, normals),
-                color=to_8_bits(_colors(rows), decision.top) if decision.top else None,
+                position=placed(rows["X"], rows["Y"], rows["Z"], scales, offsets),
+                normal=normals_of(rows, header, normals),
+                color=to_8_bits(colors, decision.top) if colors is not None and decision.top else None,
                 intensity=rows["intensity"].astype(np.float32) if decision.intensity else None,
                 mark=set_marks(len(rows), masks, wanted - decision.ignored),
                 source_id=rows["source id"].astype(np.int64) if options.station_by_source else None,
@@ -205,7 +176,7 @@ def _slice(opened: _Opened, start: int, stop: int, max_points: int) -> Iterator[
 
 
 def _decide(look: Look, header: LasHeader) -> Decision:
-    return decide(look, header.point_format in _RGB_AT, False, TOP, True)
+    return decide(look, bool(color_fields(header)), False, TOP, True)
 
 
 def _settled(opened: _Opened, looks: Looks) -> ScanSource | None:
@@ -227,9 +198,9 @@ def _source(opened: _Opened) -> ScanSource:
     units = units_from_records(header.records)  # type: ignore[arg-type]
     has_bounds = bool(np.isfinite([*header.low, *header.high]).all())
     warnings = [*header.warnings, *_warnings(path, units, has_bounds, options)]
-    warnings += reasons(path, look, decision, header.point_format in _RGB_AT, False, TOP, True, header.n_points)
+    warnings += reasons(path, look, decision, bool(color_fields(header)), False, TOP, True, header.n_points)
     columns = columns_of(f.name for f in extra_fields(header))
-    named = ("red", "green", "blue") if decision.top else ()
+    named = ("red", "green", "blue") if decision.top and header.point_format in RGB_AT else ()
     return ScanSource(
         path=path,
         format="las",
@@ -249,7 +220,7 @@ def _source(opened: _Opened) -> ScanSource:
             *_STANDARD,
             *(() if options.station_by_source else ("point source id",)),
             *columns.unused,
-            *columns.color,
+            *(c for c in columns.color if f"extra {c}" not in color_fields(header)),
             *columns.intensity,
         ),
         details={
@@ -286,12 +257,12 @@ def open_las(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
     Raises: InvalidScan for a file that is truncated, damaged or contradicts itself; UnsupportedScan.
     """
     header = read_header(path)
-    look, source_ids = Look(), set[int]()
+    look, source_ids, fields = Look(), set[int](), color_fields(header)
     if header.n_points:
         with _refusing(path), closing(_open_records(path, header)) as records:
             for start, n in probe_starts(header.n_points):
                 rows = records.read(start, n)
                 source_ids |= set(np.flatnonzero(np.bincount(rows["source id"])).tolist())
-                _look_at(look, rows, header, _masks(rows, header, options.left_out))
+                look.add(len(rows), colors_of(rows, fields), rows["intensity"], _masks(rows, header, options.left_out))
     with _refusing(path):
         return _source(_Opened(path, header, options, look, tuple(sorted(source_ids))))

@@ -525,3 +525,16 @@ def test_text__coordinates_that_may_be_degrees_are_said(tmp_path, scale, is_told
     rows = np.random.default_rng(0).random((50, 3)) * [scale, scale, 5] + [11.5, 48.1, 500]
     np.savetxt(tmp_path / "a.xyz", rows, fmt="%.9f")
     assert any("may be degrees" in f.text for f in check_scan(tmp_path / "a.xyz")) == is_told
+
+
+def test_las__colours_of_extra_bytes_are_used_where_the_format_has_none(tmp_path):
+    header = laspy.LasHeader(point_format=1, version="1.2")
+    for name in ("Red", "Green", "Blue"):
+        header.add_extra_dim(laspy.ExtraBytesParams(name, "u1"))
+    scan = laspy.LasData(header)
+    scan.x, scan.y, scan.z = np.random.default_rng(0).random((3, N))
+    color = np.random.default_rng(1).integers(0, 256, (N, 3)).astype(np.uint8)
+    scan["Red"], scan["Green"], scan["Blue"] = color.T
+    scan.write(tmp_path / "a.las")
+    source = open_scan(tmp_path / "a.las")
+    assert (gather(source, "color") == color).all() and not {"Red", "Green", "Blue"} & set(source.unused)
