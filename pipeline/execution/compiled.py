@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numba
+from numba.core import cgutils
+from numba.extending import intrinsic
 
 FAST = {"nnan", "nsz", "reassoc", "contract"}  # sums in vectors
 
@@ -17,3 +19,18 @@ def part(cache: bool = True, **options):
     it call the part as it was built alone, and one that loads it a copy made in the kernel: where sums may be reordered
     these round differently, and bytes would depend on what a process compiled before."""
     return numba.njit(cache=cache, nogil=True, forceinline=True, **options)
+
+
+@intrinsic
+def borrowed(typing_context, array):
+    """In compiled code: the array without its count of users. A view, and a tuple that is passed on, count an array's users up and
+    down with a locked addition for each, which in short loops takes longer than the loops. Whoever borrows keeps the array itself alive:
+    it must be an argument of the kernel."""
+
+    def without_count(context, builder, signature, arguments):
+        made = context.make_array(array)(context, builder, arguments[0])
+        made.meminfo = cgutils.get_null_value(made.meminfo.type)
+        made.parent = cgutils.get_null_value(made.parent.type)
+        return made._getvalue()
+
+    return array(array), without_count

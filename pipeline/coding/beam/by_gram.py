@@ -4,18 +4,31 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.coding.beam.nodes import TIE, Nodes, Products, keep_best, new_pool, try_children
+from pipeline.coding.beam.nodes import TIE, Nodes, Pool, Products, keep_best, new_pool, try_children
 from pipeline.coding.beam.scores import Scores, score_beside, score_first
 from pipeline.coding.omp_kernels import TRUSTED, n_groups
-from pipeline.execution.compiled import FAST, kernel, part
+from pipeline.execution.compiled import FAST, borrowed, kernel, part
 
 
-@part()
-def _new_nodes(width, most):
+def _new_nodes(width: int, most: int) -> Nodes:
     ranks, square = (width, most), (width, most, most)
     return Nodes(
         np.empty(ranks, np.int64), np.empty(ranks), np.empty(ranks),
         np.empty(square), np.empty(square), np.empty(ranks, np.int64), np.empty(width),
+    )  # fmt: skip
+
+
+@part()
+def _borrowed_nodes(n):
+    return Nodes(
+        borrowed(n.support), borrowed(n.target), borrowed(n.along), borrowed(n.gram), borrowed(n.chol), borrowed(n.slot), borrowed(n.exact),
+    )  # fmt: skip
+
+
+@part()
+def _borrowed_pool(p):
+    return Pool(
+        borrowed(p.atom), borrowed(p.parent), borrowed(p.target), borrowed(p.error), borrowed(p.weight), borrowed(p.code), borrowed(p.tried),
     )  # fmt: skip
 
 
@@ -46,7 +59,6 @@ def _subtract_earlier(row, chol, rows, slot, t):
             row[i] -= x * first[i]
 
 
-@kernel()
 def pursue_beam(
     patches, dictionary, initial, spread, rest, certify, energy, gram, quotients, tolerance, multiplier, levels, width, candidates,
     atom, weight, code, n_atoms, path,
@@ -57,13 +69,32 @@ def pursue_beam(
     tried. Of all supports so made that lower the residual by more than `multiplier`, the `width` that leave least are kept. path
     (n, r + 1): what the best of t atoms leaves, t = 0, 1, and so on; the codes are the best of the last step.
     """
+    k, most = initial.shape[1], atom.shape[1]
+    scratch = (
+        np.zeros(k, np.float32), np.empty(k, np.float32), np.empty(n_groups(k), np.float32), np.empty((most - 1, width, k), np.float32),
+        np.empty((2, width, k), np.float32), np.empty((2, width, k), np.float32),
+    )  # fmt: skip
+    _pursue(
+        patches, dictionary, initial, spread, rest, certify, energy, gram, quotients, tolerance, multiplier, levels, width, candidates,
+        atom, weight, code, n_atoms, path, _new_nodes(width, most), _new_nodes(width, most), new_pool(width, candidates, most), scratch,
+    )  # fmt: skip
+
+
+@kernel()
+def _pursue(
+    patches, dictionary, initial, spread, rest, certify, energy, gram, quotients, tolerance, multiplier, levels, width, candidates,
+    atom, weight, code, n_atoms, path, nodes_now, nodes_next, made_pool, scratch,
+):  # fmt: skip
     n, k = initial.shape
     most = atom.shape[1]
-    slack, score, upper = np.zeros(k, np.float32), np.empty(k, np.float32), np.empty(n_groups(k), np.float32)
-    nodes, children, pool = _new_nodes(width, most), _new_nodes(width, most), new_pool(width, candidates, most)
+    patches, dictionary, initial, gram, quotients, levels = (
+        borrowed(patches), borrowed(dictionary), borrowed(initial), borrowed(gram), borrowed(quotients), borrowed(levels),
+    )  # fmt: skip
+    atom, weight, code, path, rest = borrowed(atom), borrowed(weight), borrowed(code), borrowed(path), borrowed(rest)
+    slack, score, upper, rows = borrowed(scratch[0]), borrowed(scratch[1]), borrowed(scratch[2]), borrowed(scratch[3])
+    explained, norm = borrowed(scratch[4]), borrowed(scratch[5])
+    nodes, children, pool = _borrowed_nodes(nodes_now), _borrowed_nodes(nodes_next), _borrowed_pool(made_pool)
     products = Products(dictionary, gram, quotients)
-    rows = np.empty((most - 1, width, k), np.float32)
-    explained, norm = np.empty((2, width, k), np.float32), np.empty((2, width, k), np.float32)
     for i in range(n):
         unit = 1.0 / np.sqrt(energy[i])
         for a in range(k):
