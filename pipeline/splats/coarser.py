@@ -2,8 +2,8 @@
 
 Cells are of one size, not of one number: of a chunk's splats the cell that is spread furthest is parted next (a tree-structured
 quantiser: Gersho and Gray, Vector Quantization and Signal Compression, section 12.4). So rims, twigs and strays keep splats that even
-counts spend where points are dense. PSNR to the finest level's pictures of a quarter and a twentieth (benchmarks/levels.py): conference_room 29.8 and
-27.5 dB for 28.8 and 25.9 of equal counts, monstree 30.9 for 30.1. Normals or colours among what is spread change nothing (0.1 dB).
+counts spend where points are dense. PSNR to the finest level's pictures of a quarter and a twentieth (benchmarks/levels.py): conference_room 29.7 and
+27.4 dB for 28.8 and 25.9 of equal counts. Normals or colours among what is spread change nothing (0.1 dB).
 
 Where the four lie in one plane they are merged: their mean by area, their mean normal. Elsewhere (an edge, a twig, a rim) the
 one in their middle stands for them, so that no splat floats between two surfaces. Its area is theirs together, and more
