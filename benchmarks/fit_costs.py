@@ -212,7 +212,10 @@ def main() -> None:
         PHOTOGRAPHS.update({row["scan"]: (int(options.photographs[0]), options.photographs[1]) for row in rows})
     if options.write:
         known = known_costs()
-        costs = {name: asdict(cost) | _of_beams(known.get(name)) for name, cost in fitted(rows).items()}
+        found = {name: asdict(cost) | _of_beams(known.get(name)) for name, cost in fitted(rows).items()}
+        costs = {
+            name: asdict(cost) for name, cost in known.items()
+        } | found  # rows may lack stages, as those of volumes and runs
         about = sorted(
             {
                 f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers, {row['indices']:,} indices of "

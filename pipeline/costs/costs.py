@@ -55,6 +55,8 @@ def _modelled() -> dict[str, Task]:
 TASKS = _modelled()
 RUNS = {entry.name for entry in CATALOGUE if entry.when == "geometry runs"}
 VOLUMES = {name for name, task in TASKS.items() if task in (Task.VOLUME, Task.SLICES)}
+TEXTURE = {entry.name for entry in CATALOGUE if entry.phase in (Phase.TEXTURE, Phase.LEARNING)}
+OF_SCANS = TEXTURE | {"ingest", PHOTOGRAPHS, "exposure"}
 OF_CELLS = set(list(TASKS)[list(TASKS).index("run-points") :])  # stages that know the cells of runs for the points
 CELLS_A_POINT = 0.67  # of a scan at the usual hit rate of 1.6, with 7 % that close gaps; of a volume all
 VOXELS_A_TASK, BRICK = 1 << 23, 1 << 20  # of iso-surface, about; points of pipeline/geometry/runs/bricks.py
@@ -69,7 +71,7 @@ READS = {entry.name: entry.reads for entry in CATALOGUE} | {  # the training set
     "pack": ("splats", "colors", "encode"),
     PAGES: (PHOTOGRAPHS,),
 }
-# Bytes a splat of what a stage reads of another's arrays, not all: positions 24, cameras 16, normals 12, numbers 8, colours 3.
+# Bytes a splat that a stage reads of another's arrays: positions 24, cameras 16, normals 12, numbers 8, colours 3.
 PARTLY_READ = {
     ("grid-counts", "ingest"): 24,
     ("neighbours", "partition"): 36,
@@ -122,9 +124,7 @@ class Job:
     atom_size: int = SMALLEST  # texels to a side
     n_stations: int = 0  # of a laser scan that is textured from their maps
     pursuit: str = "omp"  # a word of `pipeline.coding.beam.form`
-    # Whether patches are stored, or made again where they are used. That takes the time that storing them took: `balanced` of
-    # fountain_p11, kept and made again alternating, 34 and 34 processor seconds.
-    keeps_patches: bool = False
+    keeps_patches: bool = False  # else they are made again where they are used, in the time that storing them took
     pages: bool = False  # whether photographs are packed in pages too
     geometry: str = "boxes"
     n_voxels: int = 0  # of a volume, whose surfaces have `n_splats` points
@@ -183,10 +183,12 @@ def plan_job(job: Job, costs: dict[str, StageCost]) -> list[StagePlan]:
 def _is_called_for(name: str, job: Job) -> bool:
     if (told := told_by_stations(name, job.n_stations)) is not None:
         return told
-    if name in VOLUMES or name in ("ingest", PHOTOGRAPHS):
+    if name in VOLUMES or name in OF_SCANS:
         return (name in VOLUMES) == bool(job.n_voxels)
     is_large = name not in BEYOND_MEMORY or job.n_splats > MOST_HELD
-    return is_large and (name != PAGES or job.pages) and (name not in RUNS or job.geometry == "runs")
+    return (
+        is_large and (name != PAGES or job.pages and not job.n_voxels) and (name not in RUNS or job.geometry == "runs")
+    )
 
 
 def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dict[str, float]) -> StagePlan:

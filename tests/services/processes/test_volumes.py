@@ -198,7 +198,7 @@ def test_render__backs_of_closed_surfaces_are_left_out_from_outside_and_nothing_
     )
     with PackedFile(tmp_path / "whole" / "whole.splatpress") as packed:
         scene = packed.load()
-    views = orbit_views(scene, 6, (200, 150))
+    views = orbit_views(scene, 3, (200, 150))
     inside = replace(views[0], centre=tuple(scene_positions(scene).mean(axis=0) + scene.header.origin))
     assert hides_backs(scene, views) and not hides_backs(scene, [*views, inside])
     assert not hides_backs(packed_of(tmp_path / "cut")[2], views)
@@ -217,10 +217,7 @@ def test_render__backs_of_closed_surfaces_are_left_out_from_outside_and_nothing_
     front.release()
 
 
-@pytest.mark.parametrize(
-    "name,iso,mean,p99", [("volume_iguana_ct/iguana.nrrd", 60, 0.35, 0.8), ("volume_embryo/embryo.nrrd", 40, 0.35, 0.8)]
-)
-def test_compress__real_volumes_lie_on_the_trilinear_surface(name, iso, mean, p99, tmp_path):
+def test_compress__a_real_volume_lies_on_the_trilinear_surface(tmp_path):
     """Distances in voxels to the triangles' corners and middles of marching cubes, which lie .2 apart."""
     from scipy.spatial import cKDTree
     from skimage.measure import marching_cubes
@@ -228,13 +225,13 @@ def test_compress__real_volumes_lie_on_the_trilinear_surface(name, iso, mean, p9
     from pipeline.volumes.open import open_volume
     from tests.pipeline.volumes.made import read
 
-    volume = open_volume(shared_scan(name))
-    made(Path(volume.path), tmp_path / "out", iso=str(iso))
+    volume = open_volume(shared_scan("volume_iguana_ct/iguana.nrrd"))
+    made(Path(volume.path), tmp_path / "out", iso="60")
     voxels = read(volume)[0].transpose(2, 1, 0).astype(np.float32)
-    corners, triangles, _, _ = marching_cubes(voxels, iso, spacing=volume.spacing)
+    corners, triangles, _, _ = marching_cubes(voxels, 60, spacing=volume.spacing)
     position = packed_of(tmp_path / "out")[0]
     far = cKDTree(np.concatenate([corners, corners[triangles].mean(axis=1)])).query(position)[0] / volume.spacing[0]
-    assert far.mean() < mean and np.quantile(far, 0.99) < p99
+    assert far.mean() < 0.35 and np.quantile(far, 0.99) < 0.8
 
 
 def test_cli__compress_takes_a_volume_by_its_relative_name(volume, tmp_path, monkeypatch, capsys):
