@@ -3,8 +3,7 @@
 `costs.json` is measured and fitted by `benchmarks/fit_costs.py`. A stage's time is what its tasks take on the workers,
 dealt out by a scheduler that spends DISPATCH_S on each, and what it does before and after them in one process; where
 atoms are searched, both grow with the number of their indices. Seconds are those of the machine that they were measured
-on, times what `pipeline/costs/probe.py` says of another. What is not measured on more than one machine is not
-modelled: a store shared by many machines counts as fast as a local disk.
+on, times what `pipeline/costs/probe.py` says of another. A store shared by many machines counts as fast as a local disk.
 """
 
 from __future__ import annotations
@@ -29,8 +28,7 @@ from storage.packed.levels import FEWER
 from storage.packed.schema import ATOM_SIZES, GROUP
 from storage.work.arrays import BLOCK
 
-# Times as long that a task takes beside others: two processes side by side took 2.88 s where one after the other took 5.26 s.
-CROWDED = 1.10
+CROWDED = 1.10  # times as long that a task takes beside another: two processes took 2.88 s for 5.26 s one by one
 SAMPLED = 16  # blocks that effects are measured on
 MEASURED = 16  # bytes a splat of what is said of a patch: average, energy
 KILO, SMALLEST = 1024, min(ATOM_SIZES)  # indices of atoms, and texels to a side of the smallest
