@@ -38,12 +38,16 @@ class ViewCoverage:
 def surface_coverage(
     scene: PackedScene, n_views: int = 3, size: tuple[int, int] = SIZE_PX, up: Direction | None = None
 ) -> list[ViewCoverage]:
-    """The measure in `n_views` orbit views of a packed scene."""
-    header, position = scene.header, scene_positions(scene)
+    """The measure in `n_views` orbit views of a packed scene, of levels of its finest: splats of coarser ones lie on the same surface, and are
+    not drawn with it."""
+    header, finest = scene.header, slice(scene.header.first_finest, None)
+    position, radius = scene_positions(scene)[finest], scene_radii(scene)[finest]
     spacing = cKDTree(np.unique(position, axis=0)).query(position, k=5)[0][:, 4]
-    exact, radius = needed_sizes(position, spacing, header.radius), scene_radii(scene)
-    exact[scene.ellipsoids[0]] = 0.0
-    u, v, _ = tangent_frames(scene_normal_codes(scene), header.up, header.ahead)
+    exact = needed_sizes(position, spacing, header.radius)
+    is_ellipsoid = np.zeros(header.n_splats, bool)
+    is_ellipsoid[scene.ellipsoids[0]] = True
+    exact[is_ellipsoid[finest]] = 0.0
+    u, v, _ = tangent_frames(scene_normal_codes(scene)[finest], header.up, header.ahead)
     return [
         _of_view(view, position + np.array(header.origin), u, v, exact, radius)
         for view in orbit_views(scene, n_views, size, up)

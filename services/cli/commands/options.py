@@ -15,6 +15,24 @@ def count(text: str) -> int:
     return int(text)
 
 
+def count_or_none(text: str) -> int:
+    """A whole number from 0 to a million."""
+    if not text.isdigit() or int(text) > 1_000_000:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 to 1,000,000")
+    return int(text)
+
+
+def megapixels(text: str) -> float:
+    """Millions of pixels of a photograph, above 0, to 10,000."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not 0 < number <= 1e4:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of megapixels above 0, to 10,000")
+    return number
+
+
 def large_count(text: str) -> int:
     """A number of splats from 1 to 1e12, as 71e6."""
     try:

@@ -10,7 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from services.cli.arguments import WrongArgument, add_settings, settings_of, target_in_words
-from services.cli.commands.options import add_executor, add_measuring, add_output, count, large_count
+from services.cli.commands.options import (
+    add_executor,
+    add_measuring,
+    add_output,
+    count,
+    count_or_none,
+    large_count,
+    megapixels,
+)
 from services.cli.commands.running import executor_for, needs_photographs, progress_bars, refuse_to_overwrite, scan_path
 from services.cli.exit_codes import BY_KIND, OK
 
@@ -213,22 +221,23 @@ def add_plan(commands) -> None:
     plan = commands.add_parser("plan", help="what a scan of any size would cost on any number of workers")
     plan.add_argument("--splats", required=True, type=large_count, metavar="N", help="as 71e6")
     plan.add_argument("--workers", type=count, default=24, metavar="N", help="default: 24")
-    plan.add_argument("--photographs", type=int, default=400, metavar="N", help="default: 400")
-    plan.add_argument("--megapixels", type=float, default=10.0, metavar="M", help="of a photograph; default: 10")
+    plan.add_argument("--photographs", type=count_or_none, default=400, metavar="N", help="default: 400")
+    plan.add_argument("--megapixels", type=megapixels, default=10.0, metavar="M", help="of a photograph; default: 10")
     plan.add_argument(
         "--as-measured",
         action="store_true",
         help="on the machine that the costs were measured on; default: on machines as fast as this one",
     )
     plan.add_argument("--pages", action="store_true", help="with the photographs in pages beside it")
-    plan.add_argument(
+    kinds = plan.add_mutually_exclusive_group()
+    kinds.add_argument(
         "--voxels",
         type=large_count,
         default=0,
         metavar="N",
         help="of a volume whose surfaces have so many splats, as 832e6",
     )
-    plan.add_argument(
+    kinds.add_argument(
         "--stations",
         type=count,
         default=0,

@@ -10,6 +10,8 @@ from pipeline.splats.decoded import scene_radii
 from renderer.evaluate.coverage import draw_discs, surface_coverage
 from renderer.evaluate.holes import HOLE, UNSCANNED, outline_holes, painted_holes
 from renderer.pictures import on_background, save_animation
+from storage.packed.scene import PackedScene
+from storage.packed.schema import CHUNK
 from tests.scenes import Settings, Splats, build_scene
 
 
@@ -52,6 +54,16 @@ def test_coverage__larger_discs_overdraw_more():
     scene = build_scene(wall(size=0.3), Settings(radius=0.05))
     assert scene_radii(scene).min() > 0.2
     assert surface_coverage(scene, 1, (240, 180))[0].overdraw > 4
+
+
+def test_coverage__of_levels_is_that_of_the_finest():
+    fine, large = (build_scene(wall(size=size), Settings(radius=0.05)) for size in (None, 0.3))
+    n = large.header.n_splats // CHUNK * CHUNK
+    rows = {name: len(array) * n // large.header.n_splats for name, array in large.arrays.items()}
+    arrays = {name: np.concatenate([large.arrays[name][: rows[name]], fine.arrays[name]]) for name in rows}
+    header = replace(fine.header, n_splats=n + fine.header.n_splats, levels=(n, fine.header.n_splats))
+    levelled, alone = (surface_coverage(s, 1, (240, 180))[0] for s in (PackedScene(header, arrays), fine))
+    assert levelled.overdraw == pytest.approx(alone.overdraw, abs=0.1) and levelled.before == alone.before == 0
 
 
 def test_discs__are_drawn_where_rays_meet_them():
