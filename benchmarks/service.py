@@ -30,11 +30,12 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import httpx
-import psutil
 
 from benchmarks.needs import packages_of_tests
 
 with packages_of_tests():
+    import psutil
+
     from tests.services.scans import photo_scan, point_scan
     from tests.services.service_process import service
 

@@ -21,8 +21,12 @@ def part(cache: bool = True, **options):
     return numba.njit(cache=cache, nogil=True, forceinline=True, **options)
 
 
+def _as_it_is(array):
+    return array
+
+
 @intrinsic
-def borrowed(typing_context, array):
+def _borrowed(typing_context, array):
     """In compiled code: the array without its count of users. A view, and a tuple that is passed on, count an array's users up and
     down with a locked addition for each, which in short loops takes longer than the loops. Whoever borrows keeps the array itself alive:
     it must be an argument of the kernel."""
@@ -34,3 +38,6 @@ def borrowed(typing_context, array):
         return made._getvalue()
 
     return array(array), without_count
+
+
+borrowed = _as_it_is if numba.config.DISABLE_JIT else _borrowed  # type: ignore[attr-defined]

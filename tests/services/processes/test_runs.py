@@ -93,9 +93,9 @@ def test_runs__report_what_they_lose_and_cost(of_runs):
 def test_runs__are_estimated_with_their_stages(ball_of_points, of_runs):
     told, _ = of_runs
     found = estimate(ball_of_points[0], settings_for("draft", geometry="runs"), SerialExecutor(), Heard())
-    assert {"run-grid", "run-cells", "runs", "run-points"} <= {row["name"] for row in found["stages"]}
-    assert found["gpu_bytes"]["value"] == pytest.approx(told["sizes"]["gpu_bytes"], rel=0.05)
-    assert found["file_bytes"]["value"] == pytest.approx(told["sizes"]["file_bytes"], rel=0.05)
+    assert {"run-grid", "run-cells", "runs", "run-points"} <= {row.name for row in found.stages}
+    assert found.gpu_bytes.value == pytest.approx(told["sizes"]["gpu_bytes"], rel=0.05)
+    assert found.file_bytes.value == pytest.approx(told["sizes"]["file_bytes"], rel=0.05)
 
 
 def test_runs__become_a_page_too(of_runs, out, capsys):
