@@ -1,4 +1,4 @@
-"""What commands share: the arguments that the table of knobs makes, and the error of a value that is not allowed."""
+"""What commands share: the arguments that the table of knobs makes, and the settings that they ask for."""
 
 from __future__ import annotations
 
@@ -7,11 +7,8 @@ from collections.abc import Callable, Collection
 
 from pipeline.planning.knobs import BY_NAME, KNOBS, VIEW_KNOBS, Knob
 from pipeline.planning.settings import DEFAULT_PRESET, PRESETS, Settings, settings_for
+from services.cli.parser import WrongArgument
 from services.cli.wording import as_options
-
-
-class WrongArgument(ValueError):
-    """A value that argparse itself cannot tell to be wrong; the command line ends with exit code 1."""
 
 
 def add_settings(command: argparse.ArgumentParser, names: Collection[str] = BY_NAME) -> None:

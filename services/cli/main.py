@@ -1,12 +1,11 @@
-"""The command line: all commands, a group a file in `commands/`, and what an error of any of them ends with.
+"""The command line: one command of the table in `commands/`, and what an error of any of them ends with.
 
-Exit codes stand in `exit_codes.py`. Commands import what is heavy within their functions, so that --help and inspect
-answer at once.
+Exit codes stand in `exit_codes.py`. Commands import what is heavy within their functions, so that their --help and
+inspect answer at once.
 """
 
 from __future__ import annotations
 
-import argparse
 import io
 import os
 import sys
@@ -15,28 +14,9 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from services.cli.arguments import WrongArgument
-from services.cli.commands.completion import add_completion
-from services.cli.commands.compress import add_compress, add_demo, add_report
-from services.cli.commands.effects import add_effects
-from services.cli.commands.inspect import add_check, add_inspect
-from services.cli.commands.looks import add_iso, add_map
-from services.cli.commands.packed_files import add_export, add_view
-from services.cli.commands.pages import add_fly, add_pages, add_path
-from services.cli.commands.pictures import add_coverage, add_render
-from services.cli.commands.service import add_service
-from services.cli.commands.studies import add_estimate, add_evaluate, add_plan, add_tradeoff
-from services.cli.commands.user import add_user
 from services.cli.exit_codes import ARGUMENTS, INPUT_OUTPUT, INTERNAL, INTERRUPTED, OK, TERMINATED
-from services.cli.parser import Parser
-from services.cli.wording import as_options
+from services.cli.parser import Commands, WrongArgument
 from storage.errors import SplatpressError
-
-COMMANDS = (  # a row a command, in the order in which a wrong one is answered with all of them
-    add_compress, add_inspect, add_check, add_effects, add_plan, add_render, add_coverage, add_report, add_demo,
-    add_evaluate, add_estimate, add_tradeoff, add_view, add_export, add_pages, add_path, add_fly,
-    add_iso, add_map, add_service, add_user, add_completion,
-)  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -44,12 +24,14 @@ def main(arguments: list[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names of files are bytes, and may be no text
-    options = _parser().parse_args(arguments)
+    options = Commands().parsed(arguments)
     warnings.filterwarnings("ignore", module="zarr")
     try:
         with _terminable():
             return options.command(options)
     except SplatpressError as error:
+        from services.cli.wording import as_options
+
         said = str(error) if hasattr(error, "problem") else as_options(str(error))  # a service has options by name
         print(f"splatpress: {error.title}: {said}", file=sys.stderr)
         _print_notes(error)
@@ -128,25 +110,6 @@ def _asked(error: Exception) -> str:
         return str(error.request.url.copy_with(path="/", query=None))  # type: ignore[attr-defined]
     except (RuntimeError, AttributeError):  # it is about none
         return "the service"
-
-
-class _Version(argparse.Action):
-    """Prints the version, which no other call has to look up."""
-
-    def __call__(self, parser, *_) -> None:
-        from storage.version import VERSION
-
-        print(f"splatpress {VERSION}")
-        parser.exit()
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser(prog="splatpress", description="Turns textured scans into small packed files that a GPU renders.")
-    parser.add_argument("--version", action=_Version, nargs=0, help="show the program's version and exit")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
-    for add in COMMANDS:
-        add(commands)
-    return parser
 
 
 if __name__ == "__main__":

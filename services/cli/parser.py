@@ -5,21 +5,13 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Sequence
-from typing import NoReturn
+from collections.abc import Callable, Iterable, Iterator
+from importlib import import_module
 
+from services.cli.commands import COMMANDS
 from services.cli.exit_codes import ARGUMENTS
 
-GROUPS = {
-    "a scan": ("compress", "inspect", "check", "tradeoff", "estimate", "effects", "evaluate", "iso", "map", "demo"),
-    "a packed file": ("render", "coverage", "report", "view", "export", "pages", "path", "fly"),
-    "how large, how long": ("plan",),
-    "the shell": ("completion",),
-    "the service": ("serve", "api", "runner", "token", "backup", "restore"),
-    "a service's user": (
-        "login", "logout", "upload", "submit", "watch", "status", "cancel", "retry", "logs", "fetch", "ls", "regress",
-    ),
-}  # fmt: skip
+PROGRAM = "splatpress"
 EXAMPLES = """examples:
   splatpress compress "my scan.las" --out OUT          # OUT/my scan.splatpress, report.html, previews/
   splatpress estimate SCAN --preset high               # before: seconds, memory, bytes, PSNR
@@ -28,49 +20,100 @@ EXAMPLES = """examples:
 """
 
 
-class Parser(argparse.ArgumentParser):
-    """Wrong arguments exit with 1, after one line that says what is allowed."""
+class WrongArgument(ValueError):
+    """A value that argparse itself cannot tell to be wrong; the command line ends with exit code 1."""
 
-    def parse_args(self, args: Sequence[str] | None = None, namespace=None):  # type: ignore[override]
-        """As argparse; an option that does not exist is told before arguments that are missing."""
-        given = list(sys.argv[1:] if args is None else args)
-        parser = self._parser_of(given)
-        options = given[: given.index("--")] if "--" in given else given
-        for word in options if parser is not self else ():
-            name, known = word.partition("=")[0], parser._option_string_actions
+
+class Parser(argparse.ArgumentParser):
+    """Wrong arguments exit with 1, after one line that says what is allowed. `added` has all arguments."""
+
+    def __init__(self, prog: str, **how) -> None:
+        self.added: list[argparse.Action] = []
+        super().__init__(prog, **how)
+
+    def add_argument(self, *names, **how) -> argparse.Action:
+        """As argparse."""
+        return self._remembered(super().add_argument(*names, **how))
+
+    def one_of(self) -> Callable[..., argparse.Action]:
+        """As `add_argument`, for arguments of which exactly one is to be given."""
+        group = self.add_mutually_exclusive_group(required=True)
+        return lambda *names, **how: self._remembered(group.add_argument(*names, **how))
+
+    def refuse_unknown(self, given: list[str]) -> None:
+        """Ends where an option does not exist; argparse alone would tell missing arguments first."""
+        known = [option for action in self.added for option in action.option_strings]
+        for word in given[: given.index("--")] if "--" in given else given:
+            name = word.partition("=")[0]
             if name.startswith("--") and not any(option.startswith(name) for option in known):
                 from difflib import get_close_matches
 
                 close = get_close_matches(name, known, 1)
-                parser.error(f"there is no option {name}" + (f"; did you mean {close[0]}?" if close else ""))
-        return super().parse_args(given, namespace)
+                self.error(f"there is no option {name}" + (f"; did you mean {close[0]}?" if close else ""))
 
-    def error(self, message: str) -> NoReturn:
+    def error(self, message: str):
         self.exit(ARGUMENTS, f"{self.prog}: {_with_suggestion(message)}; see {self.prog} --help\n")
 
+    def _remembered(self, action: argparse.Action) -> argparse.Action:
+        self.added.append(action)
+        return action
+
+
+class Commands:
+    """The parsers of commands, each made when it is asked for, by the function that the table names."""
+
+    def __init__(self) -> None:
+        self._parsers: dict[str, Parser] = {}
+        self._adds = {name: add for rows in COMMANDS.values() for name, (add, _) in rows.items()}
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._adds)
+
+    def __getitem__(self, name: str) -> Parser:
+        if name not in self._parsers:
+            module, _, function = self._adds[name].partition(":")
+            getattr(import_module(f"services.cli.commands.{module}"), function)(self)
+        return self._parsers[name]
+
+    def add_parser(self, name: str, **how) -> Parser:
+        """What a command's function calls, and adds its arguments to."""
+        self._parsers[name] = Parser(f"{PROGRAM} {name}", **how)
+        return self._parsers[name]
+
+    def parsed(self, given: list[str] | None = None) -> argparse.Namespace:
+        """What a call says; its `command` is the function to call with it. A wrong call, --help and --version raise
+        SystemExit, as argparse does."""
+        given = sys.argv[1:] if given is None else given
+        if not given or given[0] not in self._adds:
+            given = [_Program(self._adds).parse_args(given).command]
+        parser = self[given[0]]
+        parser.refuse_unknown(given[1:])
+        return parser.parse_args(given[1:])
+
+
+class _Version(argparse.Action):
+    """Prints the version, which no other call has to look up."""
+
+    def __call__(self, parser, *_) -> None:
+        from storage.version import VERSION
+
+        print(f"{PROGRAM} {VERSION}")
+        parser.exit()
+
+
+class _Program(Parser):
+    """What is no command's: --help, --version, and a word that is no command."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        super().__init__(PROGRAM, description="Turns textured scans into small packed files that a GPU renders.")
+        self.add_argument("--version", action=_Version, nargs=0)
+        self.add_argument("command", metavar="COMMAND", choices=list(names))
+
     def format_help(self) -> str:
-        commands = self._commands()
-        if not commands:
-            return super().format_help()
-        helps = {action.dest: action.help for action in self._subparser_actions()[0]._choices_actions}
-        grouped = {title: [name for name in names if name in commands] for title, names in GROUPS.items()}
-        others = [name for name in commands if not any(name in names for names in GROUPS.values())]
-        lines = [f"usage: {self.prog} [--help] [--version] COMMAND ...", "", self.description or ""]
-        for title, names in [*grouped.items(), ("others", others)]:
-            if names:
-                lines += ["", f"{title}:", *(f"  {name:<11}{helps.get(name) or ''}" for name in names)]
+        lines = [f"usage: {PROGRAM} [--help] [--version] COMMAND ...", "", self.description or ""]
+        for title, rows in COMMANDS.items():
+            lines += ["", f"{title}:", *(f"  {name:<11}{text}" for name, (_, text) in rows.items())]
         return "\n".join([*lines, "", EXAMPLES])
-
-    def _parser_of(self, given: list[str]) -> Parser:
-        """The parser of the command that is asked for."""
-        commands = self._commands()
-        return next((commands[word] for word in given if word in commands), self)
-
-    def _commands(self) -> dict[str, Parser]:
-        return {name: parser for action in self._subparser_actions() for name, parser in action.choices.items()}
-
-    def _subparser_actions(self) -> list[argparse._SubParsersAction]:
-        return [action for action in self._actions if isinstance(action, argparse._SubParsersAction)]
 
 
 def _with_suggestion(message: str) -> str:

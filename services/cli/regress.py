@@ -19,8 +19,8 @@ from pathlib import Path
 
 from pipeline.planning.knobs import BY_NAME
 from pipeline.planning.settings import DEFAULT_PRESET, settings_for
-from services.cli.arguments import WrongArgument
 from services.cli.client import Client
+from services.cli.parser import WrongArgument
 
 TOLERANCE = {"texture_psnr_db": 0.05, "file_bytes": 0.01, "seconds": 0.5}
 KEYS = ("name", "scan", "preset", "options", "seed", "expected", "tolerance")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from services.cli.exit_codes import OK
+from services.cli.parser import Parser
 
 SHELLS = ("bash", "zsh", "fish")
 HOW = """\
@@ -16,27 +17,26 @@ how:
 
 
 def add_completion(commands) -> None:
-    """The verb; what it completes is what `commands` has when it is asked."""
+    """The verb; it completes all that `commands` has."""
     completion = commands.add_parser(
         "completion",
-        help="a script that completes commands and options in a shell",
         epilog=HOW,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     completion.add_argument("shell", choices=SHELLS)
-    completion.set_defaults(command=lambda options: _completion(options, commands.choices))
+    completion.set_defaults(command=lambda options: _completion(options, {name: commands[name] for name in commands}))
 
 
-def _completion(options: argparse.Namespace, parsers: dict[str, argparse.ArgumentParser]) -> int:
+def _completion(options: argparse.Namespace, parsers: dict[str, Parser]) -> int:
     print(_fish(parsers) if options.shell == "fish" else _bash(parsers, zsh=options.shell == "zsh"))
     return OK
 
 
-def _options_of(parser: argparse.ArgumentParser) -> list[argparse.Action]:
-    return [a for a in parser._actions if a.option_strings and a.help != argparse.SUPPRESS]
+def _options_of(parser: Parser) -> list[argparse.Action]:
+    return [a for a in parser.added if a.option_strings and a.help != argparse.SUPPRESS]
 
 
-def _bash(parsers: dict[str, argparse.ArgumentParser], zsh: bool) -> str:
+def _bash(parsers: dict[str, Parser], zsh: bool) -> str:
     """A function that looks at the command, then at the option before the word; where it knows nothing, files."""
     lines = ["autoload -U +X bashcompinit && bashcompinit"] if zsh else []
     lines += [
@@ -64,7 +64,7 @@ def _bash(parsers: dict[str, argparse.ArgumentParser], zsh: bool) -> str:
     return "\n".join(lines)
 
 
-def _fish(parsers: dict[str, argparse.ArgumentParser]) -> str:
+def _fish(parsers: dict[str, Parser]) -> str:
     lines = []
     for name, parser in sorted(parsers.items()):
         lines.append(f"complete -c splatpress -n __fish_use_subcommand -f -a {name}")

@@ -29,7 +29,7 @@ from services.cli.wording import as_options
 
 def add_compress(commands) -> None:
     """The verb `compress`."""
-    compress = commands.add_parser("compress", help="a scan into a packed file, previews and a report")
+    compress = commands.add_parser("compress")
     compress.add_argument(
         "scan",
         metavar="SCAN",
@@ -80,7 +80,7 @@ def settings_with_pages(settings: Settings, pages: bool) -> Settings:
 
 def add_report(commands) -> None:
     """The verb `report`."""
-    report = commands.add_parser("report", help="measure a packed file against its scan")
+    report = commands.add_parser("report")
     report.add_argument("packed", metavar="PACKED")
     report.add_argument("--scan", required=True, metavar="SCAN")
     report.add_argument("--out", required=True, metavar="DIR")
@@ -109,7 +109,7 @@ def _report(options: argparse.Namespace) -> int:
 
 def add_demo(commands) -> None:
     """The verb `demo`."""
-    demo = commands.add_parser("demo", help="compress a scan that needs no download: a stereo pair, points or a volume")
+    demo = commands.add_parser("demo")
     demo.add_argument(
         "--scan",
         choices=("motorcycle", "points", "volume"),

@@ -14,7 +14,7 @@ from services.cli.exit_codes import OK
 
 def add_effects(commands) -> None:
     """The verb `effects`."""
-    effects = commands.add_parser("effects", help="which effects a scan calls for, and what decided")
+    effects = commands.add_parser("effects")
     effects.add_argument("scan", metavar="SCAN")
     effects.add_argument(
         "--measure",

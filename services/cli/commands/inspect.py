@@ -13,7 +13,7 @@ from services.cli.exit_codes import INVALID_INPUT, OK
 
 def add_inspect(commands) -> None:
     """The verb `inspect`."""
-    inspect = commands.add_parser("inspect", help="what a scan or a packed file is, and what is wrong with it")
+    inspect = commands.add_parser("inspect")
     inspect.add_argument("path", metavar="SCAN-or-PACKED")
     inspect.add_argument("--json", action="store_true")
     add_reading(inspect)
@@ -31,7 +31,7 @@ def _inspect(options: argparse.Namespace) -> int:
 
 def add_check(commands) -> None:
     """The verb `check`."""
-    check = commands.add_parser("check", help="what is wrong with a scan, from one pass over its points; exit 0 or 3")
+    check = commands.add_parser("check")
     check.add_argument("path", metavar="SCAN")
     check.add_argument("--json", action="store_true")
     add_reading(check)

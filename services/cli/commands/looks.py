@@ -10,10 +10,11 @@ from pathlib import Path
 
 from pipeline.planning.settings import Settings
 from pipeline.readers.attributes.options import ReadOptions
-from services.cli.arguments import WrongArgument, add_knobs, settings_of
+from services.cli.arguments import add_knobs, settings_of
 from services.cli.commands.options import add_executor, add_output
 from services.cli.commands.running import executor_for, progress_bars, refuse_to_overwrite, scan_path
 from services.cli.exit_codes import OK
+from services.cli.parser import WrongArgument
 
 ROWS, WIDTH = 32, 40  # of the printed histogram
 READING = ("station", "marked_points")  # knobs of how a laser scan is read
@@ -21,7 +22,7 @@ READING = ("station", "marked_points")  # knobs of how a laser scan is read
 
 def add_iso(commands) -> None:
     """The verb `iso`."""
-    iso = commands.add_parser("iso", help="the histogram of a volume, and the iso values that it proposes")
+    iso = commands.add_parser("iso")
     iso.add_argument("volume", metavar="VOLUME")
     iso.add_argument("--component", type=int, metavar="N", help="which number of a voxel, of several")
     iso.add_argument("--time", type=int, metavar="N", help="which time, of several")
@@ -97,7 +98,7 @@ def _histogram(found: dict) -> list[str]:
 
 def add_map(commands) -> None:
     """The verb `map`."""
-    maps = commands.add_parser("map", help="what each station of a laser scan saw, as pictures to edit")
+    maps = commands.add_parser("map")
     maps.add_argument("scan", metavar="SCAN")
     add_output(maps)
     add_knobs(maps, READING)

@@ -9,13 +9,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 from pipeline.exports.formats import FORMATS, GAUSSIANS, POINTS
-from services.cli.arguments import WrongArgument
 from services.cli.exit_codes import OK
+from services.cli.parser import WrongArgument
 
 
 def add_export(commands) -> None:
     """The verb `export`."""
-    export = commands.add_parser("export", help="a packed file as what others open: points, Gaussians")
+    export = commands.add_parser("export")
     export.add_argument("packed", metavar="PACKED")
     export.add_argument(
         "--to",
@@ -59,7 +59,7 @@ def _export(options: argparse.Namespace) -> int:
 
 def add_view(commands) -> None:
     """The verb `view`."""
-    view = commands.add_parser("view", help="look at a packed file in the browser; Ctrl-C ends it")
+    view = commands.add_parser("view")
     view.add_argument("packed", metavar="PACKED")
     view.add_argument("--port", type=int, default=0, help="on 127.0.0.1; default: one that is free")
     view.add_argument("--no-open", action="store_true", help="only print the page's address")

@@ -9,10 +9,11 @@ import sys
 from pathlib import Path
 
 from pipeline.planning.settings import DEFAULT_PRESET
-from services.cli.arguments import WrongArgument, add_knobs, settings_of
+from services.cli.arguments import add_knobs, settings_of
 from services.cli.commands.options import add_executor, count, size
 from services.cli.commands.running import executor_for, progress_bars, refuse_to_overwrite, scan_path
 from services.cli.exit_codes import OK
+from services.cli.parser import WrongArgument
 
 CODECS = ("jpeg", "webp", "png", "bc7")
 PAGE_PX = (32, 512)
@@ -22,9 +23,7 @@ MOST_SECONDS, MOST_MAGNIFIED = 3600, 16
 
 def add_pages(commands) -> None:
     """The verb `pages`."""
-    pages = commands.add_parser(
-        "pages", help="the photographs of a scan as a page file, for views that are larger than memory"
-    )
+    pages = commands.add_parser("pages")
     pages.add_argument("source", metavar="SCAN|WORK", help="a scan, or the folder that `compress --work` kept")
     pages.add_argument("--out", required=True, type=Path, metavar="FILE")
     pages.add_argument(
@@ -81,9 +80,7 @@ def _pages(options: argparse.Namespace) -> int:
 
 def add_path(commands) -> None:
     """The verb `path record`."""
-    record = commands.add_parser(
-        "path", help="`path record`: a path for `fly`, from poses or one of the four of the paper"
-    )
+    record = commands.add_parser("path")
     record.add_argument("verb", choices=("record",), help="what is done: a path is recorded")
     record.add_argument("packed", metavar="PACKED")
     record.add_argument(
@@ -112,7 +109,7 @@ def _record(options: argparse.Namespace) -> int:
 
 def add_fly(commands) -> None:
     """The verb `fly`."""
-    fly = commands.add_parser("fly", help="a recorded path, drawn; or which pages it would miss")
+    fly = commands.add_parser("fly")
     fly.add_argument("packed", metavar="PACKED")
     fly.add_argument(
         "--table",

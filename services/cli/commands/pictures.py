@@ -6,22 +6,21 @@ import argparse
 import json
 from pathlib import Path
 
-from services.cli.arguments import WrongArgument, add_view_knobs
+from services.cli.arguments import add_view_knobs
 from services.cli.commands.options import color, count, direction, size
 from services.cli.commands.running import scan_path
 from services.cli.exit_codes import OK
+from services.cli.parser import WrongArgument
 
 
 def add_render(commands) -> None:
     """The verb `render`."""
-    render = commands.add_parser("render", help="pictures of a packed file")
+    render = commands.add_parser("render")
     render.add_argument("packed", metavar="PACKED")
-    view = render.add_mutually_exclusive_group(required=True)
-    view.add_argument("--camera", metavar="NAME", help="one of the scan's cameras")
-    view.add_argument("--orbit", metavar="N", type=count, help="N pictures around the scan")
-    view.add_argument(
-        "--turntable", metavar="N", type=count, help="N pictures around the scan, and turntable.webp of them"
-    )
+    add_view = render.one_of()
+    add_view("--camera", metavar="NAME", help="one of the scan's cameras")
+    add_view("--orbit", metavar="N", type=count, help="N pictures around the scan")
+    add_view("--turntable", metavar="N", type=count, help="N pictures around the scan, and turntable.webp of them")
     render.add_argument(
         "--background", type=color, metavar="#RRGGBB", help="opaque pictures on that colour; default: transparent"
     )
@@ -85,7 +84,7 @@ def _render(options: argparse.Namespace) -> int:
 
 def add_coverage(commands) -> None:
     """The verb `coverage`."""
-    coverage = commands.add_parser("coverage", help="holes and overdraw of a packed file's splats, view by view")
+    coverage = commands.add_parser("coverage")
     coverage.add_argument("packed", metavar="PACKED")
     _add_up(coverage)
     coverage.add_argument(

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from pipeline.planning.settings import Settings
-from services.cli.arguments import WrongArgument
+from services.cli.parser import WrongArgument
 from storage.errors import InvalidScan, ResourceExhausted
 
 

@@ -7,18 +7,14 @@ import sys
 import time
 from pathlib import Path
 
-from services.cli.arguments import WrongArgument
 from services.cli.exit_codes import OK
+from services.cli.parser import WrongArgument
 
 
 def add_service(commands) -> None:
     """The verbs."""
-    for name, text, function in (
-        ("serve", "the whole service on this machine", _serve),
-        ("api", "the web part of the service alone", _api),
-        ("runner", "the part that runs jobs alone", _runner),
-    ):
-        verb = commands.add_parser(name, help=text)
+    for name, function in (("serve", _serve), ("api", _api), ("runner", _runner)):
+        verb = commands.add_parser(name)
         verb.add_argument("--data", type=Path, metavar="DIR", help="default: splatpress-data")
         verb.add_argument("--host", help="default: 127.0.0.1; any other address asks for tokens")
         verb.add_argument("--port", type=int)
@@ -32,7 +28,7 @@ def add_service(commands) -> None:
         if name != "serve":
             verb.add_argument("--end-with-stdin", action="store_true", help=argparse.SUPPRESS)
         verb.set_defaults(command=function)
-    token = commands.add_parser("token", help="make a token for an owner of scans and jobs")
+    token = commands.add_parser("token")
     token.add_argument("owner")
     token.add_argument("--data", type=Path, metavar="DIR")
     token.add_argument("--label", default="", help="to tell it from others")
@@ -40,11 +36,8 @@ def add_service(commands) -> None:
     token.add_argument("--list", action="store_true", help="the owner's tokens by their ids, instead")
     token.add_argument("--revoke", metavar="ID", help="a token of the owner's, instead")
     token.set_defaults(command=_token)
-    for name, text, function, what in (
-        ("backup", "scans, jobs, results and tokens as one file, also while the service runs", _backup, "to write"),
-        ("restore", "a data folder from a backup; jobs that were under way go on", _restore, "that backup wrote"),
-    ):
-        verb = commands.add_parser(name, help=text)
+    for name, function, what in (("backup", _backup, "to write"), ("restore", _restore, "that backup wrote")):
+        verb = commands.add_parser(name)
         verb.add_argument("file", type=Path, help=f"a .tar {what}")
         verb.add_argument("--data", type=Path, metavar="DIR", help="default: splatpress-data")
         verb.set_defaults(command=function)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from services.cli.arguments import WrongArgument, add_settings, settings_of, target_in_words
+from services.cli.arguments import add_settings, settings_of, target_in_words
 from services.cli.commands.options import (
     add_executor,
     add_measuring,
@@ -21,14 +21,15 @@ from services.cli.commands.options import (
 )
 from services.cli.commands.running import executor_for, needs_photographs, progress_bars, refuse_to_overwrite, scan_path
 from services.cli.exit_codes import BY_KIND, OK
+from services.cli.parser import WrongArgument
 
 if TYPE_CHECKING:
     from renderer.report.estimate_document import EstimateDocument
 
 
-def _study(commands, name: str, text: str, command: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
+def _study(commands, name: str, command: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
     """A command that measures a scan around chosen settings, into a folder."""
-    study = commands.add_parser(name, help=text)
+    study = commands.add_parser(name)
     study.add_argument("scan", metavar="SCAN")
     add_output(study)
     add_settings(study)
@@ -39,8 +40,7 @@ def _study(commands, name: str, text: str, command: Callable[[argparse.Namespace
 
 def add_evaluate(commands) -> None:
     """The verb `evaluate`."""
-    text = "the tables and figures of the HPG 2021 paper, measured on a scan with photographs"
-    evaluate = _study(commands, "evaluate", text, _evaluate)
+    evaluate = _study(commands, "evaluate", _evaluate)
     evaluate.add_argument("--rows", metavar="NAME,...", help="of Table 1; default: all")
     evaluate.add_argument(
         "--hold-out", type=count, metavar="N", help="keep every N-th photograph out of texturing and compare with it"
@@ -108,8 +108,7 @@ def _table_1(rows: Sequence) -> str:
 
 def add_tradeoff(commands) -> None:
     """The verb `tradeoff`."""
-    text = "what accuracy costs on this scan: presets, and each knob alone, measured"
-    tradeoff = _study(commands, "tradeoff", text, _tradeoff)
+    tradeoff = _study(commands, "tradeoff", _tradeoff)
     tradeoff.add_argument(
         "--knob",
         action="append",
@@ -168,9 +167,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
 
 def add_estimate(commands) -> None:
     """The verb `estimate`."""
-    estimate = commands.add_parser(
-        "estimate", help="what compress would take in seconds, memory and bytes, and give in PSNR"
-    )
+    estimate = commands.add_parser("estimate")
     estimate.add_argument("scan", metavar="SCAN")
     add_settings(estimate)
     estimate.add_argument(
@@ -218,7 +215,7 @@ def _estimate_lines(found: EstimateDocument) -> str:
 
 def add_plan(commands) -> None:
     """The verb `plan`."""
-    plan = commands.add_parser("plan", help="what a scan of any size would cost on any number of workers")
+    plan = commands.add_parser("plan")
     plan.add_argument("--splats", required=True, type=large_count, metavar="N", help="as 71e6")
     plan.add_argument("--workers", type=count, default=24, metavar="N", help="default: 24")
     plan.add_argument("--photographs", type=count_or_none, default=400, metavar="N", help="default: 400")

@@ -9,9 +9,10 @@ import sys
 from pathlib import Path
 
 from pipeline.planning.knobs import BY_NAME
-from services.cli.arguments import WrongArgument, add_preset
+from services.cli.arguments import add_preset
 from services.cli.commands.running import asked_token, program
 from services.cli.exit_codes import BY_KIND, GATE_MISSED, INPUT_OUTPUT, OK
+from services.cli.parser import WrongArgument
 from services.processes.kinds import COMPRESS, PERFORMANCE, PROCESSES
 
 DEFAULT_URL = "http://127.0.0.1:8000"
@@ -19,12 +20,12 @@ DEFAULT_URL = "http://127.0.0.1:8000"
 
 def add_user(commands) -> None:
     """The verbs."""
-    login = _verb(commands, "login", "remember a service and a token", _login)
+    login = _verb(commands, "login", _login)
     login.add_argument("--token", help="default: asked for")
-    _verb(commands, "logout", "forget service and token", _logout)
-    upload = _verb(commands, "upload", "upload a scan; prints its id", _upload)
+    _verb(commands, "logout", _logout)
+    upload = _verb(commands, "upload", _upload)
     upload.add_argument("scan", type=Path)
-    submit = _verb(commands, "submit", "a job on a scan, by its id or its path; prints the job's id", _submit)
+    submit = _verb(commands, "submit", _submit)
     submit.add_argument("scan")
     add_preset(submit)
     submit.add_argument("--option", action="append", default=[], metavar="NAME=VALUE")
@@ -45,32 +46,25 @@ def add_user(commands) -> None:
     submit.add_argument("--webhook")
     submit.add_argument("--key", help="submitting again with the same key gives the same job")
     submit.add_argument("--watch", action="store_true")
-    for name, text, function in (
-        ("watch", "live progress until a job has ended", _watch),
-        ("status", "of a job", _status),
-        ("cancel", "dismiss a job", _cancel),
-        ("retry", "a job that failed or was dismissed", _retry),
-    ):
-        _verb(commands, name, text, function).add_argument("job")
-    logs = _verb(commands, "logs", "of a job", _logs)
+    for name, function in (("watch", _watch), ("status", _status), ("cancel", _cancel), ("retry", _retry)):
+        _verb(commands, name, function).add_argument("job")
+    logs = _verb(commands, "logs", _logs)
     logs.add_argument("job")
     logs.add_argument("--level", default="info", choices=("debug", "info", "warning", "error"))
-    fetch = _verb(commands, "fetch", "what a job made", _fetch)
+    fetch = _verb(commands, "fetch", _fetch)
     fetch.add_argument("job")
     fetch.add_argument("names", nargs="*", help=f"of artifacts; without any, all but {PERFORMANCE}, of the workers")
     fetch.add_argument("--out", type=Path, required=True, metavar="DIR")
-    ls = _verb(commands, "ls", "your jobs, newest first", _ls)
+    ls = _verb(commands, "ls", _ls)
     ls.add_argument("--status", choices=("accepted", "running", "successful", "failed", "dismissed"))
     ls.add_argument("--limit", type=int, default=100)
-    regress = _verb(
-        commands, "regress", "run a list of jobs and compare with what is expected; exits 7 on a miss", _regress
-    )
+    regress = _verb(commands, "regress", _regress)
     regress.add_argument("jobs", type=Path, metavar="jobs.toml")
     regress.add_argument("--update", action="store_true", help="write what was measured as what is expected")
 
 
-def _verb(commands, name: str, text: str, function) -> argparse.ArgumentParser:
-    verb = commands.add_parser(name, help=text)
+def _verb(commands, name: str, function) -> argparse.ArgumentParser:
+    verb = commands.add_parser(name)
     verb.add_argument("--url", help=f"of the service; default: the last login's, or {DEFAULT_URL}")
     verb.add_argument("--json", action="store_true")
     verb.set_defaults(command=function)

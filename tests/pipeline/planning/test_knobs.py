@@ -12,7 +12,8 @@ from pipeline.planning.knobs import BY_NAME, KNOBS, VIEW_KNOBS, Knob
 from pipeline.planning.settings import PRESETS, Settings, settings_for
 from services.api.jobs import JobOptions
 from services.api.published import get_options
-from services.cli.arguments import WrongArgument, add_settings, settings_of
+from services.cli.arguments import add_settings, settings_of
+from services.cli.parser import WrongArgument
 from services.docs.knobs import PATH, document
 
 

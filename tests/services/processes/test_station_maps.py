@@ -24,8 +24,9 @@ from pipeline.summaries import Points
 from renderer.evaluate.compare import psnr_of_error
 from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
-from services.cli.arguments import WrongArgument, add_knobs, add_preset
+from services.cli.arguments import add_knobs, add_preset
 from services.cli.commands.looks import add_edited_maps, settings_with_maps
+from services.cli.parser import WrongArgument
 from services.flow.map_pictures import map_scan
 from services.processes import estimate as pilot
 from services.processes.compress import compress
