@@ -29,12 +29,12 @@ class EvaluatedRow(Part, frozen=True):
     texture_psnr_db: float | None
     visible_psnr_db: float | None
     seconds: float
-    n_dictionary: int | None
-    mean_atoms: float | None
-    file_bytes: int | None
-    learning: tuple[LearningPass, ...]
-    factor_total: float | None
-    factor_texture: float | None
+    n_dictionary: int | None = None
+    mean_atoms: float | None = None
+    file_bytes: int | None = None
+    learning: tuple[LearningPass, ...] = ()
+    factor_total: float | None = None
+    factor_texture: float | None = None
     picture_psnr_db: float | None = None  # against photographs, from their cameras; of what is drawn alone
 
 

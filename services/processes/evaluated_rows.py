@@ -189,12 +189,6 @@ def _row(
         texture_psnr_db=quality.texture_psnr_db,
         visible_psnr_db=quality.visible_psnr_db,
         seconds=seconds,
-        n_dictionary=None,
-        mean_atoms=None,
-        file_bytes=None,
-        learning=(),
-        factor_total=None,
-        factor_texture=None,
     )
 
 

@@ -86,21 +86,40 @@ def _why_not(image: libe57.StructureNode) -> str:
     return ""
 
 
-def _camera(name: str, pinhole: libe57.StructureNode, pose: Pose, where: str) -> Camera:
-    width, height = _size(pinhole, where)
-    focal_m, pixel_width_m, pixel_height_m = _lengths(pinhole, ("focalLength", "pixelWidth", "pixelHeight"), where)
-    rotation = _TO_Y_DOWN @ np.array(pose.rotation).T
+def _camera(
+    name: str,
+    size_px: tuple[int, int],
+    focal_px: tuple[float, float],
+    centre_px: tuple[float, float],
+    rotation: np.ndarray,  # (3, 3), from the frame that the pose places to the camera's
+    pose: Pose,
+) -> Camera:
+    turned = rotation @ np.array(pose.rotation).T
     return Camera(
         name=name,
-        width_px=width,
-        height_px=height,
-        fx_px=focal_m / pixel_width_m,
-        fy_px=focal_m / pixel_height_m,
-        cx_px=float(child_number(pinhole, "principalPointX", where)),
-        cy_px=float(child_number(pinhole, "principalPointY", where)),
-        rotation=tuple(tuple(map(float, row)) for row in rotation),  # type: ignore[misc]
+        width_px=size_px[0],
+        height_px=size_px[1],
+        fx_px=focal_px[0],
+        fy_px=focal_px[1],
+        cx_px=centre_px[0],
+        cy_px=centre_px[1],
+        rotation=tuple(tuple(map(float, row)) for row in turned),  # type: ignore[misc]
         centre=pose.translation,
     )
+
+
+def _pinhole_camera(name: str, pinhole: libe57.StructureNode, pose: Pose, where: str) -> Camera:
+    size = _size(pinhole, where)
+    focal_m, pixel_width_m, pixel_height_m = _lengths(pinhole, ("focalLength", "pixelWidth", "pixelHeight"), where)
+    centre_x, centre_y = (float(child_number(pinhole, f"principalPoint{axis}", where)) for axis in "XY")
+    return _camera(
+        name, size, (focal_m / pixel_width_m, focal_m / pixel_height_m), (centre_x, centre_y), _TO_Y_DOWN, pose
+    )
+
+
+def _part_camera(name: str, part: Part, pose: Pose) -> Camera:
+    size, focal, centre = (part.width_px, part.height_px), (part.focal_px, part.focal_px), (part.cx_px, part.cy_px)
+    return _camera(name, size, focal, centre, np.array(part.rotation), pose)
 
 
 def _size(node: libe57.StructureNode, where: str) -> tuple[int, int]:
@@ -141,21 +160,6 @@ def _panorama(node: libe57.StructureNode, is_sphere: bool, where: str) -> tuple[
         corners = f"{above if math.radians(steep) > STEEPEST else ''}corners of its {len(parts_of(found))} photographs"
         told = f"{lost:.1%} of its pixels are not used: {corners}"
     return found, told
-
-
-def _part_camera(name: str, part: Part, pose: Pose) -> Camera:
-    rotation = np.array(part.rotation) @ np.array(pose.rotation).T
-    return Camera(
-        name=name,
-        width_px=part.width_px,
-        height_px=part.height_px,
-        fx_px=part.focal_px,
-        fy_px=part.focal_px,
-        cx_px=part.cx_px,
-        cy_px=part.cy_px,
-        rotation=tuple(tuple(map(float, row)) for row in rotation),  # type: ignore[misc]
-        centre=pose.translation,
-    )
 
 
 @contextmanager
@@ -217,7 +221,7 @@ def read_images(file: libe57.ImageFile, path: str) -> Images:
         key = next(k for k in _BLOBS if node.isDefined(k))
         told = [f"{where} {name!r}: its mask is not used"] if node.isDefined("imageMask") else []
         if used == _PINHOLE:
-            camera = _camera(name, node, pose, inside)
+            camera = _pinhole_camera(name, node, pose, inside)
             _check_size(node[key], _BLOBS[key], (camera.width_px, camera.height_px), f"{inside}.{key}")
             cameras.append(camera)
             blobs.append(Blob(i, used, key))
