@@ -47,7 +47,7 @@ def differences(a: Any, b: Any, where: str = "") -> list[str]:
 def compressed(code: Path, scan: Path, preset: str, out: Path) -> tuple[str, str, Any, float]:
     """SHA-256 of the packed file and of the previews, the report without times, and seconds of a processor."""
     used = _processor_seconds()
-    command = [sys.executable, "-m", "services.cli.main", "compress", str(scan), "--out", str(out), "--preset", preset]
+    command = [sys.executable, "-m", "services.cli", "compress", str(scan), "--out", str(out), "--preset", preset]
     environment = os.environ | {"PYTHONPATH": str(code)}
     subprocess.run([*command, "--executor", "serial"], cwd=code, env=environment, check=True, capture_output=True)
     taken = _processor_seconds() - used

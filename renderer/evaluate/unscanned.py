@@ -18,9 +18,7 @@ from storage.packed.packed import PackedScene
 from storage.packed.schema import Camera
 
 REACH = 2.0  # spacings: as far as splats grow to close gaps (pipeline/splats/gaps.py), and twice what covers a lattice
-MOST_ANGLE = np.radians(
-    150.0
-)  # between directions to points that surround a place; beyond a straight rim it is 180 degrees
+MOST_ANGLE = np.radians(150)  # between directions to points that surround a place; at a straight rim it is 180
 _NEAREST = 1e-9
 
 

@@ -174,8 +174,7 @@ def _look_up(
             row, column, _ = cell_of(eye, around, scale, width, height, x, y, z)
             if row >= 0:
                 at, to = row - top, column - left
-                off = (known[at, to, 0] - centre[i, 0]) * normal[i, 0] + (known[at, to, 1] - centre[i, 1]) * normal[
-                    i, 1
-                ]
+                off = (known[at, to, 0] - centre[i, 0]) * normal[i, 0]
+                off += (known[at, to, 1] - centre[i, 1]) * normal[i, 1]
                 off += (known[at, to, 2] - centre[i, 2]) * normal[i, 2]
                 foreign[k, j] = abs(off) > foreign_radii * r
