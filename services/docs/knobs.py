@@ -11,9 +11,10 @@ from services.docs.tables import table
 PATH = Path(__file__).resolve().parents[2] / "docs" / "KNOBS.md"
 _HEAD = """# Knobs: what trades accuracy for time and bytes
 
-Made from `pipeline/planning/knobs.py` and `pipeline/planning/settings.py` by `python -m services.docs.knobs`; change those. Each knob is
-an argument of `splatpress compress` (`--dictionary-bits`) and an option of a job (`dictionary_bits`). A change runs the
-named stage again and those after it; with a work folder all before it are reused.
+Made from `pipeline/planning/knobs.py` and `pipeline/planning/settings.py` by `python -m services.docs.knobs`; change
+those. Each knob is an argument of `splatpress compress` (`--dictionary-bits`) and an option of a job
+(`dictionary_bits`). A change runs the named stage again and those after it; with a work folder all before it are
+reused.
 """
 
 

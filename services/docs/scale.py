@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from textwrap import fill
 
 from pipeline.costs.costs import COSTS
 from pipeline.planning.settings import Settings
@@ -13,14 +14,16 @@ PATH = Path(__file__).resolve().parents[2] / "docs" / "SCALE.md"
 PHOTOGRAPHS, MEGAPIXELS = 441, 9.0  # the paper's larger scan
 _HEAD = """# How far it scales, and what breaks first
 
-Made from `pipeline/costs/costs.json` by `python -m services.docs.scale`. `splatpress plan --splats 71e6 --workers 24` prints such
-a plan for any size; `--json` has every figure of it.
+Made from `pipeline/costs/costs.json` by `python -m services.docs.scale`. `splatpress plan --splats 71e6 --workers 24`
+prints such a plan for any size; `--json` has every figure of it.
 
 ## The model
 
 A stage costs what its tasks take on the workers, dealt out by one scheduler that spends a millisecond on each call
-(simulated, `pipeline/costs/costs.py`), and what one process does before and after them. Seconds a splat and an index, bytes and memory are
-fitted by `benchmarks/fit_costs.py` to: {fitted}. Tasks count by their processor seconds.
+(simulated, `pipeline/costs/costs.py`), and what one process does before and after them. Seconds a splat and an index,
+bytes and memory are fitted by `benchmarks/fit_costs.py` to the rows below. Tasks count by their processor seconds.
+
+{fitted}
 
     python -m benchmarks.scaling SCAN --splats 100000 400000 1000000 4000000 --workers 1 --out rows.jsonl
     python -m benchmarks.scaling SCAN --splats 200000 --workers 1 --dictionary-bits 8 --out rows.jsonl
@@ -28,37 +31,40 @@ fitted by `benchmarks/fit_costs.py` to: {fitted}. Tasks count by their processor
     python -m benchmarks.scaling ANOTHER --workers 2 --out others.jsonl
     python -m benchmarks.fit_costs others.jsonl --check     # a run outside the fit: predicted beside measured
 
-Bytes are those of the arrays that a stage reads, each once: what several of its tasks ask for comes from the disk cache, or is read
-again. `python -m benchmarks.bytes_moved SCAN` counts all that tasks ask for: of `fountain_p11` (draft) 3,369 bytes a splat, 1,276 of them
-parts of pictures of nearest points as they are unpacked and 430 points that all 11 cameras look through, where they were 15,600 with these
-pictures read as they are; 689 are written, where they were 1,160.
+Bytes are those of the arrays that a stage reads, each once: what several of its tasks ask for comes from the disk
+cache, or is read again. `python -m benchmarks.bytes_moved SCAN` counts all that tasks ask for: of `fountain_p11`
+(draft) 3,369 bytes a splat, 1,276 of them parts of pictures of nearest points as they are unpacked and 430 points that
+all 11 cameras look through, where they were 15,600 with these pictures read as they are; 689 are written, where they
+were 1,160.
 
 What it does not know: a network store slower than a local disk (the bytes read and written are there to compare with
-one's own), scans whose patches take more or fewer atoms than those it was fitted to, ellipsoids, pictures, coarser levels (a third more of
-all from `splats` on, where a scan has them). A short piece of
-work like that of the stages (`pipeline/costs/probe.py`) tells how fast a machine is beside the one that the costs were measured on;
-`plan` scales seconds by that, this page and `--as-measured` do not.
+one's own), scans whose patches take more or fewer atoms than those it was fitted to, ellipsoids, pictures, coarser
+levels (a third more of all from `splats` on, where a scan has them). A short piece of
+work like that of the stages (`pipeline/costs/probe.py`) tells how fast a machine is beside the one that the costs were
+measured on; `plan` scales seconds by that, this page and `--as-measured` do not.
 
 ## What is done about size
 
-- **Reading and ordering are dealt out.** A task reads a slice of the file: rows of a binary PLY, points of a LAS, chunks of a
-  LAZ, packets of an E57, a COLMAP workspace with its visibility lists (`read_slice` of a scan). Points are counted per cell of a
-  grid, cells are merged to leaves of about a million points, every task deals out its part of the file to them, and every
-  leaf is split by itself (`pipeline/geometry/leaves.py`); the order is one, whatever the number of tasks. What is read from its start
-  alone is one task: a text PLY and what lies in a .zip.
-- **Memory of a worker does not grow with the scan.** A task holds a block of 16,384 splats, a slice or a leaf; a leaf that one
-  place fills with more than fits is split on disk (`stages/points/split_on_disk.py`); sums of a dictionary are as large as the dictionary, lie in its principal components (64 to
-  1,024 values an atom, not 3,072), and are merged 4,096 atoms at a time, so that 65,536 atoms learn within 4 GiB.
+- **Reading and ordering are dealt out.** A task reads a slice of the file: rows of a binary PLY, points of a LAS,
+  chunks of a LAZ, packets of an E57, a COLMAP workspace with its visibility lists (`read_slice` of a scan). Points are
+  counted per cell of a grid, cells are merged to leaves of about a million points, every task deals out its part of the
+  file to them, and every leaf is split by itself (`pipeline/geometry/leaves.py`); the order is one, whatever the number
+  of tasks. What is read from its start alone is one task: a text PLY and what lies in a .zip.
+- **Memory of a worker does not grow with the scan.** A task holds a block of 16,384 splats, a slice or a leaf; a leaf
+  that one place fills with more than fits is split on disk (`stages/points/split_on_disk.py`); sums of a dictionary are
+  as large as the dictionary, lie in its principal components (64 to 1,024 values an atom, not 3,072), and are merged
+  4,096 atoms at a time, so that 65,536 atoms learn within 4 GiB.
 - **Learning does not grow with the scan**: its training set is a number, not a share, and only its rows are read.
-- **The scheduler is kept ahead** by calls of up to 8 tasks where a stage has many (`pipeline/execution/executors.py`). Nothing is
-  scattered: a task opens what it reads; a process keeps the dictionary that it read last.
+- **The scheduler is kept ahead** by calls of up to 8 tasks where a stage has many (`pipeline/execution/executors.py`).
+  Nothing is scattered: a task opens what it reads; a process keeps the dictionary that it read last.
 - **What one process does alone** is what ends scaling first: results are gathered, and stages begun and ended, by one.
 """
 
 
 def document() -> str:
     """The text of docs/SCALE.md."""
-    fitted = "; ".join(json.loads(COSTS.read_text())["fitted_to"])
+    rows = json.loads(COSTS.read_text())["fitted_to"]
+    fitted = "\n".join(fill(row, 120, initial_indent="- ", subsequent_indent="  ") for row in rows)
     parts = [_HEAD.format(fitted=fitted)]
     for title, splats, workers in (
         ("71 million splats, as the paper's scan", 71_000_000, 24),
