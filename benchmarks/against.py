@@ -2,10 +2,10 @@
 
     python -m benchmarks.against OLD_TREE SCAN... [--pairs 3] [--workers 2] [--options "--levels 1"]
 
-OLD_TREE is a checkout (`git worktree add OLD_TREE COMMIT`) that runs with this Python. `--options` are the newer's alone: what it has
-by default and the older lacks can be turned off. `--reading` prints only stages that read points and put them in order. Seconds
-are wall seconds of stages as their work folders say, processor seconds those of tasks, with what a process takes to
-load its kernels.
+OLD_TREE is a checkout (`git worktree add OLD_TREE COMMIT`) that runs with this Python. `--options` are the newer's
+alone: what it has by default and the older lacks can be turned off. `--reading` prints only stages that read points and
+put them in order. Seconds are wall seconds of stages as their work folders say, processor seconds those of tasks, with
+what a process takes to load its kernels.
 """
 
 from __future__ import annotations

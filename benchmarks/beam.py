@@ -2,10 +2,11 @@
 
     python -m benchmarks.beam WORK_FOLDER [--pursuits omp 2x2 ...] [--patches 8192] [--write] [--json]
 
-The folder is one of `splatpress compress --work` with the default coder. Patches are taken from all of the scan, and coded with the last
-dictionary of the folder at the multiplier of its encoding and four times as low and high, so that each pursuit is compared with
-OMP at equal bytes of codes. Microseconds are a thread's, the least of the rounds, taken in turns; `--write` puts the fit of
-what OMP does not take into pipeline/costs/costs.json, as two costs of the stage `encode`.
+The folder is one of `splatpress compress --work` with the default coder. Patches are taken from all of the scan, and
+coded with the last dictionary of the folder at the multiplier of its encoding and four times as low and high, so that
+each pursuit is compared with OMP at equal bytes of codes. Microseconds are a thread's, the least of the rounds, taken
+in turns; `--write` puts the fit of what OMP does not take into pipeline/costs/costs.json, as two costs of the stage
+`encode`.
 """
 
 from __future__ import annotations

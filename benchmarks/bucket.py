@@ -2,10 +2,10 @@
 
     python -m benchmarks.bucket SCAN [--pairs 3] [--preset draft] [--cache-bytes N] [--json]
 
-Each worker stands in a network namespace of its own, with a cable to the scheduler and the server of objects (moto's, one
-process), and sees of this machine's data folder an empty one; where namespaces are not permitted it has folders of its own
-alone, and the answer says so. Command and job alternate, each job on a new prefix. Seconds of the command count from its
-start to its end, of the job from its submission to its end. The server takes processor time of the same cores.
+Each worker stands in a network namespace of its own, with a cable to the scheduler and the server of objects (moto's,
+one process), and sees of this machine's data folder an empty one; where namespaces are not permitted it has folders of
+its own alone, and the answer says so. Command and job alternate, each job on a new prefix. Seconds of the command count
+from its start to its end, of the job from its submission to its end. The server takes processor time of the same cores.
 """
 
 from __future__ import annotations

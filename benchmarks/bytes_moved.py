@@ -2,9 +2,9 @@
 
     python -m benchmarks.bytes_moved SCAN [--preset draft] [--keep] [--json]
 
-A job in this process without pictures; with --keep as with a kept work folder, patches stored. A window of a photograph counts as
-the pixels in it, a row as its bytes, as often as it is asked for, whatever the disk cache has of them; pictures of nearest points as
-they are unpacked.
+A job in this process without pictures; with --keep as with a kept work folder, patches stored. A window of a photograph
+counts as the pixels in it, a row as its bytes, as often as it is asked for, whatever the disk cache has of them;
+pictures of nearest points as they are unpacked.
 """
 
 from __future__ import annotations

@@ -1,10 +1,12 @@
-"""Runs or boxes for a scene with photographs, at as many bytes of the whole file: PSNR against the photograph in every view.
+"""Runs or boxes for a scene with photographs, at as many bytes of the whole file: PSNR against the photograph in every
+view.
 
     python -m benchmarks.geometries SCAN [--preset balanced] [--density D] [--work FOLDER] [--json]
 
-The scan is compressed with `--geometry runs`, then in boxes two ways that make the file as large: all of its points at a lower target of
-textures, and fewer points (`--density`) at the same target; each is searched until its bytes are within TOLERANCE of those of runs. Pixels
-that any of the files covers are compared; one that a file leaves bare counts as black.
+The scan is compressed with `--geometry runs`, then in boxes two ways that make the file as large: all of its points at
+a lower target of textures, and fewer points (`--density`) at the same target; each is searched until its bytes are
+within TOLERANCE of those of runs. Pixels that any of the files covers are compared; one that a file leaves bare counts
+as black.
 """
 
 from __future__ import annotations
@@ -88,7 +90,8 @@ def _files(made: _Made, density: float) -> dict[str, tuple[Path, dict]]:
 
 
 def _searched(make: Callable[[float], tuple[Path, dict]], wanted: int, near: float, high: float) -> tuple[Path, dict]:
-    """What `make` makes of a number with as many bytes as `wanted`, found by secants from `high`, which makes more, and `near`."""
+    """What `make` makes of a number with as many bytes as `wanted`, found by secants from `high`, which makes more, and
+    `near`."""
     tried = []
     for x in (high, near):
         made = make(x)

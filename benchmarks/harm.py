@@ -2,9 +2,10 @@
 
     python benchmarks/harm.py [--n 10000] [--seed 0] [--workers 2] [--worst 20]
 
-Each mutant is a small made file (or a packed file) with bytes flipped, cut, doubled, swapped, zeroed, or with a number made huge. `check` and, for
-photographs, decoding run on it in a process of their own. It must end within SECONDS and MEMORY_BYTES with exit 0, 3 or 5, with at
-most one line of error, and leave no file behind. Prints what did not, and the worst in time and memory.
+Each mutant is a small made file (or a packed file) with bytes flipped, cut, doubled, swapped, zeroed, or with a number
+made huge. `check` and, for photographs, decoding run on it in a process of their own. It must end within SECONDS and
+MEMORY_BYTES with exit 0, 3 or 5, with at most one line of error, and leave no file behind. Prints what did not, and the
+worst in time and memory.
 """
 
 from __future__ import annotations
@@ -211,7 +212,8 @@ def answer(path: str) -> tuple[int, str]:
 
 
 def serve() -> None:
-    """Answer the paths on stdin, so that imports are paid for once; a mutant that ends this process is seen by its parent."""
+    """Answer the paths on stdin, so that imports are paid for once; a mutant that ends this process is seen by its
+    parent."""
     from pipeline.execution.task import peak_rss_bytes
 
     for line in sys.stdin:

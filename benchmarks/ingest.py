@@ -1,9 +1,10 @@
-"""Large LAZ and E57 files read by all workers: wall and processor seconds of the stage `ingest`, with one worker and more.
+"""Large LAZ and E57 files read by all workers: wall and processor seconds of the stage `ingest`, with one worker and
+more.
 
     python -m benchmarks.ingest SCAN.laz FOLDER [--points 50000000] [--workers 1 2] [--formats laz e57]
 
-SCAN's points are taken again and again, moved and jittered, until there are so many; FOLDER takes the files (about 6 and 27 bytes a
-point), which go at the end, and the stage's arrays.
+SCAN's points are taken again and again, moved and jittered, until there are so many; FOLDER takes the files (about 6
+and 27 bytes a point), which go at the end, and the stage's arrays.
 """
 
 from __future__ import annotations

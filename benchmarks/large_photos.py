@@ -1,8 +1,8 @@
 """More photographs than memory holds: `python -m benchmarks.large_photos FOLDER [--side 21] [--size 3680x2456]`.
 
-Makes a COLMAP workspace of side^2 procedural JPEGs of a wall (441 of 9 megapixels: 11.9 GB raw), compresses it with pages by all workers, flies a
-path in a pool of 256 MiB, and reads pages as loaders do; each in a process of its own, whose peak memory is told. FOLDER takes
-about 20 GB, and is left for another look: delete it.
+Makes a COLMAP workspace of side^2 procedural JPEGs of a wall (441 of 9 megapixels: 11.9 GB raw), compresses it with
+pages by all workers, flies a path in a pool of 256 MiB, and reads pages as loaders do; each in a process of its own,
+whose peak memory is told. FOLDER takes about 20 GB, and is left for another look: delete it.
 """
 
 from __future__ import annotations
@@ -82,7 +82,8 @@ def make_scan(path: Path, side: int, size: tuple[int, int], n_workers: int) -> N
 
 
 def told(name: str, *arguments: str) -> None:
-    """Run a command of splatpress in a process of its own, and tell what it took. Its peak is no less than this process's own memory."""
+    """Run a command of splatpress in a process of its own, and tell what it took. Its peak is no less than this
+    process's own memory."""
     begun = time.monotonic()
     child = subprocess.Popen([sys.executable, "-m", "services.cli.main", *arguments])
     _, status, used = os.wait4(child.pid, 0)

@@ -2,9 +2,10 @@
 
     python -m benchmarks.levels PACKED [--views 4] [--size 640] [--json]
 
-Orbit views from as far as the median radius of a level's splats is a pixel, drawn as the renderer chooses (each group by its own size, two
-pixels wide at most: `chosen`), and that level alone, whose larger splats are then more than two pixels wide. PSNR and SSIM are of the pixels
-that both cover; `more` and `fewer` are the shares of the finest level's pixels that are covered beside them, and that are not.
+Orbit views from as far as the median radius of a level's splats is a pixel, drawn as the renderer chooses (each group
+by its own size, two pixels wide at most: `chosen`), and that level alone, whose larger splats are then more than two
+pixels wide. PSNR and SSIM are of the pixels that both cover; `more` and `fewer` are the shares of the finest level's
+pixels that are covered beside them, and that are not.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Smooth closed surfaces sampled as scanners and meshes do it, for `benchmarks/runs.py`: nobody tuned anything on them.
 
-`torus` and `bust` (a head on shoulders: a smooth union of balls and a neck) are implicit surfaces. They are sampled `even`, by random points pushed
-apart until they are spread like a scan that was resampled; `grid`, by depth pictures of six directions with noise along the view, each point
-kept where no picture before it has one as near; and `mesh`, the vertices of marching cubes.
+`torus` and `bust` (a head on shoulders: a smooth union of balls and a neck) are implicit surfaces. They are sampled
+`even`, by random points pushed apart until they are spread like a scan that was resampled; `grid`, by depth pictures of
+six directions with noise along the view, each point kept where no picture before it has one as near; and `mesh`, the
+vertices of marching cubes.
 """
 
 from __future__ import annotations

@@ -2,9 +2,10 @@
 
     python -m benchmarks.order_recursive SCAN [--atoms 256 4096] [--counts 2 4 8] [--patches 8192] [--rounds 5] [--json]
 
-Whole patches of 3,072 values, exact weights, no cut-off; a dictionary that is learned, and one of patches as atoms. In turns in one
-process; times are processor microseconds of all threads a patch, medians of the rounds; what depends on the dictionary alone is made
-before on both sides, but what SPAMS makes inside. Of 4,096 atoms a quarter of the patches is coded.
+Whole patches of 3,072 values, exact weights, no cut-off; a dictionary that is learned, and one of patches as atoms. In
+turns in one process; times are processor microseconds of all threads a patch, medians of the rounds; what depends on
+the dictionary alone is made before on both sides, but what SPAMS makes inside. Of 4,096 atoms a quarter of the patches
+is coded.
 """
 
 from __future__ import annotations

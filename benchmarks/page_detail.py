@@ -1,9 +1,10 @@
 """What pages show beyond atoms, by how wide splats are: `python -m benchmarks.page_detail WORK PACKED [PACKED ...]`.
 
-WORK holds the stages of all files (`compress --work`), of one scan at several densities. Each photograph's middle is drawn from where it was
-taken, 1, 2 and 4 times as large: with atoms alone, and with the pages of the photographs, all of them there. Compared with the
-photograph, where it is covered: PSNR, and the detail that a Gaussian of 2 px takes out, as the share of the photograph's energy
-and its correlation with the photograph's. Means over photographs; `width` is the measure of the effect `pages`.
+WORK holds the stages of all files (`compress --work`), of one scan at several densities. Each photograph's middle is
+drawn from where it was taken, 1, 2 and 4 times as large: with atoms alone, and with the pages of the photographs, all
+of them there. Compared with the photograph, where it is covered: PSNR, and the detail that a Gaussian of 2 px takes
+out, as the share of the photograph's energy and its correlation with the photograph's. Means over photographs; `width`
+is the measure of the effect `pages`.
 """
 
 from __future__ import annotations

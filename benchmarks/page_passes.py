@@ -1,8 +1,8 @@
 """What pages, feedback, ellipsoids and prediction cost a frame, pass by pass (2020, Figure 8):
 `python -m benchmarks.page_passes PAGES PACKED [PACKED ...]`, files of one scan, as with discs and with ellipsoids.
 
-All variants in turns, in one run, with all pages there; medians of ROUNDS. `predicted` is the frame of a flight: the margin's fragments
-ask for pages too, and the small pictures of places are drawn on the CPU (`poses`).
+All variants in turns, in one run, with all pages there; medians of ROUNDS. `predicted` is the frame of a flight: the
+margin's fragments ask for pages too, and the small pictures of places are drawn on the CPU (`poses`).
 """
 
 from __future__ import annotations

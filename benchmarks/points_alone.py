@@ -26,7 +26,8 @@ from storage.work import arrays, work
 
 
 def stages_of(scan: Path, folder: Path) -> tuple[Stage, Stage, int]:
-    """Both stages as `scan` has them, and its splats; the noise is that of the planes of a half radius of tolerance at most."""
+    """Both stages as `scan` has them, and its splats; the noise is that of the planes of a half radius of tolerance at
+    most."""
     command = [sys.executable, "-m", "services.cli.main", "compress", str(scan), "--effect", "ellipsoids=on"]
     options = ["--no-render", "--executor", "serial", "--work", str(folder / "work"), "--out", str(folder / "out")]
     subprocess.run([*command, *options], check=True, capture_output=True)

@@ -2,8 +2,9 @@
 
     python -m benchmarks.pool PACKED [--mib 64] [--away 1,4,16] [--size 1280x720]
 
-Four views around the scan from so many times the distance at which it fills the picture: PSNR of the pool's picture to the whole file's by
-the same detail, MiB in the pool, groups read so far, and processor seconds of drawing (the finest level, the whole file, the pool once it rests).
+Four views around the scan from so many times the distance at which it fills the picture: PSNR of the pool's picture to
+the whole file's by the same detail, MiB in the pool, groups read so far, and processor seconds of drawing (the finest
+level, the whole file, the pool once it rests).
 """
 
 from __future__ import annotations

@@ -2,8 +2,9 @@
 
     python -m benchmarks.readers OLD_TREE SCAN... [--pairs 5] [--seconds 2]
 
-OLD_TREE is a checkout (`git worktree add OLD_TREE COMMIT`) that runs with this Python. Each reading is a process of its own, its
-children counted; it reads a scan once, or once and many times more, and the difference is what a reading takes without imports.
+OLD_TREE is a checkout (`git worktree add OLD_TREE COMMIT`) that runs with this Python. Each reading is a process of its
+own, its children counted; it reads a scan once, or once and many times more, and the difference is what a reading takes
+without imports.
 """
 
 from __future__ import annotations

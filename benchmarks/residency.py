@@ -1,7 +1,8 @@
-"""The residency manager on random paths: `python -m benchmarks.residency [N] [--from SEED] [--workers W]`, by default 10,000.
+"""The residency manager on random paths: `python -m benchmarks.residency [N] [--from SEED] [--workers W]`, by default
+10,000.
 
-Every path is walked by the default policy, every tenth by the published one too; whatever does not hold is printed with its seed
-(tests/renderer/residency/random_paths.py says what must). Exits 1 where anything did not.
+Every path is walked by the default policy, every tenth by the published one too; whatever does not hold is printed with
+its seed (tests/renderer/residency/random_paths.py says what must). Exits 1 where anything did not.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Whether two checkouts of the program make the same of a scan, and how much longer one takes: for changes that move code and are to
-change no byte.
+"""Whether two checkouts of the program make the same of a scan, and how much longer one takes: for changes that move
+code and are to change no byte.
 
     python -m benchmarks.same_bytes OLD NEW SCAN... [--preset draft --preset balanced] [--pairs 1]
 
-OLD and NEW are folders with the code. Each scan is compressed by either in turn, one task after the other, with each preset; a row
-says whether the packed files, the previews and the reports without their times are equal, and what NEW took of a processor, its start
-included, for 1 s of OLD: the median over the pairs.
+OLD and NEW are folders with the code. Each scan is compressed by either in turn, one task after the other, with each
+preset; a row says whether the packed files, the previews and the reports without their times are equal, and what NEW
+took of a processor, its start included, for 1 s of OLD: the median over the pairs.
 """
 
 from __future__ import annotations

@@ -8,9 +8,10 @@ overhead: the same scan by the command and by a job, alternately; each time with
 that no job finds its stages done. Seconds of the command count from its start to its end, of the job from its
 submission to its end; the ratio is the median over the pairs. The embedded service and the command have as many
 workers. storm: that many jobs on one small scan, all submitted at once, each with another seed; meanwhile the API is
-asked for the list of jobs, for one of them and for its log, in turn, every 50 ms. viewers: that many load one packed file at once,
-each as the page does (the page, its script, its shaders, the end of the file, its beginning, then ranges of 512 kB), on a connection of its
-own, `ROUNDS` times, in a process of their own; the API is asked meanwhile as above. Processor seconds of both sides are told: they share this machine.
+asked for the list of jobs, for one of them and for its log, in turn, every 50 ms. viewers: that many load one packed
+file at once, each as the page does (the page, its script, its shaders, the end of the file, its beginning, then ranges
+of 512 kB), on a connection of its own, `ROUNDS` times, in a process of their own; the API is asked meanwhile as above.
+Processor seconds of both sides are told: they share this machine.
 """
 
 from __future__ import annotations

@@ -1,15 +1,16 @@
-"""What station maps show at fewer points: pictures of a tenth and a hundredth of a laser scan's points, with one colour a splat and with the
-maps in the file, against pictures of all points; and how long frames take.
+"""What station maps show at fewer points: pictures of a tenth and a hundredth of a laser scan's points, with one colour
+a splat and with the maps in the file, against pictures of all points; and how long frames take.
 
     python -m benchmarks.station_maps SCAN [--station x,y,z] [--shares 0.1 0.01] [--preset balanced] [--json]
 
-Views: two near the first station, 2 and 20 % of the distance that it looks off it, in the directions in which all points cover most; and
-each of them away, 50 degrees to the left and right about what it looks at; one far, where all points are 200 px large. PSNR and SSIM
-where both cover. Spill: pixels covered that all points leave open, of those that these cover. Missing: the other way round. Frames, the
-seconds of their passes, are timed in turns with those of all points; the ratio is the median over the rounds.
+Views: two near the first station, 2 and 20 % of the distance that it looks off it, in the directions in which all
+points cover most; and each of them away, 50 degrees to the left and right about what it looks at; one far, where all
+points are 200 px large. PSNR and SSIM where both cover. Spill: pixels covered that all points leave open, of those that
+these cover. Missing: the other way round. Frames, the seconds of their passes, are timed in turns with those of all
+points; the ratio is the median over the rounds.
 
-Where photographs are known that the scan took no colours from, each is compared with its view of the files, on what all points cover and
-the file does too. Where it has several stations, each one's points are looked up in the others' maps.
+Where photographs are known that the scan took no colours from, each is compared with its view of the files, on what all
+points cover and the file does too. Where it has several stations, each one's points are looked up in the others' maps.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""A laser scan of several stations against photographs that made no colour of it, and against what its other stations saw."""
+"""A laser scan of several stations against photographs that made no colour of it, and against what its other stations
+saw."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ from services.flow.run import Run
 from storage.packed.schema import Camera
 from storage.work import arrays, work
 
-# Scans made of a scene of photographs by a virtual scanner: the workspace beside them, and photographs that it did not take colours from.
+# Scans made of a scene of photographs by a virtual scanner: the workspace beside them, and photographs that it did not
+# take colours from.
 HELD_OUT = {"fountain_3stations.e57": ("../fountain_p11", ("0003.jpg", "0007.jpg"))}
 WIDTH_PX = 768
 WRONG_LEVELS = 40  # of 255, of the channel that is off most

@@ -1,10 +1,12 @@
-"""The viewer on a large file with a budget, in Chromium without a graphics card: `python -m benchmarks.viewer PACKED [--budget 500000]`.
+"""The viewer on a large file with a budget, in Chromium without a graphics card: `python -m benchmarks.viewer PACKED
+[--budget 500000]`.
 
-Opens the file, waits until all that is wanted has come, and flies over it from one side to the other, `--steps` frames in all.
-Says when the first picture was there and after how many bytes, the time of frames at rest and in flight, most splats at once,
-GPU memory (the textures), the page's JavaScript heap, holes (pixels that the picture at rest covers and the one in flight
-does not); how long the view of the whole takes to settle, between which frames of the browser, and the PSNR of its picture before and after
-to the product's own of all splats of the finest level. `--mesa` draws by the product's own driver, else SwiftShader does.
+Opens the file, waits until all that is wanted has come, and flies over it from one side to the other, `--steps` frames
+in all. Says when the first picture was there and after how many bytes, the time of frames at rest and in flight, most
+splats at once, GPU memory (the textures), the page's JavaScript heap, holes (pixels that the picture at rest covers and
+the one in flight does not); how long the view of the whole takes to settle, between which frames of the browser, and
+the PSNR of its picture before and after to the product's own of all splats of the finest level. `--mesa` draws by the
+product's own driver, else SwiftShader does.
 """
 
 from __future__ import annotations

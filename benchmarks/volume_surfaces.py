@@ -2,9 +2,10 @@
 
     python -m benchmarks.volume_surfaces VOLUME.nrrd=60 [...] [--pictures FOLDER] [--json]
 
-Each is compressed (`draft`) in boxes and in runs. Distances are in voxels, from each splat as packed to points on the triangles
-of marching cubes (scikit-image), which lie about .2 apart, and from their corners to the nearest splat. Pictures have the surface in
-boxes, in runs, and marching cubes' triangles as a cloud of points under the same lamp, by a depth buffer of their own.
+Each is compressed (`draft`) in boxes and in runs. Distances are in voxels, from each splat as packed to points on the
+triangles of marching cubes (scikit-image), which lie about .2 apart, and from their corners to the nearest splat.
+Pictures have the surface in boxes, in runs, and marching cubes' triangles as a cloud of points under the same lamp, by
+a depth buffer of their own.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
     python -m benchmarks.wrong_calls
 
 The calls and files are those of the tests (tests/services/cli/test_wrong_calls.py, test_wrong_files.py), which hold
-their exit codes and words; printed from the slowest on: seconds of a processor, which other programs lengthen little, and
-seconds from its start to its end.
+their exit codes and words; printed from the slowest on: seconds of a processor, which other programs lengthen little,
+and seconds from its start to its end.
 """
 
 import resource
@@ -24,8 +24,8 @@ def processor_seconds() -> float:
 
 
 def seconds(arguments: list[str], expected: int) -> tuple[float, float]:
-    """Seconds of a processor and of the clock that `splatpress ARGUMENTS` takes; raises ValueError where it ends otherwise
-    than with `expected`."""
+    """Seconds of a processor and of the clock that `splatpress ARGUMENTS` takes; raises ValueError where it ends
+    otherwise than with `expected`."""
     start, used = time.perf_counter(), processor_seconds()
     ended = subprocess.run([sys.executable, "-m", "services.cli.main", *arguments], capture_output=True, text=True)
     taken = processor_seconds() - used, time.perf_counter() - start

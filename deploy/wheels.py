@@ -1,4 +1,5 @@
-"""Which wheels the locked packages have, a line each, for CPython 3.11 to 3.14 on Linux; reads a pylock.toml from stdin.
+"""Which wheels the locked packages have, a line each, for CPython 3.11 to 3.14 on Linux; reads a pylock.toml from
+stdin.
 
 `make lock` keeps what this prints as wheels.txt, and a test holds it against the lock file: no network in tests.
 """

@@ -42,7 +42,8 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True)
 class StageEntry:
-    """A row. `share` is of a whole job's time in percent: fountain_p11, 329,992 points, preset balanced, two workers."""
+    """A row. `share` is of a whole job's time in percent: fountain_p11, 329,992 points, preset balanced, two
+    workers."""
 
     name: str
     file: str  # below pipeline/

@@ -51,8 +51,8 @@ class ScanSource:
         None  # points first..stop; None: only from the start
     )
     slice_rows: int = 1  # slices that begin at multiples of it read nothing twice
-    # What was decided from a sample is checked against all points: the scan as the Looks of all pieces have it, None where
-    # that is as it is. None itself where nothing was decided from a sample.
+    # What was decided from a sample is checked against all points: the scan as the Looks of all pieces have it, None
+    # where that is as it is. None itself where nothing was decided from a sample.
     settle: Callable[[Looks], ScanSource | None] | None = None
     unit: str = "unknown"  # "metre", "foot", "US survey foot", "unknown", ...
     cameras: tuple[Camera, ...] = ()

@@ -14,8 +14,8 @@ from pipeline.effects.plan.registry import effects
 from pipeline.geometry.chunks import median_split
 from storage.packed.schema import CHUNK
 
-# A worker that is asked to end while it tells the scheduler that it lives says so by a stack trace; what else becomes of a
-# lost scheduler is told by other lines.
+# A worker that is asked to end while it tells the scheduler that it lives says so by a stack trace; what else becomes
+# of a lost scheduler is told by other lines.
 logging.getLogger("distributed.worker").addFilter(lambda record: "during heartbeat" not in record.getMessage())
 
 for module in pkgutil.walk_packages(pipeline.stages.__path__, "pipeline.stages."):

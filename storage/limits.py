@@ -1,4 +1,5 @@
-"""Sizes and limits of the packed file that knobs have too: the command line knows them before numpy could be imported."""
+"""Sizes and limits of the packed file that knobs have too: the command line knows them before numpy could be
+imported."""
 
 from __future__ import annotations
 

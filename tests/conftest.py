@@ -37,8 +37,8 @@ def renderer():
 
 @pytest.fixture(scope="session", autouse=True)
 def work_folders_are_of_their_table():
-    """Every stage that a test completes in this process has arrays of the table alone; equal sets of names are looked at
-    once."""
+    """Every stage that a test completes in this process has arrays of the table alone; equal sets of names are looked
+    at once."""
     complete, table, known = work.complete, work_arrays(), set()
 
     def checked(folder, *told):

@@ -1,4 +1,5 @@
-"""A decoder and a renderer of packed files made from docs/FORMAT.md alone: numpy, zarr and Pillow, nothing of the product.
+"""A decoder and a renderer of packed files made from docs/FORMAT.md alone: numpy, zarr and Pillow, nothing of the
+product.
 
 What this file needs and the page lacks is a mistake of the page. Slow: one splat after the other, in float64.
 """
@@ -416,7 +417,8 @@ SECOND = 2.0**40  # what depths of the second tier are times, to lie behind all 
 
 
 def map_tiers(packed: Packed, view: View, splat: Decoded, found: Fragments) -> tuple[np.ndarray, np.ndarray]:
-    """What depths of fragments are times, infinite where the map leaves them free, and their colours (m, 3) in linear light."""
+    """What depths of fragments are times, infinite where the map leaves them free, and their colours (m, 3) in linear
+    light."""
     color = packed.patch_color(splat, found.place, found.area_px)
     tier = np.ones(len(color))
     z = (view.rotation @ (splat.position - view.centre))[2]

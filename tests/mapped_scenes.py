@@ -1,4 +1,5 @@
-"""Tiny scenes textured from the map of a station that looks at a wall, of which it saw a part: void, and a post before it."""
+"""Tiny scenes textured from the map of a station that looks at a wall, of which it saw a part: void, and a post before
+it."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ STATION = np.array([0.1, -1.0, 0.15])
 
 
 def wall_map(station: np.ndarray = STATION, height: int = 160) -> StationMap:
-    """What a station before the plane y = 0 saw of it: its part |x| < 0.4, z > -0.3, in waves of colour, with a post before it."""
+    """What a station before the plane y = 0 saw of it: its part |x| < 0.4, z > -0.3, in waves of colour, with a post
+    before it."""
     projection = PolarCapped(tuple(station), height)
     column, row = np.meshgrid(np.arange(6 * height) + 0.5, np.arange(height) + 0.5)
     ray = projection.unproject(np.stack([column.ravel(), row.ravel()], axis=1), np.ones(6 * height**2)) - station
@@ -42,7 +44,8 @@ def moved(station_map: StationMap, by) -> StationMap:
 
 
 def with_maps(scene: PackedScene, *maps: StationMap, station: np.ndarray | None = None) -> PackedScene:
-    """A scene without a dictionary whose splats have maps, each splat that of its `station`, the first where not said."""
+    """A scene without a dictionary whose splats have maps, each splat that of its `station`, the first where not
+    said."""
     made = [encode_map(m, ALL_LEVELS, 40.0) for m in maps]
     station = np.zeros(scene.header.n_splats, int) if station is None else station
     arrays = {

@@ -164,7 +164,8 @@ def write_arrays(header: Header, arrays: dict[str, np.ndarray], path: Path) -> P
 
 
 def fill_folder(header: Header, arrays: dict[str, np.ndarray], folder: Path, edit=None) -> None:
-    """As stages do it, a group after the other; `edit` may change what the table of groups will say (a list of WrittenGroup)."""
+    """As stages do it, a group after the other; `edit` may change what the table of groups will say (a list of
+    WrittenGroup)."""
     begin_packed(folder, header)
     stored = [array for array in (*arrays_of(header), *DECODED) if array.name in arrays]
     for array in stored:
@@ -273,7 +274,8 @@ def _runs(case: Case, header: Header) -> dict[str, np.ndarray]:
 
 
 def _quadrics(case: Case, header: Header, batch_count: np.ndarray) -> dict[str, np.ndarray]:
-    """Any frames, and any numbers in them, sorted in each batch and packed bit by bit: the highest in unary, the others a field each."""
+    """Any frames, and any numbers in them, sorted in each batch and packed bit by bit: the highest in unary, the others
+    a field each."""
     c, n_batches = header.n_chunks, len(header.batches)
     bits = 16 + noise(c, 31, 32)
     normals = np.where(bits > 32, 256, noise(c, 36, 256) + 1)

@@ -1,4 +1,5 @@
-"""A slow float64 twin of the pursuit with a beam, written to be read: no Gram matrix, no recursion, all atoms of every support."""
+"""A slow float64 twin of the pursuit with a beam, written to be read: no Gram matrix, no recursion, all atoms of every
+support."""
 
 from __future__ import annotations
 
@@ -54,7 +55,8 @@ def left(patch, atoms, weight) -> float:
 
 
 def settled(patch, atoms, weight, levels):
-    """Each weight at the nearest level of its rank; then twice each in turn at the level that leaves least, given the others."""
+    """Each weight at the nearest level of its rank; then twice each in turn at the level that leaves least, given the
+    others."""
     weight = np.array([row[np.abs(row - w).argmin()] for w, row in zip(weight, levels)])
     for _ in range(2):
         for j, row in enumerate(levels[: len(weight)]):

@@ -16,7 +16,8 @@ CELL = 0.06
 
 
 def on_runs(scene: PackedScene, axis: int = 0) -> PackedScene:
-    """The splats of a scene of boxes, moved one by one to the cells of a wavy sheet and turned along it; everything else stays."""
+    """The splats of a scene of boxes, moved one by one to the cells of a wavy sheet and turned along it; everything
+    else stays."""
     n = scene.header.n_splats
     side = int(np.ceil(np.sqrt(n)))
     column, row = np.divmod(np.arange(n), side)

@@ -1,4 +1,5 @@
-"""The lock file: what it pins has wheels on every Python and processor that README names, told from its own wheel list."""
+"""The lock file: what it pins has wheels on every Python and processor that README names, told from its own wheel
+list."""
 
 import re
 from pathlib import Path

@@ -1,7 +1,7 @@
 """What a camera is to all that looks at pictures: a way from points to pixels and back, and how much a pixel sees.
 
-A photograph is a pinhole (`pinhole.py`), a laser station's map the whole sphere (`polar_capped.py`). Pixel (0.5, 0.5) is
-the centre of the first pixel of both, columns first.
+A photograph is a pinhole (`pinhole.py`), a laser station's map the whole sphere (`polar_capped.py`). Pixel (0.5, 0.5)
+is the centre of the first pixel of both, columns first.
 """
 
 from __future__ import annotations

@@ -4,7 +4,8 @@
     columns H .. 2H    top cap, elevation above +45 degrees
     columns 2H .. 6H   band, azimuth along the columns from 0 on, elevation along the rows (plate carree)
 
-A map is H = `height_px` rows high and 6H columns wide; its step is pi / 2H radians in all charts. With rho = hypot(x, y):
+A map is H = `height_px` rows high and 6H columns wide; its step is pi / 2H radians in all charts. With rho = hypot(x,
+y):
 
     caps   r = 2/pi atan2(rho, |z|)    column = H (x r/rho + 1/2 [bottom] or + 3/2 [top])   row = H (y r/rho + 1/2)
     band   column = H (4 frac(theta / 2 pi) + 2)                                            row = H (2 psi/pi + 1/2)

@@ -23,7 +23,8 @@ SKETCH_ROUNDING = 1e-3  # of what they leave of a unit atom: products of two of 
 
 
 def distinct_directions(candidates: np.ndarray, taken: np.ndarray, n_wanted: int) -> np.ndarray:
-    """The first `n_wanted` candidates (n, d), normalised, each less coherent than MOST_COHERENCE with `taken` and with those before it."""
+    """The first `n_wanted` candidates (n, d), normalised, each less coherent than MOST_COHERENCE with `taken` and with
+    those before it."""
     chosen = np.empty((len(taken) + n_wanted, candidates.shape[1]), np.float32)
     chosen[: len(taken)] = taken
     others, n_chosen = [_sketched(chosen[: len(taken)])], len(taken)

@@ -1,4 +1,5 @@
-"""Patches as coefficients of what atoms of s x s texels can show on them, and atoms in the eight symmetries of the square (D4).
+"""Patches as coefficients of what atoms of s x s texels can show on them, and atoms in the eight symmetries of the
+square (D4).
 
 An atom of fewer texels than a patch is shown by bilinear interpolation, as a GPU magnifies it. What s x s texels show
 along one axis is spanned by s orthonormal columns, here taken in the order of their frequency: the cosines of the DCT
@@ -77,7 +78,8 @@ def in_all_symmetries(atoms: np.ndarray, size: int) -> np.ndarray:
 
 
 def summed_back(rows: np.ndarray, size: int) -> np.ndarray:
-    """The transpose of `in_all_symmetries`: rows (8 k, 3 size^2), each in the inverse of its symmetry and added up, (k, 3 size^2)."""
+    """The transpose of `in_all_symmetries`: rows (8 k, 3 size^2), each in the inverse of its symmetry and added up, (k,
+    3 size^2)."""
     by_turn = rows.reshape(-1, SYMMETRIES, size, size, 3)
     total = sum(_turned_back(by_turn[:, turn], turn) for turn in range(SYMMETRIES))
     return total.reshape(len(by_turn), -1)  # type: ignore[union-attr]

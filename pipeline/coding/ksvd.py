@@ -56,7 +56,8 @@ class Sums:
 
 
 def initial_dictionary(patches: np.ndarray, n_atoms: int, seed: int) -> np.ndarray:
-    """A random choice of the patches themselves, normalised, no two of them coherent (`coherence`); (m, d) float32 with m <= n_atoms unit rows.
+    """A random choice of the patches themselves, normalised, no two of them coherent (`coherence`); (m, d) float32 with
+    m <= n_atoms unit rows.
 
     Fewer than `n_atoms` where there are fewer different patches.
     """
@@ -126,8 +127,8 @@ def updated_dictionary(
 ) -> tuple[np.ndarray, int]:
     """The dictionary after one update, and how many atoms were replaced. All atoms move from the same old ones.
 
-    With a `step` below 1 they go only that share of the way; without `replace_unused` only coherent atoms are replaced. `before`
-    is the dictionary (k, d) that this one came from: atoms go on in the direction that they came.
+    With a `step` below 1 they go only that share of the way; without `replace_unused` only coherent atoms are replaced.
+    `before` is the dictionary (k, d) that this one came from: atoms go on in the direction that they came.
 
     Guarantees: unit rows, float32; an atom hardly used, or coherent with an earlier one, becomes one of the worst
     represented patches; no two become the same.

@@ -30,8 +30,8 @@ class Pursuit(NamedTuple):
 
     codes: Codes
     weight_code: np.ndarray  # (n, r) int32, index into the weight levels of the rank; zeros where weights are exact
-    # (n, r + 1) float64: the squared norm of what is left with no atom, one, and so on; zeros beyond n_atoms. Of a beam, what
-    # the best support of as many atoms leaves, which need not be the first of the codes'.
+    # (n, r + 1) float64: the squared norm of what is left with no atom, one, and so on; zeros beyond n_atoms. Of a
+    # beam, what the best support of as many atoms leaves, which need not be the first of the codes'.
     path: np.ndarray
 
     @property
@@ -66,20 +66,23 @@ def sparse_encode(
     """Code each patch by at most `max_atoms` atoms; returns `(atom_index, weight, n_atoms)`.
 
     A patch is done when its squared residual norm is at most `tolerance` (one number, or one a patch; in the units of
-    the patches squared, as scikit-learn's `tol` and SPAMS' `eps`), or when a further atom would lower it by no more than
-    `multiplier`, the Lagrange multiplier of `error + multiplier * atoms`: one for all patches spends atoms where they mend most. With `weight_levels` every weight of rank j is one
-    of row j, chosen inside the loop: the next atom sees what the rounding left.
+    the patches squared, as scikit-learn's `tol` and SPAMS' `eps`), or when a further atom would lower it by no more
+    than `multiplier`, the Lagrange multiplier of `error + multiplier * atoms`: one for all patches spends atoms where
+    they mend most. With `weight_levels` every weight of rank j is one of row j, chosen inside the loop: the next atom
+    sees what the rounding left.
 
     `search` is how the atom of largest correlation is found: "exact" by all products; "certified" by short products
     that prove most atoms smaller, and products of full width with the few others: the same atoms, but where two
     correlations differ by less than float32's rounding; "approximate" by short products alone: an atom may be taken
     whose correlation is below the largest by the share of the patch (beyond 16,384 atoms, of the residual) outside the
-    components times those of both atoms, while weights stay those of the full patches. `n_threads` None takes all cores.
+    components times those of both atoms, while weights stay those of the full patches. `n_threads` None takes all
+    cores.
 
-    `pursuit` is which atom is the best: "omp", that of largest correlation with the residual; "ormp" (order-recursive, as
-    SPAMS' `omp`), the one that leaves least once all weights are fitted again; a beam "WxC" follows W supports at a
-    time, tries each with the C best atoms by that rule, and keeps those that leave least with their weights as they are quantised.
-    With levels, "ormp" alone is the worse: it does not see what rounding left. Beyond 16,384 atoms only "omp" takes short products.
+    `pursuit` is which atom is the best: "omp", that of largest correlation with the residual; "ormp" (order-recursive,
+    as SPAMS' `omp`), the one that leaves least once all weights are fitted again; a beam "WxC" follows W supports at a
+    time, tries each with the C best atoms by that rule, and keeps those that leave least with their weights as they are
+    quantised. With levels, "ormp" alone is the worse: it does not see what rounding left. Beyond 16,384 atoms only
+    "omp" takes short products.
 
     Guarantees: no atom twice in a support; the residual never rises with an atom; exact weights are the least squares
     of their support; scaling a patch (and its tolerance, by the square) scales its weights; the result of a patch

@@ -12,9 +12,9 @@ import numpy as np
 from pipeline.execution.compiled import FAST, kernel, part
 
 # A squared pivot below this says that the atom lies in the span of the support, as far as float32 can tell. The Gram
-# matrix is exact to 1e-7, so weights to 1e-7 / pivot: on differences of coherent atoms the residual norm was 5e-4 above the
-# least squares with pivots of 2e-4, and 2.4e-5 with 2e-3. On 4,000 patches of fountain_p11 with 8 of 256 atoms pivots
-# stay above 0.16.
+# matrix is exact to 1e-7, so weights to 1e-7 / pivot: on differences of coherent atoms the residual norm was 5e-4 above
+# the least squares with pivots of 2e-4, and 2.4e-5 with 2e-3. On 4,000 patches of fountain_p11 with 8 of 256 atoms
+# pivots stay above 0.16.
 SMALLEST_PIVOT = 2e-3
 # A correlation below this share of the patch's norm is float32 rounding of a GEMM over 3072 terms, not signal.
 SMALLEST_CORRELATION = 1e-6
@@ -270,12 +270,13 @@ def pursue(
 
     dictionary (k, d); initial (n, k): correlations of patches and atoms, no further off than spread (n,) times rest
     (k,), and made exact where that may decide, in place (not to `certify`, of atoms that are taken alone); gram (k / m,
-    k) of the first k / m atoms, all float32; quotients (m, m) int64, atom i being atom i mod (k / m) in symmetry i // (k / m):
-    <turn(a, t), turn(b, s)> = <a, turn(b, quotients[t, s])>, so ((0,),) where there is one symmetry. energy
-    (n,) float64: squared norms; tolerance (n,) float64: squared residual at which a patch is done; multiplier (Lagrange): by how much
-    more than that an atom must lower it; levels (r, w) float64, w = 0 for exact weights. Filled: atom (n, r) int32,
-    weight (n, r) float64, code (n, r) int32, n_atoms (n,) int32, path (n, r + 1) float64: the squared residual with no
-    atom, one, and so on. It never rises with an atom: one that would not lower it ends the pursuit.
+    k) of the first k / m atoms, all float32; quotients (m, m) int64, atom i being atom i mod (k / m) in symmetry i //
+    (k / m): <turn(a, t), turn(b, s)> = <a, turn(b, quotients[t, s])>, so ((0,),) where there is one symmetry. energy
+    (n,) float64: squared norms; tolerance (n,) float64: squared residual at which a patch is done; multiplier
+    (Lagrange): by how much more than that an atom must lower it; levels (r, w) float64, w = 0 for exact weights.
+    Filled: atom (n, r) int32, weight (n, r) float64, code (n, r) int32, n_atoms (n,) int32, path (n, r + 1) float64:
+    the squared residual with no atom, one, and so on. It never rises with an atom: one that would not lower it ends the
+    pursuit.
     """
     n, n_dictionary = initial.shape
     most = atom.shape[1]

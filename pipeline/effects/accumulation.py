@@ -18,7 +18,8 @@ OVERDRAWN = 16.0  # weight of a pixel from which 16-bit sums may be off by 1/255
 
 
 def overdraw(position: np.ndarray, radius: float | np.ndarray, every: int = EVERY) -> np.ndarray:
-    """The summed blending weights 1 - d^2 at the centres of every n-th splat; those about it count as large as itself."""
+    """The summed blending weights 1 - d^2 at the centres of every n-th splat; those about it count as large as
+    itself."""
     rows = np.arange(0, len(position), every)
     reach = np.broadcast_to(radius, len(position))
     at, other = pairs_within(position, rows, reach[rows])

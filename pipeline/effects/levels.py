@@ -1,6 +1,8 @@
-"""Coarser levels of the same splats: what a far view draws instead of them, where a scan has more than a picture has pixels.
+"""Coarser levels of the same splats: what a far view draws instead of them, where a scan has more than a picture has
+pixels.
 
-Levels are made before splats are (services/flow/prepare.py), for these are splats like others; here stands what decides.
+Levels are made before splats are (services/flow/prepare.py), for these are splats like others; here stands what
+decides.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ def measured_by(counts: tuple[int, ...]) -> Measured:
 
 
 def possible_levels(n_splats: int, asked: int | None) -> tuple[int, ...]:
-    """Splats of each level that a scan of so many can have, the finest last: of as many coarser ones as are asked for."""
+    """Splats of each level that a scan of so many can have, the finest last: of as many coarser ones as are asked
+    for."""
     return level_sizes(n_splats, USUAL_LEVELS if asked is None else asked)[::-1]
 
 

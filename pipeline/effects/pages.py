@@ -1,7 +1,9 @@
-"""Pages of the photographs beside the packed file: where splats are so wide that their 32x32 texels show less than these do.
+"""Pages of the photographs beside the packed file: where splats are so wide that their 32x32 texels show less than
+these do.
 
-What is coded, and drawn where it is resident, are pieces of the photographs themselves (2020, section 4; docs/PAGES.md). Pages
-are made once the packed file is (services/flow/beside.py), from the photographs that its textures are of; here stands what decides.
+What is coded, and drawn where it is resident, are pieces of the photographs themselves (2020, section 4;
+docs/PAGES.md). Pages are made once the packed file is (services/flow/beside.py), from the photographs that its textures
+are of; here stands what decides.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ BINS_AN_OCTAVE, FINEST_OCTAVE, OCTAVES = 16, -4, 20  # of widths in px, for the 
 
 
 def widths_px(block: Block) -> np.ndarray:
-    """Photo pixels across the splats of a block that a photograph textures, (n,) float64: sqrt of the area of their squares there."""
+    """Photo pixels across the splats of a block that a photograph textures, (n,) float64: sqrt of the area of their
+    squares there."""
     cameras, centre = block.sources.cameras, block.centre + block.sources.origin
     found = []
     for i, camera in enumerate(cameras):

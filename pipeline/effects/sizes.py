@@ -1,7 +1,8 @@
 """A size for each splat: where a scan's points lie closer together in some places than in others.
 
-HPG 2021, section 5, names it: "encode splat size in a few bits". Sizes come before all else that knows how large a splat is,
-so their stage runs, and is decided on, before splats are made (services/flow/prepare.py); here stands what decides.
+HPG 2021, section 5, names it: "encode splat size in a few bits". Sizes come before all else that knows how large a
+splat is, so their stage runs, and is decided on, before splats are made (services/flow/prepare.py); here stands what
+decides.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Texture from the maps of laser stations, for scans without photographs: where a splat stands for many points, it shows
-what they show.
+"""Texture from the maps of laser stations, for scans without photographs: where a splat stands for many points, it
+shows what they show.
 
 Its stages run in services/flow/maps.py, which needs all points of the scan, not those alone that became splats.
 """

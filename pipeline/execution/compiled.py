@@ -27,9 +27,9 @@ def _as_it_is(array):
 
 @intrinsic
 def _borrowed(typing_context, array):
-    """In compiled code: the array without its count of users. A view, and a tuple that is passed on, count an array's users up and
-    down with a locked addition for each, which in short loops takes longer than the loops. Whoever borrows keeps the array itself alive:
-    it must be an argument of the kernel."""
+    """In compiled code: the array without its count of users. A view, and a tuple that is passed on, count an array's
+    users up and down with a locked addition for each, which in short loops takes longer than the loops. Whoever borrows
+    keeps the array itself alive: it must be an argument of the kernel."""
 
     def without_count(context, builder, signature, arguments):
         made = context.make_array(array)(context, builder, arguments[0])

@@ -1,7 +1,8 @@
 """What a stage is, and how one is run: init, then run each task, then finalise. Names no executor.
 
 A stage is a frozen dataclass of plain values and folders of earlier stages. Its output goes to a folder of its own,
-named by the hash of those fields; a task writes only what it owns there and returns a small frozen dataclass, kept as JSON.
+named by the hash of those fields; a task writes only what it owns there and returns a small frozen dataclass, kept as
+JSON.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Points counted per cell of a grid, whose slabs hold equal shares of a sample of the points on each axis.
 
-Equal shares, not equal widths: neither one far stray nor a spacing that varies a thousandfold leaves all points in one cell.
+Equal shares, not equal widths: neither one far stray nor a spacing that varies a thousandfold leaves all points in one
+cell.
 """
 
 from __future__ import annotations

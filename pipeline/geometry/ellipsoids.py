@@ -23,7 +23,8 @@ def encode_ellipsoids(
     normal_code: np.ndarray, up: Direction, ahead: Direction, axes: np.ndarray, radius: float | np.ndarray
 ) -> np.ndarray:
     """Fields (n, 4) uint8: turn, then the steps of the three lengths. `axes` (n, 3, 3): rows along the normal's
-    tangents, across them and along the normal, as long as the half axes. `radius` here and below: of each splat (n,), or of all.
+    tangents, across them and along the normal, as long as the half axes. `radius` here and below: of each splat (n,),
+    or of all.
 
     Guarantees: every value of every field decodes; the decoded first axis is within 0.36 degrees of the projection of
     the given one onto the decoded tangent plane; lengths between SHORTEST_RADII and LONGEST_RADII come back within

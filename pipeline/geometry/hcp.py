@@ -1,8 +1,8 @@
 """The hexagonal close packed grid: the cell of a point, the centre of a cell, keys of 64 bits, neighbours.
 
-DuoDecim (Krueger et al., Computing 2006), section 2.2. Spheres of diameter `d` touch 12 others each. Slices lie d sqrt(2/3)
-apart along z (the paper's y), rows d sqrt(3)/2 along y, columns d along x. In a slice odd rows stand half a column further;
-odd slices half a column and a third of a row. With q = (row + slice) mod 2:
+DuoDecim (Krueger et al., Computing 2006), section 2.2. Spheres of diameter `d` touch 12 others each. Slices lie d
+sqrt(2/3) apart along z (the paper's y), rows d sqrt(3)/2 along y, columns d along x. In a slice odd rows stand half a
+column further; odd slices half a column and a third of a row. With q = (row + slice) mod 2:
 
     x = d (column + q / 2)      y = d sqrt(3)/2 (row + (slice mod 2) / 3)      z = d sqrt(2/3) slice
 
@@ -43,7 +43,8 @@ def centre_of(column, row, slice_, size):
 
 @part()
 def neighbour(column, row, slice_, k):
-    """Column, row and slice of neighbour k: 0 and 3 along the row, 1, 2, 4, 5 in the rows beside, then 3 above and 3 below.
+    """Column, row and slice of neighbour k: 0 and 3 along the row, 1, 2, 4, 5 in the rows beside, then 3 above and 3
+    below.
 
     Neighbour (k + 3) mod 6 of neighbour k < 6 is the cell itself.
     """
@@ -69,7 +70,8 @@ def neighbour(column, row, slice_, k):
 
 @part()
 def cell_of(x, y, z, size):
-    """Column, row and slice of the cell whose centre is nearest; of centres as near the lowest slice, row and column."""
+    """Column, row and slice of the cell whose centre is nearest; of centres as near the lowest slice, row and
+    column."""
     best, best_column, best_row, best_slice = np.inf, 0, 0, 0
     for odd_slice in range(2):
         s = 2 * int(math.ceil((z / (size * SLICE) - odd_slice) / 2 - 0.5)) + odd_slice
@@ -115,7 +117,8 @@ def _centres(key, size):
 
 
 def keys_of(position: np.ndarray, size: float) -> np.ndarray:
-    """The keys (n,) int64 of the cells that points (n, 3) float64 lie in; `size` is the distance of neighbouring centres.
+    """The keys (n,) int64 of the cells that points (n, 3) float64 lie in; `size` is the distance of neighbouring
+    centres.
 
     Guarantees: keys ascend by slice, row, column; the centre lies at most REACH * size from the point.
     Raises: InvalidScan where an index leaves its 21 bits.

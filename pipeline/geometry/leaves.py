@@ -1,8 +1,8 @@
 """A scan too large for one process, cut into leaves that fit: the median split, told by counts per cell alone.
 
-The splits are those of `pipeline/geometry/chunks.py`: the same ranks, on the longest axis of a node. A plane between two
-slabs of the grid seldom has that rank, so the slab that crosses it is divided cell by cell, and of one cell the points that
-come first in the file go left. Ranks are exact; the boundary of two leaves has a step of one cell.
+The splits are those of `pipeline/geometry/chunks.py`: the same ranks, on the longest axis of a node. A plane between
+two slabs of the grid seldom has that rank, so the slab that crosses it is divided cell by cell, and of one cell the
+points that come first in the file go left. Ranks are exact; the boundary of two leaves has a step of one cell.
 """
 
 from __future__ import annotations
@@ -37,16 +37,18 @@ class Leaves:
         return np.unique(self.cell[1:][self.cell[1:] == self.cell[:-1]])
 
     def of_points(self, cell: np.ndarray, n_before: np.ndarray) -> np.ndarray:
-        """The leaves (n,) of points in file order, by their cells (n,); `n_before` (k,) points of each divided cell stand
-        before them in the file. Every cell must have been counted."""
+        """The leaves (n,) of points in file order, by their cells (n,); `n_before` (k,) points of each divided cell
+        stand before them in the file. Every cell must have been counted."""
         return _leaves_of(cell, self.cell, self.begin, self.leaf, self.divided, n_before.astype(np.int64))
 
 
 def grow_leaves(counts: CellCounts, grid: Grid, low: np.ndarray, high: np.ndarray, most: int) -> Leaves:
-    """Leaves of at most `most` points, more only where one cell has HEAVIEST of a larger node's points and would be cut.
+    """Leaves of at most `most` points, more only where one cell has HEAVIEST of a larger node's points and would be
+    cut.
 
     `low`, `high` (3,) are the bounds of all points.
-    Guarantees: leaves partition the points; but the last of all, each starts at a rank of `split_rank` of its ancestors.
+    Guarantees: leaves partition the points; but the last of all, each starts at a rank of `split_rank` of its
+    ancestors.
     """
     slab_low = np.column_stack([low, np.clip(grid.edges, low[:, None], high[:, None])])
     slab_high = np.column_stack([np.clip(grid.edges, low[:, None], high[:, None]), high])

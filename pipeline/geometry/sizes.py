@@ -1,7 +1,7 @@
 """Radii of splats in a few bits each, on a scale of logarithms between the smallest and the largest of their chunk.
 
-The scale of a chunk is two bytes: steps of a sixteenth of an octave of the scan's radius. Codes round up, for a splat that
-is too small leaves a hole, while one that is too large by a seventh of its chunk's range only overlaps more.
+The scale of a chunk is two bytes: steps of a sixteenth of an octave of the scan's radius. Codes round up, for a splat
+that is too small leaves a hole, while one that is too large by a seventh of its chunk's range only overlaps more.
 """
 
 from __future__ import annotations

@@ -14,12 +14,13 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 def thinned(position: np.ndarray, share: float) -> np.ndarray:
     """Which of the points (n, 3), finite, are kept: (n,) bool, `share` n of them but for a handful, 0 < share < 1.
 
-    The points are put in order by halving them at the median of their longest axis until each is alone; the i-th of the order is kept where
-    the fractional part of (i + 1/2) times the golden ratio is below the share. So kept ones stand at two or three distances in the order
-    (the three-gap theorem), none more than 2.7 times another, and near in the order is near in space. Taken by chance as many leave holes
-    two to three times as often. Density varies as it did.
+    The points are put in order by halving them at the median of their longest axis until each is alone; the i-th of the
+    order is kept where the fractional part of (i + 1/2) times the golden ratio is below the share. So kept ones stand
+    at two or three distances in the order (the three-gap theorem), none more than 2.7 times another, and near in the
+    order is near in space. Taken by chance as many leave holes two to three times as often. Density varies as it did.
 
-    Guarantees: what a smaller share keeps a larger one keeps too; equal inputs give equal choices; ties keep the order of the input.
+    Guarantees: what a smaller share keeps a larger one keeps too; equal inputs give equal choices; ties keep the order
+    of the input.
     """
     order = _halved(np.ascontiguousarray(np.asarray(position, np.float64).T))
     with np.errstate(over="ignore"):

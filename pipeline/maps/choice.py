@@ -10,8 +10,8 @@ from pipeline.maps.sample import Squares, seen_at_centre
 from pipeline.maps.station_map import StationMap
 
 NO_STATION = -1
-# Times as sharp that another station's map must be than that of the station which scanned the point: no other can be wrong
-# about what that one saw.
+# Times as sharp that another station's map must be than that of the station which scanned the point: no other can be
+# wrong about what that one saw.
 OWN_BONUS = 2.0
 STEEPEST_COSINE = 0.1  # beyond 84 degrees a texture is a smear
 

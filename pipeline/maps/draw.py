@@ -44,14 +44,15 @@ def empty_canvas(height: int) -> Canvas:
 
 
 def draw_depth(canvas: Canvas, local: np.ndarray, normal: np.ndarray, radius: np.ndarray) -> int:
-    """Lower the nearest surfaces to those of splats at `local` (n, 3) from the station, with unit `normal` (n, 3), either
-    way round, and `radius` (n,). Returns how many were left out, as they surround the station."""
+    """Lower the nearest surfaces to those of splats at `local` (n, 3) from the station, with unit `normal` (n, 3),
+    either way round, and `radius` (n,). Returns how many were left out, as they surround the station."""
     color = np.empty((0, 3), np.uint8)
     return _draw(canvas.nearest, canvas.sums, local, normal, radius, color, LINEAR_OF_LEVEL)
 
 
 def draw_color(canvas: Canvas, local: np.ndarray, normal: np.ndarray, radius: np.ndarray, color: np.ndarray) -> None:
-    """Add the colours (n, 3) uint8 of splats to the texels in which they lie on the nearest surface, once that is known."""
+    """Add the colours (n, 3) uint8 of splats to the texels in which they lie on the nearest surface, once that is
+    known."""
     if len(local):
         _draw(canvas.nearest, canvas.sums, local, normal, radius, color, LINEAR_OF_LEVEL)
 

@@ -1,8 +1,9 @@
-"""Maps as pictures that any image program edits: NAME.color.png (colour and alpha), NAME.depth.png (16 bits), NAME.json.
+"""Maps as pictures that any image program edits: NAME.color.png (colour and alpha), NAME.depth.png (16 bits),
+NAME.json.
 
 Pictures stand upright, as seen from the station: from left to right the band, from azimuth 360 down to 0 degrees, four
-squares wide; the top cap; the bottom cap, as looked down on. They are the map turned by half a turn, the bottom cap mirrored besides:
-(pipeline/cameras/polar_capped.py). NAME.json has all that turns pixels into directions and distances.
+squares wide; the top cap; the bottom cap, as looked down on. They are the map turned by half a turn, the bottom cap
+mirrored besides: (pipeline/cameras/polar_capped.py). NAME.json has all that turns pixels into directions and distances.
 """
 
 from __future__ import annotations
@@ -58,8 +59,8 @@ def has_map(folder: Path, station: int) -> bool:
 def read_edited(folder: Path, drawn: StationMap) -> StationMap:
     """The map as it was drawn, with the colours and the alpha of its edited picture.
 
-    Colours where nothing was seen have no distance, and are not looked up; where an edit takes alpha away, nothing is seen any
-    more. A picture without alpha leaves it as it was.
+    Colours where nothing was seen have no distance, and are not looked up; where an edit takes alpha away, nothing is
+    seen any more. A picture without alpha leaves it as it was.
 
     Raises: InvalidScan for a picture that cannot be read, of another size, or of another map.
     """

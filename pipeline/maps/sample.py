@@ -1,8 +1,8 @@
 """Patches from a station's map: each texel of a splat's square is looked up in the direction that it lies in.
 
 A lookup is bilinear among the map's texels that show the splat's own surface, as their distances tell: what hides the
-splat, or lies behind its rim, has no part in it. Texels of a patch that find nothing take after those around them, so that
-the patch is as smooth there as it can be, and costs the coder little.
+splat, or lies behind its rim, has no part in it. Texels of a patch that find nothing take after those around them, so
+that the patch is as smooth there as it can be, and costs the coder little.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ def seen_at_centre(station_map: StationMap, squares: Squares) -> np.ndarray:
 
 
 def foreign_points(station_map: StationMap, squares: Squares, points: np.ndarray) -> np.ndarray:
-    """(n, m) bool: which of `points` (m, 2) of a splat's unit disc the map shows nothing of, or another surface in place of
-    it."""
+    """(n, m) bool: which of `points` (m, 2) of a splat's unit disc the map shows nothing of, or another surface in
+    place of it."""
     frame = station_map.frame
     foreign = np.zeros((len(squares.radius), len(points)), bool)
     _mark_foreign(
@@ -148,8 +148,8 @@ def _mark_foreign(depth, per_nearest, codes, centre, u, v, radius, slack, points
 
 @part(error_model="numpy")
 def _look_up(color, depth, levels, x, y, z, code, off, total):
-    """Add the lookup in a direction to total (3,), over the texels whose distance codes are within `off` of `code`. Returns
-    whether there are enough."""
+    """Add the lookup in a direction to total (3,), over the texels whose distance codes are within `off` of `code`.
+    Returns whether there are enough."""
     height = depth.shape[0]
     chart = chart_of(x, y, z)
     column, row = in_chart(chart, x, y, z, height)

@@ -97,7 +97,8 @@ def codes_of(station_map: StationMap) -> np.ndarray:
 
 
 def encode_codes(codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Low and high bytes (h, 6 h) uint8 of what codes are above those of the row before: 0, -1, 1, -2 ... as 0, 1, 2, 3 ..."""
+    """Low and high bytes (h, 6 h) uint8 of what codes are above those of the row before: 0, -1, 1, -2 ... as 0, 1, 2, 3
+    ..."""
     above = np.diff(codes, axis=0, prepend=np.zeros((1, codes.shape[1]), np.uint16)).view(np.int16).astype(np.int32)
     folded = np.where(above < 0, -2 * above - 1, 2 * above).astype(np.uint16)
     return (folded & 255).astype(np.uint8), (folded >> 8).astype(np.uint8)
@@ -111,8 +112,9 @@ def decode_codes(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def filled(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """A picture (h, w, 3) uint8 whose texels that are not `known` take after those around them, as coarse means of what is
-    known (pull and push; Gortler et al., The Lumigraph, 1996): what WebP takes the fewest bytes for, and mixes no black into."""
+    """A picture (h, w, 3) uint8 whose texels that are not `known` take after those around them, as coarse means of what
+    is known (pull and push; Gortler et al., The Lumigraph, 1996): what WebP takes the fewest bytes for, and mixes no
+    black into."""
     return np.rint(_filled(picture.astype(np.float32), known)).astype(np.uint8)
 
 
@@ -126,7 +128,8 @@ def _filled(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def halved(picture: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means (ceil h/2, ceil w/2, 3) float32 of 2x2 texels, weighted by `known`, a share or a flag; and the means of that."""
+    """Means (ceil h/2, ceil w/2, 3) float32 of 2x2 texels, weighted by `known`, a share or a flag; and the means of
+    that."""
     weight = known.astype(np.float32)
     height, width = (-(-n // 2) * 2 for n in weight.shape)
     pad = (height - weight.shape[0], width - weight.shape[1])

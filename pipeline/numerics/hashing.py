@@ -1,4 +1,5 @@
-"""Random choices keyed by whole numbers: the same for every executor, task and order (splitmix64, Steele et al. 2014)."""
+"""Random choices keyed by whole numbers: the same for every executor, task and order (splitmix64, Steele et al.
+2014)."""
 
 from __future__ import annotations
 

@@ -1,14 +1,15 @@
 """Splats of the next coarser level: each stands for some of the finer one that lie together, on average four.
 
-Cells are of one size, not of one number: of a chunk's splats the cell that is spread furthest is parted next (a tree-structured
-quantiser: Gersho and Gray, Vector Quantization and Signal Compression, section 12.4). So rims, twigs and strays keep splats that even
-counts spend where points are dense. PSNR to the finest level's pictures of a quarter and a twentieth (benchmarks/levels.py): conference_room 29.7 and
-27.4 dB for 28.8 and 25.9 of equal counts. Normals or colours among what is spread change nothing (0.1 dB).
+Cells are of one size, not of one number: of a chunk's splats the cell that is spread furthest is parted next (a
+tree-structured quantiser: Gersho and Gray, Vector Quantization and Signal Compression, section 12.4). So rims, twigs
+and strays keep splats that even counts spend where points are dense. PSNR to the finest level's pictures of a quarter
+and a twentieth (benchmarks/levels.py): conference_room 29.7 and 27.4 dB for 28.8 and 25.9 of equal counts. Normals or
+colours among what is spread change nothing (0.1 dB).
 
-Where the four lie in one plane they are merged: their mean by area, their mean normal. Elsewhere (an edge, a twig, a rim) the
-one in their middle stands for them, so that no splat floats between two surfaces. Its area is theirs together, and more
-where it would leave one of their centres uncovered. RUNS (Krueger, Schneider, Westermann 2006, section 2.6.2) draws coarser
-grids of points in the same way; HPG 2021, section 5, asks for levels of detail.
+Where the four lie in one plane they are merged: their mean by area, their mean normal. Elsewhere (an edge, a twig, a
+rim) the one in their middle stands for them, so that no splat floats between two surfaces. Its area is theirs together,
+and more where it would leave one of their centres uncovered. RUNS (Krueger, Schneider, Westermann 2006, section 2.6.2)
+draws coarser grids of points in the same way; HPG 2021, section 5, asks for levels of detail.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ MOST_REACH = 1.5  # of the radius of their joint area: a stray among four makes 
 
 @dataclass(frozen=True)
 class Coarser:
-    """Splats of a level, in chunk order. Of each the one in its middle, as a row of the finer level, and what it becomes."""
+    """Splats of a level, in chunk order. Of each the one in its middle, as a row of the finer level, and what it
+    becomes."""
 
     middle: np.ndarray  # (m,) int64
     cell: np.ndarray  # (n,) int64: the splat that stands for each of the finer level
@@ -60,7 +62,8 @@ def first_finest(points: Points) -> int:
 
 
 def rows_of_group(group: int, n: int) -> tuple[int, int]:
-    """The splats of the finer level, of n, that a group of the next stands for: four groups; the last takes what is left."""
+    """The splats of the finer level, of n, that a group of the next stands for: four groups; the last takes what is
+    left."""
     first = group * FEWER * GROUP
     return first, n if (group + 1) * GROUP == n_coarser(n) else first + FEWER * GROUP
 
@@ -72,8 +75,8 @@ def coarser_splats(
 ) -> Coarser:
     """The GROUP splats that stand for n.
 
-    Guarantees: every splat belongs to one cell, and none is empty; the chunks of the result are of consecutive splats of the finer
-    level, equally many; centres lie within the box of their cell; equal inputs give equal results.
+    Guarantees: every splat belongs to one cell, and none is empty; the chunks of the result are of consecutive splats
+    of the finer level, equally many; centres lie within the box of their cell; equal inputs give equal results.
     """
     axes = np.ascontiguousarray(np.asarray(position, np.float64).T)
     order, first = np.arange(len(position)), np.empty(GROUP + 1, np.int64)
@@ -88,8 +91,8 @@ def coarser_splats(
 
 
 def mean_colors(color: np.ndarray, radius: np.ndarray, cell: np.ndarray) -> np.ndarray:
-    """The colours (m, 3) uint8 of cells: the mean of their splats' (n, 3), by area and in linear light, as they would add up
-    on a pixel. `cell` (n,) holds every number below m."""
+    """The colours (m, 3) uint8 of cells: the mean of their splats' (n, 3), by area and in linear light, as they would
+    add up on a pixel. `cell` (n,) holds every number below m."""
     area = np.asarray(radius, np.float64) ** 2
     weight = np.bincount(cell, area)
     linear = _LINEAR[color]
@@ -105,8 +108,8 @@ def _to_srgb(linear: np.ndarray) -> np.ndarray:
 
 @kernel()
 def _cells(axes, order, start, stop, first):
-    """Part order[start:stop] into as many cells as `first` has rows, at the mean of the longest axis of the one whose splats lie
-    furthest from theirs, by the sum of squares; where each begins."""
+    """Part order[start:stop] into as many cells as `first` has rows, at the mean of the longest axis of the one whose
+    splats lie furthest from theirs, by the sum of squares; where each begins."""
     n_cells = len(first)
     begin, end, spare = np.empty(n_cells, np.int64), np.empty(n_cells, np.int64), np.empty(stop - start, np.int64)
     spread, axis, middle = np.empty(n_cells), np.empty(n_cells, np.int64), np.empty(n_cells)
@@ -137,7 +140,8 @@ def _cells(axes, order, start, stop, first):
 
 @part()
 def _spread(axes, order, begin, end):
-    """The sum of squares of the splats order[begin:end] about their mean, -1 of one alone; the axis with most of it, and the mean on it."""
+    """The sum of squares of the splats order[begin:end] about their mean, -1 of one alone; the axis with most of it,
+    and the mean on it."""
     if end - begin < 2:
         return -1.0, 0, 0.0
     total, most, axis, middle = 0.0, -1.0, 0, 0.0

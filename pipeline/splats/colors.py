@@ -9,8 +9,9 @@ import numpy as np
 from pipeline.summaries import ScanRead
 from storage.work import arrays
 
-# A scan with neither colour nor intensity nor photographs is plaster, which a renderer lights (renderer/effects/relighting.py); beside
-# photographs, which have light in them, plaster under a lamp above and to the side: a flat grey would show its outline only.
+# A scan with neither colour nor intensity nor photographs is plaster, which a renderer lights
+# (renderer/effects/relighting.py); beside photographs, which have light in them, plaster under a lamp above and to the
+# side: a flat grey would show its outline only.
 PLASTER = 190
 LAMP = np.array([0.42, 0.28, 0.86])
 DARKEST, BRIGHTEST = 0.15, 0.85

@@ -42,8 +42,8 @@ def seen_by_cameras(
 def decoded_squares(
     splats: Path, up: Direction, ahead: Direction, radius: float, start: int, stop: int
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Middles and tangents (n, 3) of the squares that the splats of a block of whole chunks are textured on, and their radii
-    (n,), which the tangents are in; `radius` is that of all, or what their sizes are steps of."""
+    """Middles and tangents (n, 3) of the squares that the splats of a block of whole chunks are textured on, and their
+    radii (n,), which the tangents are in; `radius` is that of all, or what their sizes are steps of."""
     radii = splat_radii(splats, radius, start, stop)
     normal_code = arrays.read(splats, "normal_code", start, stop)
     centre, (u, v, _) = decoded_centres(splats, start, stop), tangent_frames(normal_code, up, ahead)
@@ -57,8 +57,8 @@ def decoded_squares(
 
 
 def splat_radii(folder: Path | None, radius: float, start: int, stop: int) -> np.ndarray:
-    """The radii (n,) float64 of the splats of a block of whole chunks, by the size_code and size_scale of a stage's folder; where
-    there are none the one `radius` of all."""
+    """The radii (n,) float64 of the splats of a block of whole chunks, by the size_code and size_scale of a stage's
+    folder; where there are none the one `radius` of all."""
     if folder is None or not arrays.exists(folder, "size_code"):
         return np.full(stop - start, radius)
     step = arrays.read(folder, "size_scale", start // CHUNK, -(-stop // CHUNK))

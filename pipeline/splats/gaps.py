@@ -1,8 +1,8 @@
 """Gaps between splats: how large a splat must be to meet its neighbours' discs.
 
-The distance to the 4th neighbour covers a lattice; of a plane of random points it leaves 2 to 3 % bare. What covers is the
-distance to the farthest vertex of a point's Voronoi cell in its tangent plane. A vertex counts only where points surround it: beyond a rim
-there is nothing to cover. Leaves and twigs, whose neighbours lie off the plane, have no cell.
+The distance to the 4th neighbour covers a lattice; of a plane of random points it leaves 2 to 3 % bare. What covers is
+the distance to the farthest vertex of a point's Voronoi cell in its tangent plane. A vertex counts only where points
+surround it: beyond a rim there is nothing to cover. Leaves and twigs, whose neighbours lie off the plane, have no cell.
 """
 
 from __future__ import annotations
@@ -71,7 +71,8 @@ def _furthest_vertices(position, near, normal, size, most):
 
 @part()
 def _in_plane(position, normal, near, size, i, x, y):
-    """Write the neighbours of splat `i` that lie in its plane as `x` and `y` on it; how many, 0 where it is no surface's."""
+    """Write the neighbours of splat `i` that lie in its plane as `x` and `y` on it; how many, 0 where it is no
+    surface's."""
     n0, n1, n2 = normal[i, 0], normal[i, 1], normal[i, 2]
     if abs(n0) < 0.6:  # a tangent: across the normal and the x axis, or the y axis
         a0, a1, a2 = 0.0, n2, -n1
@@ -116,7 +117,8 @@ def _is_surrounded(at_x, at_y, x, y, n_near, away):
 
 
 def neighbours_in_reach(position: np.ndarray, around: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All positions (n + m, 3), those of the splats (n, 3) first, and the rows of N_NEIGHBOURS and itself nearest to each splat, (n, k)."""
+    """All positions (n + m, 3), those of the splats (n, 3) first, and the rows of N_NEIGHBOURS and itself nearest to
+    each splat, (n, k)."""
     there = np.concatenate([position, around])
     n_asked = min(N_NEIGHBOURS + 1, len(there))
     near = cKDTree(there, balanced_tree=False).query(position, k=n_asked)[1]
@@ -126,9 +128,9 @@ def neighbours_in_reach(position: np.ndarray, around: np.ndarray) -> tuple[np.nd
 def gap_radii(
     position: np.ndarray, near: np.ndarray, normal: np.ndarray, size: np.ndarray, most: float = MOST
 ) -> np.ndarray:
-    """The distance (n,) float64 from each splat, the first n of `position` (n + m, 3), to the farthest vertex of its cell in the plane across its
-    unit `normal` (n, 3), of those no further than `most` times its `size` (n,) that points surround; 0 where there is none. `near`
-    (n, k) are rows of its neighbours, nearest first.
+    """The distance (n,) float64 from each splat, the first n of `position` (n + m, 3), to the farthest vertex of its
+    cell in the plane across its unit `normal` (n, 3), of those no further than `most` times its `size` (n,) that points
+    surround; 0 where there is none. `near` (n, k) are rows of its neighbours, nearest first.
 
     Guarantees: finite, at most `most * size`; 0 for lines, copies and points whose nearest lie off their plane.
     """

@@ -71,8 +71,8 @@ def _estimate(point, neighbour, normal, is_undefined):
 
 @kernel()
 def _diagonalise(m, axes):
-    """Turn a symmetric matrix, of which the upper half is read, into its eigenvalues on the diagonal; `axes` has its eigenvectors as
-    columns (Jacobi's cyclic method: small eigenvalues keep their digits)."""
+    """Turn a symmetric matrix, of which the upper half is read, into its eigenvalues on the diagonal; `axes` has its
+    eigenvectors as columns (Jacobi's cyclic method: small eigenvalues keep their digits)."""
     for a in range(3):
         for b in range(3):
             axes[a, b] = 1.0 if a == b else 0.0

@@ -7,8 +7,8 @@ from scipy.spatial import cKDTree
 
 
 def pairs_within(position: np.ndarray, rows: np.ndarray, reach: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and others (p,) int64, flat: of `rows` (m,) of `position` (n, 3) each with all that lie within its `reach`, (m,) or one
-    for all, itself among them; ascending."""
+    """Rows and others (p,) int64, flat: of `rows` (m,) of `position` (n, 3) each with all that lie within its `reach`,
+    (m,) or one for all, itself among them; ascending."""
     tree = cKDTree(position)
     found = tree.query_ball_point(position[rows], reach, return_sorted=True)
     counts = np.fromiter(map(len, found), np.int64, len(rows))

@@ -48,7 +48,8 @@ def settled_signs(point: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def _beginnings(graph: csr_matrix, point: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each part of the graph the point that lies farthest out along its normal, and the sign by which it looks out."""
+    """Of each part of the graph the point that lies farthest out along its normal, and the sign by which it looks
+    out."""
     n_parts, part = connected_components(graph, directed=False)
     middle = (point.min(axis=0) + point.max(axis=0)) / 2
     out = np.einsum("ij,ij->i", normal, point - middle)

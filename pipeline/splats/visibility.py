@@ -30,7 +30,8 @@ def empty_map(camera: Camera, scale: float) -> np.ndarray:
 
 
 def draw_points(depth_map: np.ndarray, camera: Camera, position: np.ndarray, radius: float | np.ndarray) -> None:
-    """Lower the map to the depths of squares of `radius`, one for all or each its own (n,), around the points (n, 3), absolute."""
+    """Lower the map to the depths of squares of `radius`, one for all or each its own (n,), around the points (n, 3),
+    absolute."""
     x, y, depth, reach = _on_map(depth_map, camera, position, radius)
     _draw(depth_map, x, y, depth, reach)
 

@@ -1,7 +1,7 @@
 """Stages that the catalogue runs by itself, beside the packed file: no other stage reads them.
 
-The row of such a stage in `pipeline/catalogue.py` has `beside=True`; its file has `asked(given)`, which makes the stage of
-a scan as splats, or None where the job does not call for it, and `ARRAYS`, where it makes any: rows as those of
+The row of such a stage in `pipeline/catalogue.py` has `beside=True`; its file has `asked(given)`, which makes the stage
+of a scan as splats, or None where the job does not call for it, and `ARRAYS`, where it makes any: rows as those of
 `storage.work.schema`.
 """
 

@@ -50,11 +50,12 @@ class Block:
 
 
 def make_patches(block: Block, first_splat: int, antialiased: bool = True, into: np.ndarray | None = None) -> Patches:
-    """Resample a block whose first splat is `first_splat` of the scan; `into` (n or more, PATCH_DIM) uint8 is memory for its texels.
+    """Resample a block whose first splat is `first_splat` of the scan; `into` (n or more, PATCH_DIM) uint8 is memory
+    for its texels.
 
-    A splat without a camera has a patch of its one colour, and so no energy; so has one whose square, once its geometry is
-    quantised, reaches behind its camera. Both are flagged, as are those that reach beyond their photo's edge, where texels repeat the
-    edge."""
+    A splat without a camera has a patch of its one colour, and so no energy; so has one whose square, once its geometry
+    is quantised, reaches behind its camera. Both are flagged, as are those that reach beyond their photo's edge, where
+    texels repeat the edge."""
     n = len(block.camera)
     texel = np.empty((n, PATCH_DIM), np.uint8) if into is None else into[:n]
     error, n_probes, n_flagged = 0.0, 0, int((block.camera == NO_CAMERA).sum())
@@ -72,7 +73,8 @@ def make_patches(block: Block, first_splat: int, antialiased: bool = True, into:
 
 
 def patches_again(block: Block, wanted: np.ndarray, antialiased: bool, into: np.ndarray) -> np.ndarray:
-    """The texels (m, PATCH_DIM) uint8 of the rows `wanted` (m,), ascending, of a block, in the memory `into` (m or more, PATCH_DIM).
+    """The texels (m, PATCH_DIM) uint8 of the rows `wanted` (m,), ascending, of a block, in the memory `into` (m or
+    more, PATCH_DIM).
 
     Guarantees: those that `make_patches` made, to the byte, for windows of photographs are those of the whole block."""
     texel = into[: len(wanted)]
@@ -99,7 +101,8 @@ class _Seen:
 
 
 def _by_camera(block: Block, wanted: np.ndarray | None = None) -> Iterator[_Seen]:
-    """One after the other, so that no more than one window is held; of the rows that are `wanted` (n,) bool, in the windows of all."""
+    """One after the other, so that no more than one window is held; of the rows that are `wanted` (n,) bool, in the
+    windows of all."""
     radius = np.broadcast_to(block.radius, len(block.camera))
     for i in np.unique(block.camera[block.camera != NO_CAMERA]):
         rows, camera = np.flatnonzero(block.camera == i), block.cameras[i]

@@ -117,8 +117,8 @@ def disc_weights() -> np.ndarray:
 @part(error_model="numpy", fastmath={"contract"})
 def _project_row(h, y, within, left, top, last_x, last_y, first, stride, place, right, down):
     """Where the photo is looked up at height y of the square, `within` (0 to 1) of each texel: the pixel's place in the
-    array, which begins `first` pixels after (left, top), clamped to the pixels there are, and the shares of its right and lower
-    neighbours."""
+    array, which begins `first` pixels after (left, top), clamped to the pixels there are, and the shares of its right
+    and lower neighbours."""
     a, b, c = h[0, 1] * y + h[0, 2], h[1, 1] * y + h[1, 2], h[2, 1] * y + h[2, 2]
     da, db, dc = h[0, 0], h[1, 0], h[2, 0]
     for i in range(PATCH_SIZE):

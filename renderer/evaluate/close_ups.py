@@ -38,8 +38,8 @@ ROUNDS = 3
 
 @dataclass(frozen=True)
 class Variant:
-    """A packed file, or its splats textured from photographs: a folder with photo_<i> and cameras in its summary; by way of `pages`, a
-    page file of them, in a pool of so many bytes where they do not fit it."""
+    """A packed file, or its splats textured from photographs: a folder with photo_<i> and cameras in its summary; by
+    way of `pages`, a page file of them, in a pool of so many bytes where they do not fit it."""
 
     name: str
     packed: Path

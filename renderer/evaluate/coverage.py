@@ -1,7 +1,9 @@
-"""How well the discs of a packed file cover its surface: against discs as large as each splat's surroundings ask for, exactly.
+"""How well the discs of a packed file cover its surface: against discs as large as each splat's surroundings ask for,
+exactly.
 
-Drawn here, one disc after the other, in float64, with the low-pass filter of a pixel that the shaders have (docs/FORMAT.md): a measure that
-does not rest on the renderer, and that needs no GPU. Splats that are ellipsoids are no part of the surface, and cover it as discs.
+Drawn here, one disc after the other, in float64, with the low-pass filter of a pixel that the shaders have
+(docs/FORMAT.md): a measure that does not rest on the renderer, and that needs no GPU. Splats that are ellipsoids are no
+part of the surface, and cover it as discs.
 """
 
 from __future__ import annotations
@@ -74,8 +76,9 @@ def _of_view(view: Camera, position, u, v, exact: np.ndarray, radius: np.ndarray
 
 @kernel()
 def draw_discs(centre, u, v, radius, lens, depth, owner):
-    """Lower `depth` (height, width) to that of discs, in camera axes, and let `owner` have their numbers; returns how many pixels
-    were drawn, one over the other. Discs nearer to the eye than two radii, and those without a radius, are left out."""
+    """Lower `depth` (height, width) to that of discs, in camera axes, and let `owner` have their numbers; returns how
+    many pixels were drawn, one over the other. Discs nearer to the eye than two radii, and those without a radius, are
+    left out."""
     height, width = depth.shape
     fx, fy, cx, cy = lens
     n_drawn = 0

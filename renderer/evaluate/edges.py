@@ -43,7 +43,8 @@ def without_cliplines(scene: PackedScene) -> PackedScene:
 def draw_edges(packed: Path, photos: Path, folder: Path) -> list[EdgeShown]:
     """Squares of photographs in which cliplines bring the picture nearest to the photograph, one a camera, and the one
     in which they take it farthest away, magnified: `pictures` by `with`, `without` and `photo`, as paths relative to
-    `folder`; PSNR is against the photograph over the pixels that both cover. Nothing of a file without cliplines or without cameras.
+    `folder`; PSNR is against the photograph over the pixels that both cover. Nothing of a file without cliplines or
+    without cameras.
     """
     with PackedFile(packed) as opened:
         scene = opened.load()

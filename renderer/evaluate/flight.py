@@ -99,13 +99,14 @@ class Flight:
 
     @property
     def most_settling(self) -> int:
-        """Frames that a viewer stands still at most, as in simulation: those that a full pool takes, and SETTLED_FRAMES."""
+        """Frames that a viewer stands still at most, as in simulation: those that a full pool takes, and
+        SETTLED_FRAMES."""
         assert self.scene.pages is not None
         return SETTLED_FRAMES + -(-self.scene.pages.shape.n_pages // self.n_frame)
 
     def settle(self, pose: Pose) -> int:
-        """Stand still until nothing more is loaded, for `most_settling` frames, or until the disk stalls; returns how many
-        frames it took. In a pool that does not hold what a view asks for pages come and go without end."""
+        """Stand still until nothing more is loaded, for `most_settling` frames, or until the disk stalls; returns how
+        many frames it took. In a pool that does not hold what a view asks for pages come and go without end."""
         n_late = 0
         for n in range(self.most_settling):
             _, record = self.frame(pose, Motion(np.zeros(3), np.zeros(3)))

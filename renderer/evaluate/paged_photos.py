@@ -1,7 +1,9 @@
-"""The baseline of scenes whose photographs do not fit: splats textured from pages, in a pool of fixed size, and none missing.
+"""The baseline of scenes whose photographs do not fit: splats textured from pages, in a pool of fixed size, and none
+missing.
 
-A picture is a sum over splats, so it is drawn in as many parts as the pool calls for: each fragment in the part that has its page. The
-pool, its table, the feedback and the states of pages are those of flights (flight.py); nobody waits for a frame here.
+A picture is a sum over splats, so it is drawn in as many parts as the pool calls for: each fragment in the part that
+has its page. The pool, its table, the feedback and the states of pages are those of flights (flight.py); nobody waits
+for a frame here.
 """
 
 from __future__ import annotations
@@ -29,10 +31,10 @@ MOST_STEPS = 8  # of the manager, until what it hears is mapped: it forgets what
 class PagedPhotos:
     """The splats of an uploaded scene with the photographs of `file`, of `cameras`, in a pool of `pool_bytes`.
 
-    Guarantees: a picture has every page of the level that its fragments ask for, however small the pool; the same picture whatever the
-    pool's size, but for the order in which a pixel's colours are added.
-    Raises: ResourceExhausted for a pool that does not hold the mip tails, or a disk that does not answer; InvalidPackedFile for a
-    page that was altered.
+    Guarantees: a picture has every page of the level that its fragments ask for, however small the pool; the same
+    picture whatever the pool's size, but for the order in which a pixel's colours are added.
+    Raises: ResourceExhausted for a pool that does not hold the mip tails, or a disk that does not answer;
+    InvalidPackedFile for a page that was altered.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """How near pictures of packed files come to the photographs, where the files differ in how many splats they have.
 
-Texture PSNR is of each file's own splats: of a tenth of them, ten times as large, it is another quantity. Here all files are drawn from the
-same cameras, and compared with the photographs over the same pixels.
+Texture PSNR is of each file's own splats: of a tenth of them, ten times as large, it is another quantity. Here all
+files are drawn from the same cameras, and compared with the photographs over the same pixels.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ MAX_SIDE_PX = 1024
 
 
 def picture_psnrs(variants: Sequence[Variant], photos: Path | None, fullest: int = 0) -> list[float | None]:
-    """PSNR in dB of each variant against the photographs of a folder, the squared error averaged over the pixels of N_VIEWS of their
-    cameras that the variant number `fullest`, the one of most splats, covers. A pixel that a variant leaves bare counts as black: its
-    holes are errors. Without photographs against the pictures of the fullest, in its own colours, from around the scan. None where nothing
-    is covered."""
+    """PSNR in dB of each variant against the photographs of a folder, the squared error averaged over the pixels of
+    N_VIEWS of their cameras that the variant number `fullest`, the one of most splats, covers. A pixel that a variant
+    leaves bare counts as black: its holes are errors. Without photographs against the pictures of the fullest, in its
+    own colours, from around the scan. None where nothing is covered."""
     renderer = Renderer()
     views, wanted = ([], []) if photos is None else _photographs(photos)
     with drawn(renderer, variants[fullest]) as draw:

@@ -60,9 +60,10 @@ def make_previews(
 ) -> list[ViewMeasured]:
     """Write pictures into `folder`/previews and return `quality.views` of the report.
 
-    Renderings are PNGs whose alpha is their coverage. From up to `n_cameras` of the scene's cameras, evenly among them: `NAME.packed.png` and, with `read_photo`,
-    `NAME.baseline.png` and `NAME.photo.jpg`. Without cameras: from up to `n_cameras` of the `stations` of a laser scan, and `n_orbits` views around the scene, packed alone.
-    `progress` is told after every view how many of them are done.
+    Renderings are PNGs whose alpha is their coverage. From up to `n_cameras` of the scene's cameras, evenly among them:
+    `NAME.packed.png` and, with `read_photo`, `NAME.baseline.png` and `NAME.photo.jpg`. Without cameras: from up to
+    `n_cameras` of the `stations` of a laser scan, and `n_orbits` views around the scene, packed alone. `progress` is
+    told after every view how many of them are done.
 
     Figures are None where there is nothing to compare with; `holes` are of the outline (`holes.py`), `accumulation` is
     what colours were added up in (`renderer/splats/targets.py`), `seconds` are by render pass, `pictures` by kind, as

@@ -1,9 +1,11 @@
-"""Which open pixels a splat should cover, by the scan's points alone: those with points on all sides, and those beyond what was scanned.
+"""Which open pixels a splat should cover, by the scan's points alone: those with points on all sides, and those beyond
+what was scanned.
 
-Nothing here knows how large splats are. Spacing is what points have among themselves: the median over a point's neighbours of the distance to
-the 4th nearest. A pixel's place is *surrounded* where points about its ray, none further from it than REACH spacings of its own and all at one depth as
-near, leave no gap of more than MOST_ANGLE between their directions. Elsewhere a splat would stick out beyond a rim, hang
-in a scanner's shadow, or bridge two surfaces that lie one behind the other.
+Nothing here knows how large splats are. Spacing is what points have among themselves: the median over a point's
+neighbours of the distance to the 4th nearest. A pixel's place is *surrounded* where points about its ray, none further
+from it than REACH spacings of its own and all at one depth as near, leave no gap of more than MOST_ANGLE between their
+directions. Elsewhere a splat would stick out beyond a rim, hang in a scanner's shadow, or bridge two surfaces that lie
+one behind the other.
 """
 
 from __future__ import annotations
@@ -30,8 +32,8 @@ def scanned_points(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def surrounded(view: Camera, wanted: np.ndarray, position: np.ndarray, spacing: np.ndarray) -> np.ndarray:
-    """Which of the `wanted` pixels (height, width) bool of a view have points at absolute `position` (n, 3) on all sides, by their `spacing`
-    (n,) positive.
+    """Which of the `wanted` pixels (height, width) bool of a view have points at absolute `position` (n, 3) on all
+    sides, by their `spacing` (n,) positive.
 
     Guarantees: none but wanted pixels; those outside the convex hull of the points' pictures never.
     """
@@ -49,8 +51,8 @@ def surrounded(view: Camera, wanted: np.ndarray, position: np.ndarray, spacing: 
 
 @kernel()
 def _about(local, reach, lens, wanted, place, found):
-    """Of each wanted pixel the points within their reach of its ray, as rows of `found` from its `place` on: x and y beside the ray, how far along
-    it, reach. Without rows their number is added to the places."""
+    """Of each wanted pixel the points within their reach of its ray, as rows of `found` from its `place` on: x and y
+    beside the ray, how far along it, reach. Without rows their number is added to the places."""
     height, width = wanted.shape
     fx, fy, cx, cy = lens
     for i in range(local.shape[0]):

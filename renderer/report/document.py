@@ -175,7 +175,8 @@ class RunBits(Part, frozen=True):
 
 
 class RunsMade(Part, frozen=True):
-    """Of a geometry of runs. Lengths in the scan's unit; `added` cells close gaps, a share `twice` of all is decoded twice."""
+    """Of a geometry of runs. Lengths in the scan's unit; `added` cells close gaps, a share `twice` of all is decoded
+    twice."""
 
     cells: int
     added: int

@@ -57,8 +57,8 @@ class Pilot(Part, frozen=True):
 
 
 class EstimateDocument(Part, frozen=True):
-    """Seconds up to the packed file, peak memory of a worker, bytes on the GPU, of the file and of its pages, texture PSNR. A figure
-    is null where the job has none."""
+    """Seconds up to the packed file, peak memory of a worker, bytes on the GPU, of the file and of its pages, texture
+    PSNR. A figure is null where the job has none."""
 
     seconds: Banded
     peak_memory_bytes: Banded

@@ -83,8 +83,8 @@ def sizes_of(scene: PackedScene, file_bytes: int) -> Sizes:
     """Bytes by part and the compression factors, as Table 1 of the paper counts them.
 
     - `geometry_bytes`, `codes_bytes`, `colors_bytes`, `dictionary_bytes`, `maps_bytes`: the arrays of each
-      part of `storage.packed.schema`, uncompressed, which is what a GPU takes (pictures of maps as textures); `arrays` has
-      them one by one.
+      part of `storage.packed.schema`, uncompressed, which is what a GPU takes (pictures of maps as textures); `arrays`
+      has them one by one.
     - `gpu_bytes`: their sum. The camera of each splat (`provenance_bytes`) is not among them: no shader reads it.
     - `file_bytes`: the packed file on disk, where zarr has compressed the arrays once more.
     - `bytes_per_splat`: gpu_bytes / splats.

@@ -86,7 +86,8 @@ PASSES = {
 }
 
 
-# Of DuoDecim (2006), Table 1: points of a scan or None, hit rate, efficiency, bits a point on the graphics card and on disk.
+# Of DuoDecim (2006), Table 1: points of a scan or None, hit rate, efficiency, bits a point on the graphics card and on
+# disk.
 TABLE_1 = (
     ("Atlas", 1.60, 0.72, 8 * 231e6 / 158_877_859, 8 * 172e6 / 158_877_859),
     ("St. Matthew", 1.53, 0.74, 8 * 182e6 / 121_718_168, 8 * 140e6 / 121_718_168),

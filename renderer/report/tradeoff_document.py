@@ -16,9 +16,9 @@ class LadderScan(Part, frozen=True):
 
 
 class LadderPoint(Part, frozen=True):
-    """One point of the ladder: a preset, or the chosen settings with one knob at another value. PSNR at most BEST_DB where nothing
-    is lost, null where it was not measured. `seconds` count stages that an earlier point ran, `run_seconds` do not; `command` are
-    the arguments of compress that make it."""
+    """One point of the ladder: a preset, or the chosen settings with one knob at another value. PSNR at most BEST_DB
+    where nothing is lost, null where it was not measured. `seconds` count stages that an earlier point ran,
+    `run_seconds` do not; `command` are the arguments of compress that make it."""
 
     key: str
     preset: str | None

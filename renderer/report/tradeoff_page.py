@@ -37,8 +37,9 @@ NOISE_DB, NOISE_SHARE = 0.05, 0.05  # a preset that another beats by less than b
 def summarised(points: Sequence[LadderPoint]) -> LadderSummary:
     """The Pareto fronts of points, what to take for which quality, and which presets another one beats.
 
-    Fronts are of picture PSNR, which points of any number of splats share. Texture PSNR is of a point's own splats: where pictures were not
-    measured fronts are of it, and advice always is, among the points of as many splats as the first."""
+    Fronts are of picture PSNR, which points of any number of splats share. Texture PSNR is of a point's own splats:
+    where pictures were not measured fronts are of it, and advice always is, among the points of as many splats as the
+    first."""
     alike = [p for p in points if p.splats == points[0].splats and p.texture_psnr_db is not None]
     quality = quality_of(points)
     compared = points if quality == PICTURE else alike
@@ -188,7 +189,8 @@ def _pictures_by_point(document: dict, folder: Path) -> dict[str, list[dict]]:
 
 
 def _plot(points: list[dict], front: list[str], cost: str, axis: str, scale: float, quality: str) -> figure:
-    """PSNR over a cost, the front as a line, presets named; a click on a point shows its pictures. What the others are compared with is no dot."""
+    """PSNR over a cost, the front as a line, presets named; a click on a point shows its pictures. What the others are
+    compared with is no dot."""
     points = [p for p in points if p[quality] < BEST_DB] or points
     plot = plain_figure(340, x_axis_label=axis, y_axis_label=QUALITIES[quality])
     on = sorted((p for p in points if p["key"] in front), key=lambda p: p[cost])

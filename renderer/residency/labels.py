@@ -1,10 +1,11 @@
 """Which photograph each splat takes its pages from: that of its own that agrees with its neighbours.
 
-Packing chooses the sharpest photograph splat by splat, which makes salt and pepper where two are alike: neighbours then want
-pages of both. Here labels are smoothed by iterated conditional modes (Besag 1986) on the graph of nearest neighbours: the
-cost of a label is what it loses in resolution, plus what share of neighbours has another. A splat only takes labels that
-packing gave to neighbours that lie as it does, and only of photographs that see it: a small depth picture of all splats says so.
-Without that test pages lose 0.2 to 0.7 dB to the splats' own photographs on fountain_p11, and up to 9 on monstree.
+Packing chooses the sharpest photograph splat by splat, which makes salt and pepper where two are alike: neighbours then
+want pages of both. Here labels are smoothed by iterated conditional modes (Besag 1986) on the graph of nearest
+neighbours: the cost of a label is what it loses in resolution, plus what share of neighbours has another. A splat only
+takes labels that packing gave to neighbours that lie as it does, and only of photographs that see it: a small depth
+picture of all splats says so. Without that test pages lose 0.2 to 0.7 dB to the splats' own photographs on
+fountain_p11, and up to 9 on monstree.
 """
 
 from __future__ import annotations
@@ -93,8 +94,8 @@ def _holds(camera, points, radius) -> np.ndarray:
 
 
 def _is_seen(points, radius, rows, frames, camera) -> np.ndarray:
-    """Whether the RIM of the splats `rows` (k,), in planes `frames` (k, 2, 3), lies in front of, or little behind, what a photograph of all
-    splats shows, (k,)."""
+    """Whether the RIM of the splats `rows` (k,), in planes `frames` (k, 2, 3), lies in front of, or little behind, what
+    a photograph of all splats shows, (k,)."""
     places = points[rows, None] + radius[rows, None, None] * (RIM @ frames)
     scale = min(1.0, DEPTH_SIDE_PX / max(camera.width_px, camera.height_px))
     nearest = np.full((max(1, int(scale * camera.height_px)), max(1, int(scale * camera.width_px))), np.inf, np.float32)

@@ -1,6 +1,7 @@
 """Pages read and decoded by threads, so that a slow disk holds up no frame (2020, section 4.4.2).
 
-Requests go through one thread-safe queue, results through another; texels lie in buffers that are made once and used again.
+Requests go through one thread-safe queue, results through another; texels lie in buffers that are made once and used
+again.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ CLOSE_S = 0.5  # that closing waits for each of them
 class PageLoader:
     """Reads pages of `file`; at most `n_buffers` are requested and not given back.
 
-    Guarantees: `ready` never waits longer than it is told to; a page that cannot be read raises the error of its file there.
+    Guarantees: `ready` never waits longer than it is told to; a page that cannot be read raises the error of its file
+    there.
     """
 
     def __init__(self, file: PageFile, n_buffers: int, n_threads: int = THREADS) -> None:

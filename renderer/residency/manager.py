@@ -57,8 +57,8 @@ class Manager:
         return int((self.state == MAPPED).sum() - self.is_tail.sum())
 
     def shown_level(self, pages: np.ndarray) -> np.ndarray:
-        """(n,) the mip level that is shown where `pages` (n,) are wanted: their own where they are mapped, else that of the
-        nearest ancestor that is; a tail always is."""
+        """(n,) the mip level that is shown where `pages` (n,) are wanted: their own where they are mapped, else that of
+        the nearest ancestor that is; a tail always is."""
         at = pages.copy()
         while (missing := np.flatnonzero(self.state[at] != MAPPED)).size:
             at[missing] = self.parents[at[missing]]

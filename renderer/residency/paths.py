@@ -36,8 +36,8 @@ class Path90:
 
 
 def made_paths(camera: Camera, distance: float, up: np.ndarray | None = None) -> dict[str, Path90]:
-    """The four paths, from a photograph's pose and its distance to what it shows; with the head upright where `up` (3,) is
-    given, for photographs may lie on their side.
+    """The four paths, from a photograph's pose and its distance to what it shows; with the head upright where `up` (3,)
+    is given, for photographs may lie on their side.
 
     `look_around` turns the head in place, `forward` and `backward` walk at constant speed along the view, `sideways`
     slides across it with the head straight: at the near distance new parts come into view fast.
@@ -77,8 +77,8 @@ def _upright(ahead: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 
 def through(name: str, keys: tuple[Pose, ...], seconds: float) -> Path90:
-    """A path of that many seconds through `keys`, 2 or more: a cubic spline of centres, and of rotations, that reaches them
-    at even intervals.
+    """A path of that many seconds through `keys`, 2 or more: a cubic spline of centres, and of rotations, that reaches
+    them at even intervals.
 
     Raises: ValueError for fewer keys.
     """

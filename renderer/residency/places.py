@@ -1,8 +1,8 @@
 """Which splats a view shows, and which page of its photograph each wants.
 
 A small picture of splat numbers, drawn by a depth buffer of squares as wide as the splats: the places of pages,
-not their colours. It stands for the feedback buffer of the renderer where paths are simulated, and for the second, small
-rendering that pages are predicted by.
+not their colours. It stands for the feedback buffer of the renderer where paths are simulated, and for the second,
+small rendering that pages are predicted by.
 """
 
 from __future__ import annotations
@@ -87,8 +87,8 @@ class Seen:
         return inside
 
     def wanted(self, tier: int, bias: float = 0.0, where: np.ndarray | None = None) -> Feedback:
-        """The page of each splat's level of detail floor(lod + bias); lod = log2(photo pixels a screen pixel), by areas of
-        the disc, as shaders/baseline.vert.glsl has it."""
+        """The page of each splat's level of detail floor(lod + bias); lod = log2(photo pixels a screen pixel), by areas
+        of the disc, as shaders/baseline.vert.glsl has it."""
         p, layout = self.places, self.places.layout
         pixels, nearest = np.zeros(layout.n_pages), np.full(layout.n_pages, np.inf)
         everywhere = np.ones(self.splat.shape, bool) if where is None else where

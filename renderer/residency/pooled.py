@@ -1,7 +1,8 @@
 """A packed file drawn out of core: of its groups of splats only those of a pool of fixed size are in memory.
 
-Which groups a view asks for is told by the table that the file begins with; they are read, checked by their own seals and evicted by the
-rules of photographs' pages (`groups.py`). The dictionary, the maps and the coarsest level are always there.
+Which groups a view asks for is told by the table that the file begins with; they are read, checked by their own seals
+and evicted by the rules of photographs' pages (`groups.py`). The dictionary, the maps and the coarsest level are always
+there.
 """
 
 from __future__ import annotations
@@ -52,11 +53,12 @@ class Resident(GpuScene):
 class PooledFile:
     """An opened file with levels whose groups come and go in `pool_bytes`, those of the coarsest level with them.
 
-    Guarantees: `n_bytes` never exceeds `pool_bytes`; a picture at rest is that of the whole file in memory, but where a view asks for
-    more groups than the pool holds: then coarser ones, by a larger `detail`, and `detail_shown` says which. `prepare` is told of every
-    scene that is made of groups, before it is drawn.
+    Guarantees: `n_bytes` never exceeds `pool_bytes`; a picture at rest is that of the whole file in memory, but where a
+    view asks for more groups than the pool holds: then coarser ones, by a larger `detail`, and `detail_shown` says
+    which. `prepare` is told of every scene that is made of groups, before it is drawn.
 
-    Raises: InvalidScan for a file without levels or of runs; ResourceExhausted for a pool too small for the coarsest level and a group more.
+    Raises: InvalidScan for a file without levels or of runs; ResourceExhausted for a pool too small for the coarsest
+    level and a group more.
     """
 
     def __init__(

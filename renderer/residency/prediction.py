@@ -79,7 +79,8 @@ class Parts:
 def parts_of(
     places: Places, pose: Pose, motion: Motion, screen: Screen, distance: float, turn: int
 ) -> dict[str, Parts]:
-    """What a frame wants, by policy. The picture is drawn once, with the wider margin; one pose ahead once more, smaller."""
+    """What a frame wants, by policy. The picture is drawn once, with the wider margin; one pose ahead once more,
+    smaller."""
     widest = max(PUBLISHED_MARGIN, MARGIN_SHARE)
     extra = round(widest * screen.width_px), round(widest * screen.height_px)
     wide = Screen(screen.width_px + 2 * extra[0], screen.height_px + 2 * extra[1], screen.focal_px)
@@ -101,8 +102,8 @@ def parts_of(
 
 
 def _sides(widest: float, share: float, shift: tuple[float, float], screen: Screen) -> tuple[int, int, int, int]:
-    """Left, top, right and bottom margins in px that leave of a picture with the `widest` margin the view with a margin of
-    `share`; each is shifted by its own share of the shift."""
+    """Left, top, right and bottom margins in px that leave of a picture with the `widest` margin the view with a margin
+    of `share`; each is shifted by its own share of the shift."""
     inside = 1 - share / widest
     x, y = inside * widest * screen.width_px, inside * widest * screen.height_px
     return (

@@ -14,8 +14,8 @@ from storage.packed.scene import PackedScene
 def scene_places(
     scene: PackedScene, magnified: int = 1, page_px: int = 128, smooth: bool = True
 ) -> tuple[Places, np.ndarray]:
-    """The splats of the finest level that have a photograph, and the photograph (n_splats,) of every splat of the file: of
-    labels that agree with their neighbours, where `smooth`."""
+    """The splats of the finest level that have a photograph, and the photograph (n_splats,) of every splat of the file:
+    of labels that agree with their neighbours, where `smooth`."""
     finest = slice(scene.header.first_finest, None)
     centre, (u, v) = scene_squares(scene)
     centre, normal = centre[finest] + np.array(scene.header.origin), np.cross(u[finest], v[finest])

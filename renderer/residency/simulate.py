@@ -1,7 +1,7 @@
 """A path with a manager of pages, in simulated time: how often a page is missing, by prediction and policy.
 
-Deterministic: frames come at 90 a second, feedback arrives after 2 of them, what was asked for is loaded after 6. No disk
-and no clock take part, so that policies are compared, not machines.
+Deterministic: frames come at 90 a second, feedback arrives after 2 of them, what was asked for is loaded after 6. No
+disk and no clock take part, so that policies are compared, not machines.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ def parts_along(places: Places, path: Path90, distance: float) -> list[dict[str,
 def misses_of(
     places: Places, parts: list[Parts], prediction: str, n_frame: int, n_pool: int, published: bool, cold: bool = False
 ) -> Misses:
-    """Run the manager over the frames of a path, once it has settled on the first; `cold` from the first frame on, with tails alone."""
+    """Run the manager over the frames of a path, once it has settled on the first; `cold` from the first frame on, with
+    tails alone."""
     layout = places.layout
     manager = Manager(layout.level_of, layout.parents, n_pool, n_frame, published)
     asked = [part.asked(prediction) for part in parts]

@@ -32,8 +32,8 @@ def texture_bytes(cameras: Sequence[Camera]) -> int:
 
 
 def splats_by_camera(scene: PackedScene) -> tuple[np.ndarray, dict[tuple[int, bool], tuple[int, int]]]:
-    """The splats of the finest level sorted by their camera, of each first discs, then ellipsoids; and of each such run its
-    (first, number)."""
+    """The splats of the finest level sorted by their camera, of each first discs, then ellipsoids; and of each such run
+    its (first, number)."""
     camera = scene.arrays.get("camera")
     if camera is None:
         camera = np.full(scene.header.n_splats, NO_CAMERA, np.uint16)

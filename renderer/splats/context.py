@@ -51,7 +51,8 @@ def float_depth_buffer(context: moderngl.Context, size: tuple[int, int]) -> mode
 
 
 class Fence:
-    """A place in the stream of commands of the current context (glFenceSync): whether the GPU has passed it can be asked without waiting.
+    """A place in the stream of commands of the current context (glFenceSync): whether the GPU has passed it can be
+    asked without waiting.
 
     Made, asked and deleted while its context is current."""
 

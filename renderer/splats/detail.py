@@ -1,9 +1,9 @@
 """Which groups of a scene with levels are drawn in a view, and with what share: a cut through their tree.
 
-Group j of a level stands for groups 4j to 4j + 3 of the next finer one (pipeline/splats/coarser.py), so the tree has no table.
-A group is drawn where its own splats are no larger than so many pixels and its parent's are larger. Sizes and boxes of
-parents hold those of their children, so a parent never looks smaller than its child, and each group is decided for itself.
-Between PIXELS and FADE times as many a group and its children share the picture, so that nothing pops.
+Group j of a level stands for groups 4j to 4j + 3 of the next finer one (pipeline/splats/coarser.py), so the tree has no
+table. A group is drawn where its own splats are no larger than so many pixels and its parent's are larger. Sizes and
+boxes of parents hold those of their children, so a parent never looks smaller than its child, and each group is decided
+for itself. Between PIXELS and FADE times as many a group and its children share the picture, so that nothing pops.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ MOST_STEPS = 64  # of that: 2^16 times as many pixels
 
 @dataclass(frozen=True)
 class Detail:
-    """How large splats are to look: `pixels` of their radius, as the distance of two is about one radius; 0 draws the finest
-    level alone. With `most_splats` larger, until no more than so many are drawn."""
+    """How large splats are to look: `pixels` of their radius, as the distance of two is about one radius; 0 draws the
+    finest level alone. With `most_splats` larger, until no more than so many are drawn."""
 
     pixels: float = 1.0
     most_splats: int | None = None
@@ -40,7 +40,8 @@ FINEST = Detail(0.0)
 
 @dataclass(frozen=True)
 class GroupTree:
-    """The groups of all levels, the coarsest first: boxes (g, 3) each, sizes (g,), of parents with their children's in them."""
+    """The groups of all levels, the coarsest first: boxes (g, 3) each, sizes (g,), of parents with their children's in
+    them."""
 
     low: np.ndarray
     high: np.ndarray

@@ -1,8 +1,10 @@
-"""The same shaders for WebGL 2: the GLSL of renderer/shaders as GLSL ES 3.00, text by text, so that there is one source.
+"""The same shaders for WebGL 2: the GLSL of renderer/shaders as GLSL ES 3.00, text by text, so that there is one
+source.
 
-What ES lacks is put in other words: storage buffers become textures of whole numbers, a line of 2048 texels after the other,
-and `buffer[i]` becomes `load(buffer, i)`; bindings go; a vertex's number counts three a splat, as draws have no index list
-and no base vertex there. Where clip space cannot end at 0 (no EXT_clip_control), fragments write their depth themselves.
+What ES lacks is put in other words: storage buffers become textures of whole numbers, a line of 2048 texels after the
+other, and `buffer[i]` becomes `load(buffer, i)`; bindings go; a vertex's number counts three a splat, as draws have no
+index list and no base vertex there. Where clip space cannot end at 0 (no EXT_clip_control), fragments write their depth
+themselves.
 
 The defines of a variant are put on top by whoever compiles: effects are #ifdefs here as they are there.
 """
@@ -64,7 +66,8 @@ def es_sources() -> dict[str, str]:
 
 @cache
 def drawn_text(name: str) -> str:
-    """The text of a shader with its includes but those of NOT_DRAWN, which stand behind defines that the viewer sets never."""
+    """The text of a shader with its includes but those of NOT_DRAWN, which stand behind defines that the viewer sets
+    never."""
     text = with_includes(name)
     for part in NOT_DRAWN:
         text = text.replace(with_includes(part), "")
@@ -102,7 +105,8 @@ def to_es(text: str, is_vertex: bool) -> str:
 
 
 def _bare(text: str) -> str:
-    """The text without comments, indentation and empty lines: it goes over the network, and into each page of its own."""
+    """The text without comments, indentation and empty lines: it goes over the network, and into each page of its
+    own."""
     lines = (line.strip() for line in _COMMENT.sub("", text).splitlines())
     return "\n".join(line for line in lines if line) + "\n"
 

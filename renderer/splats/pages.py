@@ -1,8 +1,8 @@
 """Pages on the GPU: the pool, the table that says where each page lies, and the feedback of what a frame asked for.
 
-The pool is an array texture with pages tiled within its layers (drivers end at 2,048 layers); the table, a word a page, is
-residency map and indirection in one: a shader goes from the level that it wants to coarser ones until a page is there. No
-sparse textures: this runs everywhere.
+The pool is an array texture with pages tiled within its layers (drivers end at 2,048 layers); the table, a word a page,
+is residency map and indirection in one: a shader goes from the level that it wants to coarser ones until a page is
+there. No sparse textures: this runs everywhere.
 """
 
 from __future__ import annotations
@@ -105,7 +105,8 @@ class GpuPages:
 
     @contextmanager
     def drawn_by_parts(self) -> Iterator[None]:
-        """While pages are put and counted between the draws of one picture, for which the context is current already."""
+        """While pages are put and counted between the draws of one picture, for which the context is current
+        already."""
         self._current = nullcontext
         try:
             yield
@@ -194,9 +195,9 @@ class GpuPages:
         self._frame += 1
 
     def listed(self, ago: int = 1) -> tuple[np.ndarray, int]:
-        """Rows (n, 3) uint32 (page, fragments in the view, in its margin), by page, of the frame flattened last, or of `ago` - 1 frames
-        before that, at most RING - 1; and how many found no room. With `ago` 2 and more a fence says that the GPU is done with it,
-        so nobody waits; a list that is not there after LATE_S is none."""
+        """Rows (n, 3) uint32 (page, fragments in the view, in its margin), by page, of the frame flattened last, or of
+        `ago` - 1 frames before that, at most RING - 1; and how many found no room. With `ago` 2 and more a fence says
+        that the GPU is done with it, so nobody waits; a list that is not there after LATE_S is none."""
         none = np.zeros((0, 3), np.uint32), 0
         if self._frame < ago:
             return none

@@ -95,7 +95,8 @@ class Renderer:
         )
 
     def render_baseline(self, photos: PhotoSplats, view: Camera) -> Picture:
-        """The splats of the finest level from `view`, textured from the photographs themselves: what compression is compared with."""
+        """The splats of the finest level from `view`, textured from the photographs themselves: what compression is
+        compared with."""
 
         def draw(frame: _Frame) -> None:
             self._begin_attributes(frame)
@@ -105,8 +106,8 @@ class Renderer:
         return self._drawn(photos.gpu_scene, view, draw, AS_PHOTOGRAPHED)
 
     def render_by_parts(self, gpu_scene: GpuScene, view: Camera, parts: Callable[[], Iterator[int]]) -> Picture:
-        """The splats of the finest level from `view`, textured from the pages of a scene with them, in as many parts as `parts()`
-        yields numbers, from 0 on: before each it has its pages put and counted (`GpuPages.count`)."""
+        """The splats of the finest level from `view`, textured from the pages of a scene with them, in as many parts as
+        `parts()` yields numbers, from 0 on: before each it has its pages put and counted (`GpuPages.count`)."""
         assert gpu_scene.pages is not None
         gpu_scene.show(checked_view(view), FINEST)
         gpu_scene.pages.look(view)

@@ -1,4 +1,5 @@
-"""A packed scene in GPU memory: the arrays of the packed file, byte for byte, and small tables derived from them (upload/tables.py)."""
+"""A packed scene in GPU memory: the arrays of the packed file, byte for byte, and small tables derived from them
+(upload/tables.py)."""
 
 from __future__ import annotations
 
@@ -142,9 +143,9 @@ class GpuScene:
 
     @property
     def looks(self) -> tuple[dict[str, int], ...]:
-        """What splats are drawn by programs of their own, one after the other: those that are not looked up in maps, those at coarser levels, those
-        at the finest, and those whose fragments move there. Processors that draw run all of a shader's branches, so each has what its
-        splats need."""
+        """What splats are drawn by programs of their own, one after the other: those that are not looked up in maps,
+        those at coarser levels, those at the finest, and those whose fragments move there. Processors that draw run all
+        of a shader's branches, so each has what its splats need."""
         if not (self.scene.header.maps and self.looks_up):
             return ({},)
         return {"UNMAPPED": 1}, *({"MAPPED": 1, "LOOKED_UP": kind} for kind in (1, 2, 3))
@@ -203,7 +204,8 @@ class GpuScene:
         self._upload(BOXES, "geometry", boxes, "chunk boxes")
 
     def _decode_runs(self) -> None:
-        """Positions and normals for the passes; what they take decoded is not counted, for the card can decode them again."""
+        """Positions and normals for the passes; what they take decoded is not counted, for the card can decode them
+        again."""
         from renderer.splats.upload.runs import upload_runs  # for runs alone
 
         self.runs = upload_runs(self.context, self.scene)

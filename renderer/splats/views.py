@@ -37,8 +37,9 @@ def view_of(camera: Camera, size: tuple[int, int] | None = None) -> Camera:
 
 
 def orbit_views(scene: PackedScene, n: int, size: tuple[int, int], up: Direction | None = None) -> list[Camera]:
-    """`n` cameras in a circle around the scene, looking slightly down on its middle, all as near as its bulk stays in the picture from
-    FRAMED_FROM directions, whatever `n`; `up` (3,) is the scan's where it is known better than the file does.
+    """`n` cameras in a circle around the scene, looking slightly down on its middle, all as near as its bulk stays in
+    the picture from FRAMED_FROM directions, whatever `n`; `up` (3,) is the scan's where it is known better than the
+    file does.
 
     The first one stands where the photographs were taken from, if there are any.
     """
@@ -66,15 +67,17 @@ def _outwards(start: np.ndarray, upright: np.ndarray, n: int) -> list[np.ndarray
 
 
 def _framing_distance(corners: np.ndarray, out: np.ndarray, upright: np.ndarray, tangents: np.ndarray) -> float:
-    """How far along `out` a camera that looks back has to stand to see all `corners` (n, 3) within `tangents` (2,), across and up."""
+    """How far along `out` a camera that looks back has to stand to see all `corners` (n, 3) within `tangents` (2,),
+    across and up."""
     right, down = _camera_axes(-out, upright)
     seen = np.abs(corners @ np.stack([right, down], axis=1)) / tangents
     return float((seen.max(axis=1) + corners @ out).max())
 
 
 def framed_views(scene: PackedScene, n: int, size: tuple[int, int], up: Direction | None = None) -> list[Camera]:
-    """`orbit_views`, each turned to nothing else but moved to where the bulk of the scene, and what lies about it, just fills that picture: a flat
-    or a long scan is larger in most. For single pictures; of a turntable the distance would pump.
+    """`orbit_views`, each turned to nothing else but moved to where the bulk of the scene, and what lies about it, just
+    fills that picture: a flat or a long scan is larger in most. For single pictures; of a turntable the distance would
+    pump.
 
     Guarantees: every corner of every box of the bulk lies inside every picture.
     """
@@ -86,7 +89,8 @@ def framed_views(scene: PackedScene, n: int, size: tuple[int, int], up: Directio
         rotation, tangents = np.array(view.rotation), np.array(size) / [view.fx_px, view.fy_px] / 2 / MARGIN
         at = (corners - view.centre) @ rotation.T
         right, left = ((sign * at[:, :2] / tangents - at[:, 2:]).max(axis=0) for sign in (1, -1))
-        # An eye `back` from there and `aside` sees all where back >= right - aside / tangents and back >= left + aside / tangents.
+        # An eye `back` from there and `aside` sees all where back >= right - aside / tangents and back >= left + aside
+        # / tangents.
         back = max((right + left).max() / 2, scene.header.radius - at[:, 2].min())
         aside = _centred(at, back, tangents * (right - back), tangents * (back - left))
         centre = np.array(view.centre) + np.array([*aside, -back]) @ rotation
@@ -97,8 +101,9 @@ def framed_views(scene: PackedScene, n: int, size: tuple[int, int], up: Directio
 def station_views(
     scene: PackedScene, stations: Sequence[tuple[float, float, float]], size: tuple[int, int]
 ) -> list[Camera]:
-    """From where each laser scanner stood (absolute), towards where most of the scan lies: of STATION_WAYS level directions that with most
-    chunks of the bulk within half of STATION_FIELD_DEGREES, tilted to their mean height by at most STATION_TILT_DEGREES."""
+    """From where each laser scanner stood (absolute), towards where most of the scan lies: of STATION_WAYS level
+    directions that with most chunks of the bulk within half of STATION_FIELD_DEGREES, tilted to their mean height by at
+    most STATION_TILT_DEGREES."""
     low, high = bulk_of(scene)
     upright, middle = up_direction(scene.header), (low + high) / 2 + scene.header.origin
     start = _start_direction(scene.header, np.zeros(3), upright)
@@ -125,7 +130,8 @@ def station_views(
 
 
 def _centred(at: np.ndarray, back: float, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """How far aside (2,), between `low` and `high`, an eye so far back has as much room on both sides of `at` (n, 3), in camera axes."""
+    """How far aside (2,), between `low` and `high`, an eye so far back has as much room on both sides of `at` (n, 3),
+    in camera axes."""
     for _ in range(40):
         aside = (low + high) / 2
         off = (at[:, :2] - aside) / (at[:, 2:] + back)
@@ -142,9 +148,9 @@ def _corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 def bulk_of(scene: PackedScene, spared: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest corners (m, 3) against the origin of the chunks, of levels those of the coarsest, of a large
     scene of the groups, that a picture of the whole
-    shows: those within a ball about the middle of the ranges that TRIMMED_SHARE of their centres lie below and above of, as far as all
-    but STRAY_SHARE reach from there, and no further than LONGEST_TAIL times what all but TRIMMED_SHARE do; `spared` times that. The
-    surfaces of a volume have no strays: all of them."""
+    shows: those within a ball about the middle of the ranges that TRIMMED_SHARE of their centres lie below and above
+    of, as far as all but STRAY_SHARE reach from there, and no further than LONGEST_TAIL times what all but
+    TRIMMED_SHARE do; `spared` times that. The surfaces of a volume have no strays: all of them."""
     low, high = scene_bounds(scene)
     if scene.header.levels:
         low, high = (side[: scene.header.levels[0] // CHUNK] for side in (low, high))
@@ -162,7 +168,8 @@ def bulk_of(scene: PackedScene, spared: float = 1.0) -> tuple[np.ndarray, np.nda
 
 
 def hides_backs(scene: PackedScene, views: Sequence[Camera]) -> bool:
-    """Whether all discs that show their backs in these views are hidden by others: closed surfaces, seen from outside of all they reach to."""
+    """Whether all discs that show their backs in these views are hidden by others: closed surfaces, seen from outside
+    of all they reach to."""
     if not is_closed(scene.header):
         return False
     low, high = scene_bounds(scene)

@@ -1,8 +1,8 @@
 """/dashboard: Dask's own pages, passed on to whoever has a token; the scheduler itself stays where only we reach it.
 
-A browser sends no Authorization header with a link, so the page trades its token for a cookie that goes to these addresses
-alone and that no script reads. The pages show every owner's tasks by the ids of their jobs; what they could change, or
-reach beyond the scheduler, is not passed on.
+A browser sends no Authorization header with a link, so the page trades its token for a cookie that goes to these
+addresses alone and that no script reads. The pages show every owner's tasks by the ids of their jobs; what they could
+change, or reach beyond the scheduler, is not passed on.
 """
 
 from __future__ import annotations
@@ -112,7 +112,8 @@ async def get_page(path: str, request: Request, visitor: Visitor, settings: Sett
 
 @router.websocket(PATH + "/{path:path}")
 async def pass_on(websocket: WebSocket, path: str) -> None:
-    """Bokeh's messages, both ways, until either side ends. Another site's page gets none, whatever its browser sends."""
+    """Bokeh's messages, both ways, until either side ends. Another site's page gets none, whatever its browser
+    sends."""
     from websockets.asyncio.client import connect
     from websockets.exceptions import WebSocketException
 

@@ -54,8 +54,8 @@ def get_webhook_secret(owner: Owner, settings: Settings) -> dict:
 
 @router.get("/schemas/{name}")
 def get_schema(name: str) -> dict:
-    """The JSON Schema (2020-12) of report.json, which every job leaves, of evaluate.json and tradeoff.json, which the commands
-    of these names write, and of estimate.json, what `splatpress estimate --json` prints."""
+    """The JSON Schema (2020-12) of report.json, which every job leaves, of evaluate.json and tradeoff.json, which the
+    commands of these names write, and of estimate.json, what `splatpress estimate --json` prints."""
     if name not in SCHEMAS:
         raise Problem(404, "not-found", f"no schema {name[:80]!r}", hint=f"allowed: {', '.join(SCHEMAS)}")
     return _schemas()[name]

@@ -21,9 +21,11 @@ prints such a plan for any size; `--json` has every figure of it.
 
 A stage costs what its tasks take on the workers, dealt out by one scheduler that spends a millisecond on each call
 (simulated, `pipeline/costs/costs.py`), and what one process does before and after them. Seconds a splat and an index,
-bytes and memory are fitted by `benchmarks/fit_costs.py` to the rows below. Tasks count by their processor seconds.
+bytes and memory are fitted by `benchmarks/fit_costs.py` to the rows below; tasks count by their processor seconds.
 
 {fitted}
+
+They are measured and fitted again, and held against runs outside the fit, by
 
     python -m benchmarks.scaling SCAN --splats 100000 400000 1000000 4000000 --workers 1 --out rows.jsonl
     python -m benchmarks.scaling SCAN --splats 200000 --workers 1 --dictionary-bits 8 --out rows.jsonl

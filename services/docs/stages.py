@@ -1,4 +1,5 @@
-"""The table of docs/PIPELINE.md, made from the catalogue of stages: `python -m services.docs.stages` writes it again."""
+"""The table of docs/PIPELINE.md, made from the catalogue of stages: `python -m services.docs.stages` writes it
+again."""
 
 from __future__ import annotations
 

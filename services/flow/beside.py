@@ -1,4 +1,5 @@
-"""What a job makes beside its packed file: every stage that the catalogue runs by itself, where the job calls for it."""
+"""What a job makes beside its packed file: every stage that the catalogue runs by itself, where the job calls for
+it."""
 
 from __future__ import annotations
 

@@ -20,14 +20,16 @@ from services.flow.run import Run
 from services.flow.textures import Coded, code_patches
 from storage.maps import MOST_MAPS
 
-# What atoms take in the file beyond one colour a splat, at 36 dB (draft, a tenth of the points): 1.7 of pump_e57 over quadrics (129,704 bytes
-# become 155,309 at 38.6 dB; with maps 179,811 at 36.1), 2.5 of fountain_3stations (488,866, 634,855; 740,686), 3.9 of conference_room (410,847
-# with one colour; with maps 739,610). Their geometric mean decides these three as their bytes do.
+# What atoms take in the file beyond one colour a splat, at 36 dB (draft, a tenth of the points): 1.7 of pump_e57 over
+# quadrics (129,704 bytes become 155,309 at 38.6 dB; with maps 179,811 at 36.1), 2.5 of fountain_3stations (488,866,
+# 634,855; 740,686), 3.9 of conference_room (410,847 with one colour; with maps 739,610). Their geometric mean decides
+# these three as their bytes do.
 ATOM_BYTES_A_SPLAT = 2.5
 
 
 def resample(run: Run, prepared: Prepared, kept: bool = True) -> StageRecord[PatchesMade]:
-    """Sample the photographs, or the maps of stations, into patches; of photographs not `kept`, but made again where they are used."""
+    """Sample the photographs, or the maps of stations, into patches; of photographs not `kept`, but made again where
+    they are used."""
     scan, maps = prepared.scan, prepared.maps
     if maps is not None:
         return run.do(ResampleMaps(prepared.on_maps(maps.folder), maps.log_gain))
@@ -61,7 +63,8 @@ class Texture:
 
 
 def texture(run: Run, prepared: Prepared, settings: Settings) -> Texture:
-    """The texture that the settings ask for; `auto`, of a scan with station maps, that of fewer bytes at the target's PSNR."""
+    """The texture that the settings ask for; `auto`, of a scan with station maps, that of fewer bytes at the target's
+    PSNR."""
     if not wants_texture(prepared, settings.texture):
         return Texture()
     pictures, choice = chosen_maps(run, prepared, settings)

@@ -28,8 +28,8 @@ def map_scan(
 ) -> list[dict]:
     """Draw the maps of a scan's stations into the folder `out`, which appears with all of them or not at all.
 
-    Returns a row a station: its number, centre, step in degrees, share of directions that show a surface, and files; None in
-    place of these for a station that saw nothing.
+    Returns a row a station: its number, centre, step in degrees, share of directions that show a surface, and files;
+    None in place of these for a station that saw nothing.
 
     Raises: InvalidScan for a scan without stations.
     """

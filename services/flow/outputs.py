@@ -18,7 +18,8 @@ from storage.packed.packed import PackedFile
 
 
 def write_outputs(run: Run, path: Path, photos: Path, record: RunRecord, out: Path, render: bool) -> dict:
-    """previews/, edges/, report.json and report.html beside each other in `out`. Returns the report, as report.json has it."""
+    """previews/, edges/, report.json and report.html beside each other in `out`. Returns the report, as report.json has
+    it."""
     from renderer.report.report_page import write_page  # Bokeh takes 2 s to import, which an estimate does without
 
     with PackedFile(path) as packed:

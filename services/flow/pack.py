@@ -59,8 +59,8 @@ def pack(
     path: Path | None,
     mapped: Mapped | None = None,
 ) -> StageRecord[Packed]:
-    """Write the packed file to `path`; None leaves it a folder of the work folder's. Splats are textured by what is `coded`, by
-    maps, or by nothing."""
+    """Write the packed file to `path`; None leaves it a folder of the work folder's. Splats are textured by what is
+    `coded`, by maps, or by nothing."""
     scan = prepared.scan.summary
     flag_of = {extra.stream: extra.flag for extra in EXTRAS}  # an effect is named as its stream
     extras = tuple((flag_of[name], folder) for name, folder in prepared.built if name in flag_of)

@@ -38,15 +38,17 @@ DICTIONARY_BYTES_A_SPLAT = 0.5
 # the last, flat walls show them.
 COLOR_STEP_AT_40_DB, MOST_COLOR_STEP = 2.0, 3.2
 FEWEST_INDEX_BITS, MOST_INDEX_BITS = 8, 12
-# Bytes a splat that the fewest atoms of a size may take with their mip levels, 8x8 excepted. Thinned, `balanced`, bytes of the file a splat:
-# fountain_p11 of 2,014 splats with 32x32, 16x16, 8x8 texels 90.2, 46.5, 36.7 at 27.34, 27.30, 26.73 dB; of 5,000 45.8, 28.8, 23.1 at 28.73,
-# 28.71, 28.07; of 19,997 22.9, 18.9, 17.2 at 31.92, 31.90, 31.48; monstree of 5,015 47.4, 31.1, 26.2 at 24.03, 24.02, 23.91.
+# Bytes a splat that the fewest atoms of a size may take with their mip levels, 8x8 excepted. Thinned, `balanced`, bytes
+# of the file a splat: fountain_p11 of 2,014 splats with 32x32, 16x16, 8x8 texels 90.2, 46.5, 36.7 at 27.34, 27.30,
+# 26.73 dB; of 5,000 45.8, 28.8, 23.1 at 28.73, 28.71, 28.07; of 19,997 22.9, 18.9, 17.2 at 31.92, 31.90, 31.48;
+# monstree of 5,015 47.4, 31.1, 26.2 at 24.03, 24.02, 23.91.
 MOST_BYTES_OF_FEWEST = 2.0
 
 
 @dataclass(frozen=True)
 class Stop:
-    """When a patch has enough atoms: at a squared error, or where the next lowers it by no more than the Lagrange multiplier."""
+    """When a patch has enough atoms: at a squared error, or where the next lowers it by no more than the Lagrange
+    multiplier."""
 
     tolerance: float
     multiplier: float = 0.0

@@ -1,6 +1,7 @@
 """Exports of finished jobs: a worker makes each when it is first asked for, and it is kept as an artifact.
 
-What is asked for stands in the database, so a runner that dies makes it when it is back; the same file gives the same bytes.
+What is asked for stands in the database, so a runner that dies makes it when it is back; the same file gives the same
+bytes.
 """
 
 from __future__ import annotations

@@ -53,8 +53,8 @@ def compress(
     strict: bool = False,
     edited_maps: Path | None = None,
 ) -> dict:
-    """Compress a scan into `out`: NAME.splatpress, report.json, report.html and previews/, and NAME.pages where the plan has
-    pages on. Returns the report.
+    """Compress a scan into `out`: NAME.splatpress, report.json, report.html and previews/, and NAME.pages where the
+    plan has pages on. Returns the report.
 
     `out` appears with all of it, or not at all; only where the packed file is whole and its pictures or its report
     fail, `out` appears with what there is, and the error says so in a note. With `work` the outputs of the stages stay

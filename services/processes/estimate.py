@@ -88,8 +88,8 @@ class _Pilot:
 def estimate(
     scan: Path, settings: Settings, executor: Executor, progress: Progress, work_folder: Path | None = None
 ) -> EstimateDocument:
-    """Seconds up to the packed file (previews not among them), peak memory of a worker, bytes on the GPU and of the file,
-    and texture PSNR, each with a band, those of a page file beside it, and what each stage adds to the seconds.
+    """Seconds up to the packed file (previews not among them), peak memory of a worker, bytes on the GPU and of the
+    file, and texture PSNR, each with a band, those of a page file beside it, and what each stage adds to the seconds.
 
     With `work_folder` the full part stays there, and so does the estimate, for the report of the job that follows.
 

@@ -5,9 +5,9 @@ Splats that a dictionary was learned from do better with it than others, and the
 as much; both gaps shrink as patches an atom grow. What the pilot's two sorts of splats lose and take tells the gaps,
 octave by octave of contrast, for the training set prefers the higher ones.
 
-The multiplier of an atom is set such that the splats learned from have the error that the target promises. Theirs is too
-good in the pilot by more than in the job, so the job's multiplier is lower: fewer errors, more atoms. With a budget in place
-of a target the multiplier is such that atoms are as many.
+The multiplier of an atom is set such that the splats learned from have the error that the target promises. Theirs is
+too good in the pilot by more than in the job, so the job's multiplier is lower: fewer errors, more atoms. With a budget
+in place of a target the multiplier is such that atoms are as many.
 
 A dictionary gains in proportion to the logarithm of the passes that it was learned in, which the pilot's curve tells:
 on `monstree` 40 passes gained 0.75 dB after the fourth, where the second to the fourth tell 0.63.
@@ -47,7 +47,8 @@ class Sorts:
 
 @dataclass(frozen=True)
 class Slope:
-    """Of the ladder of multipliers where the pilot's multiplier lies; None where it is the least, and no job's is lower."""
+    """Of the ladder of multipliers where the pilot's multiplier lies; None where it is the least, and no job's is
+    lower."""
 
     atoms_an_error: float | None  # d log(atoms) / d log(error), negative
 

@@ -74,7 +74,8 @@ def evaluate(
     `out` appears with the first row, and is written anew, each file whole, with every row and figure that follows: what
     has been measured stays, whatever happens after. A row or a figure that fails is named under `failed`, with its
     error, and takes no other with it; only without the average colour, whose geometry all rows share, are there none.
-    Photographs that take more than `pool_bytes` on the GPU are drawn by pages in a pool of that size, none of them missing.
+    Photographs that take more than `pool_bytes` on the GPU are drawn by pages in a pool of that size, none of them
+    missing.
 
     Raises: InvalidScan for a scan without photographs, and where `hold_out` leaves none.
     """

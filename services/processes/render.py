@@ -44,12 +44,12 @@ def render_views(
     pool_mib: float | None = None,
     front_only: bool = False,
 ) -> list[Path]:
-    """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`, with their coverage as alpha or on a
-    `background`, and where `animated` into turntable.webp beside them; returns their paths. `precision`
+    """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`, with their coverage as alpha or
+    on a `background`, and where `animated` into turntable.webp beside them; returns their paths. `precision`
     is that of pipeline.planning.knobs.VIEW_KNOBS. With a `light`
     it is lit, whether or not the file asks for it; with smoothed normals, unless it was planned without. `up` is
-    what is up around the scan, where the file does not know; `detail` which of its levels are drawn, with `pool_mib` from
-    no more than so many MiB of its splats in memory. With `front_only`, or where they are hidden
+    what is up around the scan, where the file does not know; `detail` which of its levels are drawn, with `pool_mib`
+    from no more than so many MiB of its splats in memory. With `front_only`, or where they are hidden
     anyway, discs that show their backs are left out."""
     renderer = Renderer()
 
@@ -83,7 +83,8 @@ def render_views(
 
 
 def _viewed(opened: PackedFile, pool_mib: float | None) -> PackedScene:
-    """What views are made of; with a pool no more than the boxes of the file, or the coarsest level over quadrics, is read for that."""
+    """What views are made of; with a pool no more than the boxes of the file, or the coarsest level over quadrics, is
+    read for that."""
     if pool_mib is None:
         return opened.load()
     if (
@@ -120,9 +121,11 @@ def _camera_named(header: Header, name: str, packed: Path) -> Camera:
 
 
 def coverage_of(packed: Path, up: tuple[float, float, float] | None = None, pictures: Path | None = None) -> dict:
-    """`surface`: rows of three views from one distance, ring_000 and on, as `renderer.evaluate.coverage` measures discs; `outline`: of four orbit views as they are drawn,
-    `camera`, `coverage` and `holes`, the share of pixels without a splat inside the outline closed by 9x9 px: of these `uncovered` have points of
-    the scan on all sides, `unscanned` have not (renderer/evaluate/unscanned.py). Into the folder `pictures` goes each view with its holes painted."""
+    """`surface`: rows of three views from one distance, ring_000 and on, as `renderer.evaluate.coverage` measures
+    discs; `outline`: of four orbit views as they are drawn, `camera`, `coverage` and `holes`, the share of pixels
+    without a splat inside the outline closed by 9x9 px: of these `uncovered` have points of the scan on all sides,
+    `unscanned` have not (renderer/evaluate/unscanned.py). Into the folder `pictures` goes each view with its holes
+    painted."""
     with PackedFile(packed) as opened:
         scene = opened.load()
     renderer = Renderer()

@@ -46,7 +46,8 @@ class NewJob:
 
 @dataclass(frozen=True)
 class JobRow:
-    """A job. `attempt` counts from 1; `progress` is in percent; `live` is splats a second, seconds left, current PSNR."""
+    """A job. `attempt` counts from 1; `progress` is in percent; `live` is splats a second, seconds left, current
+    PSNR."""
 
     id: str
     owner: str

@@ -1,7 +1,7 @@
 """A scan fetched from an address that its owner names, in place of an upload: https, or a bucket that is allowed.
 
-An https address follows the rules of webhooks: public, resolved once, no redirects. With the service's own keys a bucket
-would give everybody's objects to anybody, so only what lies below SPLATPRESS_FETCH_FROM is fetched from one.
+An https address follows the rules of webhooks: public, resolved once, no redirects. With the service's own keys a
+bucket would give everybody's objects to anybody, so only what lies below SPLATPRESS_FETCH_FROM is fetched from one.
 """
 
 from __future__ import annotations

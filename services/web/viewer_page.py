@@ -1,4 +1,5 @@
-"""The viewer's files: its page, its style and all its modules as one script, as a server sends them; or all in one page that opens without one."""
+"""The viewer's files: its page, its style and all its modules as one script, as a server sends them; or all in one page
+that opens without one."""
 
 from __future__ import annotations
 
@@ -29,8 +30,8 @@ _EXPORT = re.compile(r"^export (?=(?:async )?(?:function|class|const) (\w+))", r
 
 @cache
 def viewer_file(name: str) -> tuple[bytes, str] | None:
-    """Contents and media type of a file of the viewer; None where there is none of that name. SCRIPT comes with all that it imports, and
-    bare; its modules alone are for who looks at them."""
+    """Contents and media type of a file of the viewer; None where there is none of that name. SCRIPT comes with all
+    that it imports, and bare; its modules alone are for who looks at them."""
     media_type = MEDIA_TYPES.get(Path(name).suffix)
     if name == SHADERS:
         return json.dumps(shader_document()).encode(), media_type
@@ -71,7 +72,8 @@ def one_page(packed: bytes, title: str) -> bytes:
 
 
 def as_text(data: bytes) -> str:
-    """Bytes as printable ASCII but `"`, `&` and `<`: 13 bits, the lowest first, as two of 91 characters, the first the higher one.
+    """Bytes as printable ASCII but `"`, `&` and `<`: 13 bits, the lowest first, as two of 91 characters, the first the
+    higher one.
 
     >>> as_text(b"a")
     '#)'

@@ -1,4 +1,5 @@
-"""Fields of a fixed number of bits in a stream of 32-bit words, lowest bit first; and sizes, of which every chunk has whole words.
+"""Fields of a fixed number of bits in a stream of 32-bit words, lowest bit first; and sizes, of which every chunk has
+whole words.
 
 The shader reads the same stream with the same two loads (renderer/shaders/bits.glsl). Every stream ends in one spare
 word, so that the second load never leaves it.
@@ -38,8 +39,8 @@ def unpack_bits(words: np.ndarray, first_bit: np.ndarray, width: int) -> np.ndar
 
 
 def pack_sizes(code: np.ndarray, bits: int) -> np.ndarray:
-    """The words (c, CHUNK bits / 32) uint32 of codes (n,) below 2^bits, a field after the other, lowest bit first; the last chunk
-    is filled up with zeros."""
+    """The words (c, CHUNK bits / 32) uint32 of codes (n,) below 2^bits, a field after the other, lowest bit first; the
+    last chunk is filled up with zeros."""
     padded = np.pad(code.astype(np.uint8), (0, -len(code) % CHUNK)).reshape(-1, CHUNK)
     field = (padded[:, :, None] >> np.arange(bits, dtype=np.uint8)) & 1
     return np.packbits(field.reshape(len(padded), -1), axis=1, bitorder="little").view("<u4")

@@ -1,7 +1,8 @@
 """Groups as units: the table of groups that a file begins with, and how long the streams of a group are.
 
-A group's rows of every array are zarr chunks of their own, which stand together in the file; the table says where, what they show
-and how long their streams are. So a reader finds out what is worth fetching, fetches it as one range, and checks it alone.
+A group's rows of every array are zarr chunks of their own, which stand together in the file; the table says where, what
+they show and how long their streams are. So a reader finds out what is worth fetching, fetches it as one range, and
+checks it alone.
 """
 
 from __future__ import annotations
@@ -53,7 +54,8 @@ class GroupTable:
     seal: np.ndarray  # (g, 32) uint8: SHA-256 of their zarr chunks
 
 
-# Tables that readers make of the lengths of streams and of runs, for memory and GPUs, and the row of the size table that their bytes are counted in.
+# Tables that readers make of the lengths of streams and of runs, for memory and GPUs, and the row of the size table
+# that their bytes are counted in.
 FIRST_WORDS = {
     "run_section": "geometry",
     "splat_word": "geometry",
@@ -71,7 +73,8 @@ def ragged_in(header: Header) -> tuple[Array, ...]:
 
 
 def most_rows(header: Header, array: Array) -> int:
-    """What a group has no more rows of: of words and bytes by the bits that a splat may take. All have so many in the file."""
+    """What a group has no more rows of: of words and bytes by the bits that a splat may take. All have so many in the
+    file."""
     n = min(GROUP, header.n_splats)
     if "u" in array.dims:
         return most_bytes(n)
@@ -101,8 +104,8 @@ def rows_told(header: Header, arrays: dict[str, np.ndarray]) -> dict[str, np.nda
 
 
 def first_words(header: Header, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Where streams that stand one group after the other begin: of each group `group_word`, `clipline_word` and `ellipsoid_word`
-    (g,), and of each chunk `color_word` and `splat_word` (c,), uint32."""
+    """Where streams that stand one group after the other begin: of each group `group_word`, `clipline_word` and
+    `ellipsoid_word` (g,), and of each chunk `color_word` and `splat_word` (c,), uint32."""
     table_of = {extra.stream: extra.table for extra in EXTRAS} | {"codes": "group_word"}
     words = {table_of[name]: n for name, n in rows_told(header, arrays).items() if name in table_of}
     if header.color_step:
@@ -114,7 +117,8 @@ def first_words(header: Header, arrays: dict[str, np.ndarray]) -> dict[str, np.n
 
 
 def outline_of(header: Header, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What the table says that one group shows: its `low`, `high`, `cone` and `radius`; `n_splats` of the header is the group's."""
+    """What the table says that one group shows: its `low`, `high`, `cone` and `radius`; `n_splats` of the header is the
+    group's."""
     low, high = _bounds(header, arrays)
     radius = radii_of(header, arrays)
     return {

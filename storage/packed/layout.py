@@ -64,8 +64,8 @@ def n_first_groups(header: Header) -> int:
 
 
 def members_in_order(header: Header) -> Iterator[tuple[str, int | None]]:
-    """The order of a file: header and metadata, the table of groups, the coarsest level, the dictionary, all other groups. Members'
-    names with None, and for the members of a group, as `group_members` has them, its number."""
+    """The order of a file: header and metadata, the table of groups, the coarsest level, the dictionary, all other
+    groups. Members' names with None, and for the members of a group, as `group_members` has them, its number."""
     arrays = arrays_of(header)
     yield ROOT_MEMBER, None
     yield from ((metadata_member(array), None) for array in arrays)
@@ -87,13 +87,14 @@ def chunk_bytes(array: Array, shape: tuple[int, ...]) -> int:
 
 
 def bytes_on_gpu(header: Header, array: Array, n_bytes: int) -> int:
-    """Of an array of `n_bytes` as a GPU takes it: as it stands, but the pictures of maps, which become textures with coarser
-    levels beside them, 9 heights squared of RGBA."""
+    """Of an array of `n_bytes` as a GPU takes it: as it stands, but the pictures of maps, which become textures with
+    coarser levels beside them, 9 heights squared of RGBA."""
     return sum(36 * stored.height_px**2 for stored in header.maps) if array.name == "map_colors" else n_bytes
 
 
 def dimension_names(array: Array) -> list[str | None]:
-    """Of dimensions with a name; one of a fixed size has none, for some readers want all names to differ (32 x 32 texels)."""
+    """Of dimensions with a name; one of a fixed size has none, for some readers want all names to differ (32 x 32
+    texels)."""
     return [None if dim.isdigit() else dim for dim in array.dims]
 
 

@@ -1,4 +1,5 @@
-"""How many splats the levels of a scan have: each is whole groups but the finest, and a quarter of the next or a little fewer."""
+"""How many splats the levels of a scan have: each is whole groups but the finest, and a quarter of the next or a little
+fewer."""
 
 from __future__ import annotations
 

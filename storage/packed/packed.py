@@ -34,8 +34,8 @@ class PackedFile:
     """An opened packed file. Arrays and groups are read when asked for, and only the zarr chunks that are asked for.
 
     Guarantees: with `verify` (the default) any truncated or altered file raises InvalidPackedFile here; without it,
-    damage is found when it is read, that of a group by its own seal. Nothing else is ever raised for a file's contents, and never is
-    more memory taken than the zarr chunks that are asked for, all of which the file holds.
+    damage is found when it is read, that of a group by its own seal. Nothing else is ever raised for a file's contents,
+    and never is more memory taken than the zarr chunks that are asked for, all of which the file holds.
     """
 
     def __init__(self, path: str | Path, verify: bool = True) -> None:
@@ -100,7 +100,8 @@ class PackedFile:
         return self._checked(replace(self.header, n_splats=n_splats, levels=()), [groups[i] for i in chosen], of_all)
 
     def group(self, index: int) -> PackedScene:
-        """One group of GROUP splats as a scene of its own, without the dictionary, checked like `load` and against the table.
+        """One group of GROUP splats as a scene of its own, without the dictionary, checked like `load` and against the
+        table.
 
         Nothing of other groups is touched. Raises IndexError where there is no such group.
         """
@@ -172,7 +173,8 @@ class PackedFile:
 
 
 def decoded_runs(data: np.ndarray, n_cells: int) -> dict[str, np.ndarray]:
-    """The arrays DECODED of a group's `run_codes`, `run_first` counted from its first run. What compiles loops is loaded for runs alone."""
+    """The arrays DECODED of a group's `run_codes`, `run_first` counted from its first run. What compiles loops is
+    loaded for runs alone."""
     from storage.packed.runs.coded import unpack_runs
 
     runs = unpack_runs(data, n_cells)

@@ -1,9 +1,10 @@
-"""Numbers of splats over quadrics as a word stream: sorted inside each batch of each chunk, so that part of their order need not be kept.
+"""Numbers of splats over quadrics as a word stream: sorted inside each batch of each chunk, so that part of their order
+need not be kept.
 
-The splats of a chunk that are of one batch may stand in any order, so they stand by their numbers. Of n numbers of `bits` bits each the
-highest h = ceil(log2 n) are kept in unary: a bit vector of n + 2^h bits that has its one for splat r at bit (high bits + r). The other bits
-follow, a field a splat. So n splats take n (bits - h + 1) + 2^h bits, for n bits without: 5 a splat less of a chunk of one batch. Every chunk
-begins on a whole word.
+The splats of a chunk that are of one batch may stand in any order, so they stand by their numbers. Of n numbers of
+`bits` bits each the highest h = ceil(log2 n) are kept in unary: a bit vector of n + 2^h bits that has its one for splat
+r at bit (high bits + r). The other bits follow, a field a splat. So n splats take n (bits - h + 1) + 2^h bits, for n
+bits without: 5 a splat less of a chunk of one batch. Every chunk begins on a whole word.
 
 Paper: Elias, "Efficient storage and retrieval by content and address of static files", J. ACM 1974; Fano 1971.
 """
@@ -86,7 +87,8 @@ def pack_numbers(number: np.ndarray, counts: np.ndarray, bits: np.ndarray) -> np
 
 
 def unpack_numbers(words: np.ndarray, first_word: np.ndarray, counts: np.ndarray, bits: np.ndarray) -> np.ndarray:
-    """The numbers (n,) uint64 that `pack_numbers` packed; `first_word` (c,) of each chunk in `words`, which end in a spare word.
+    """The numbers (n,) uint64 that `pack_numbers` packed; `first_word` (c,) of each chunk in `words`, which end in a
+    spare word.
 
     Raises: ValueError where a vector has not a one for each splat.
     """
@@ -155,8 +157,8 @@ def check_frames(arrays: dict[str, np.ndarray]) -> None:
 
 
 def frame_boxes(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Low and high corner (c, 3) float64 against the origin of a box that holds all cells that numbers of each chunk can name; of frames
-    that `check_frames` refuses, anything."""
+    """Low and high corner (c, 3) float64 against the origin of a box that holds all cells that numbers of each chunk
+    can name; of frames that `check_frames` refuses, anything."""
     with np.errstate(all="ignore"):
         return _frame_boxes(arrays)
 

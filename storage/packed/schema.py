@@ -1,8 +1,9 @@
 """The packed file: every array, its dimensions, dtype, unit and meaning. docs/FORMAT.md says the same in prose.
 
 Dimensions: n splats; c chunks of CHUNK splats; g groups of GROUP splats; b batches; k atoms; r ranks (atoms a splat,
-at most); w weight levels; s words of a chunk's sizes; and of a group, as many as it has at most: e 32-bit words of a stream, u
-bytes of its runs; v arrays whose rows a group has any number of; and y bytes of maps' pictures, x texels of maps.
+at most); w weight levels; s words of a chunk's sizes; and of a group, as many as it has at most: e 32-bit words of a
+stream, u bytes of its runs; v arrays whose rows a group has any number of; and y bytes of maps' pictures, x texels of
+maps.
 """
 
 from __future__ import annotations
@@ -100,7 +101,8 @@ EXTRAS = (
 
 @dataclass(frozen=True)
 class RunGrid:
-    """The hexagonal close packed grid of a file whose geometry is runs (pipeline/geometry/hcp.py), and how many runs there are."""
+    """The hexagonal close packed grid of a file whose geometry is runs (pipeline/geometry/hcp.py), and how many runs
+    there are."""
 
     cell: float  # distance of neighbouring centres, in `unit`
     turn: tuple[float, ...]  # (9,) rows of the matrix from the grid's axes to those of the file
@@ -207,7 +209,8 @@ class Array:
 
     @property
     def is_ragged(self) -> bool:
-        """Whether groups have any number of rows of it: `group_rows` says how many of a group's count, the others are 0."""
+        """Whether groups have any number of rows of it: `group_rows` says how many of a group's count, the others are
+        0."""
         return self.dims[0] == "g" and bool({"e", "u"} & set(self.dims))
 
     @property
@@ -317,7 +320,8 @@ def color_bits(size, step: int):
 
 
 def curve_units(cells: np.ndarray) -> np.ndarray:
-    """What 1 of `frame_curve` is, (c,) float64, cells a product of half cells: 2^-7 over the power of two above the longer side's cells."""
+    """What 1 of `frame_curve` is, (c,) float64, cells a product of half cells: 2^-7 over the power of two above the
+    longer side's cells."""
     import numpy as np
 
     longest = cells.max(axis=1).astype(np.int64)

@@ -1,4 +1,5 @@
-"""Writing a packed file: a folder that as many tasks fill as there are groups, each with chunks of its own, then zipped once."""
+"""Writing a packed file: a folder that as many tasks fill as there are groups, each with chunks of its own, then zipped
+once."""
 
 from __future__ import annotations
 
@@ -78,8 +79,9 @@ def begin_packed(folder: Path, header: Header) -> zarr.Group:
 
 
 def write_group(folder: Path, header: Header, index: int, arrays: dict[str, np.ndarray]) -> WrittenGroup:
-    """Write the zarr chunks of group `index` of a begun packed file. `arrays` are its rows by name, of streams the words without a spare
-    one, of runs those of DECODED, `run_first` counted from its own first run. For tasks, which may run more than once, also side by side: chunks are there whole, and equal tasks make equal bytes."""
+    """Write the zarr chunks of group `index` of a begun packed file. `arrays` are its rows by name, of streams the
+    words without a spare one, of runs those of DECODED, `run_first` counted from its own first run. For tasks, which
+    may run more than once, also side by side: chunks are there whole, and equal tasks make equal bytes."""
     n_bytes, state = 0, hashlib.sha256()
     if header.runs:
         arrays = arrays | {"run_codes": _coded(arrays)}
@@ -112,8 +114,8 @@ def write_array(folder: Path, name: str, rows: np.ndarray) -> None:
 
 
 def write_pieces(folder: Path, name: str, pieces: Iterable[np.ndarray]) -> None:
-    """A whole array (n,) that is not of groups, from its pieces one after the other, whole zarr chunks at a time: another task
-    that does this too then never writes less of one than this does."""
+    """A whole array (n,) that is not of groups, from its pieces one after the other, whole zarr chunks at a time:
+    another task that does this too then never writes less of one than this does."""
     array = zarr.open_group(place.zarr_store(folder), mode="r+", zarr_format=3)[name]
     at, waiting = 0, np.zeros(0, array.dtype)
     for piece in pieces:

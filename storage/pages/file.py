@@ -74,8 +74,8 @@ class PageHeader:
 
 
 def scan_digest(cameras: Sequence[Camera]) -> str:
-    """What a page file and a packed file of one scan share: names, sizes and poses of its photographs, as 16 hexadecimal
-    digits."""
+    """What a page file and a packed file of one scan share: names, sizes and poses of its photographs, as 16
+    hexadecimal digits."""
     text = json.dumps([asdict(camera) for camera in cameras], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -1,8 +1,8 @@
 """Where a work folder and results lie: a folder of this machine, or a prefix of a bucket that no machine shares.
 
 A path that begins with `s3:` is a place in a bucket (`Path("s3://bucket/prefix")`); it joins, hashes and travels as any
-other path. What is read there is brought into a cache of this process first (`here`), what is written goes up when it is
-whole (`storage/whole.py`). For a folder of this machine every function here is one comparison and the plain call.
+other path. What is read there is brought into a cache of this process first (`here`), what is written goes up when it
+is whole (`storage/whole.py`). For a folder of this machine every function here is one comparison and the plain call.
 """
 
 from storage.place.files import (

@@ -101,8 +101,8 @@ _making = threading.Lock()
 
 
 def cache() -> Cache:
-    """This process's own: a folder below SPLATPRESS_CACHE (default: the system's for temporary files) that goes with the
-    process, or, where it was killed, when the next one begins."""
+    """This process's own: a folder below SPLATPRESS_CACHE (default: the system's for temporary files) that goes with
+    the process, or, where it was killed, when the next one begins."""
     global _of_process
     with _making:
         if _of_process is None or _of_process[0] != os.getpid():

@@ -20,7 +20,8 @@ _put: dict[Path, tuple[int, int, int]] = {}  # by object, the file that `put_fol
 
 
 def here(path: Path) -> Path:
-    """A file of this machine with the bytes of `path`, to be opened now and not written to. Raises FileNotFoundError."""
+    """A file of this machine with the bytes of `path`, to be opened now and not written to. Raises
+    FileNotFoundError."""
     return cache().fetched(path) if is_remote(path) else path
 
 

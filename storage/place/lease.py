@@ -1,9 +1,9 @@
 """One holder of a name at a time: a kernel's lock on a folder of this machine, a lease in a bucket.
 
 A lease is an object that its holder writes anew every few seconds, each time on condition that it is still the one it
-wrote last (`If-Match`). Who waits takes over what has not changed for LEASE_S by the waiter's own clock, so no two clocks
-have to agree. A holder that was paused for longer finds its lease gone; what it then still writes are the same bytes as
-its successor's.
+wrote last (`If-Match`). Who waits takes over what has not changed for LEASE_S by the waiter's own clock, so no two
+clocks have to agree. A holder that was paused for longer finds its lease gone; what it then still writes are the same
+bytes as its successor's.
 """
 
 from __future__ import annotations

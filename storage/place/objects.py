@@ -1,8 +1,8 @@
 """Objects of an S3 bucket: put whole or not at all, fetched, listed, removed; tried again where the server stumbles.
 
 Where the server is and who asks stand in the environment as for every S3 program: AWS_ENDPOINT_URL, AWS_REGION,
-AWS_ALLOW_HTTP, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY; the last two may end in _FILE and name a file. A server must know
-`If-None-Match` and `If-Match` of PUT.
+AWS_ALLOW_HTTP, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY; the last two may end in _FILE and name a file. A server must
+know `If-None-Match` and `If-Match` of PUT.
 """
 
 from __future__ import annotations

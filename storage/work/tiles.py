@@ -1,6 +1,8 @@
-"""Large pictures of a stage in tiles that are compressed: for what repeats itself, and is looked at in parts by many tasks.
+"""Large pictures of a stage in tiles that are compressed: for what repeats itself, and is looked at in parts by many
+tasks.
 
-NAME.tiles is the tiles' zstd frames, row by row; NAME.tiles.json, written last, has shape, dtype and where each frame begins.
+NAME.tiles is the tiles' zstd frames, row by row; NAME.tiles.json, written last, has shape, dtype and where each frame
+begins.
 """
 
 from __future__ import annotations
@@ -40,7 +42,8 @@ def shape_of(folder: Path, name: str) -> tuple[int, int, int]:
 
 
 def read_tiles(folder: Path, name: str, top: int, bottom: int, left: int, right: int) -> np.ndarray:
-    """Rows top..bottom and columns left..right of a picture, which must lie in it; only tiles that these touch are read."""
+    """Rows top..bottom and columns left..right of a picture, which must lie in it; only tiles that these touch are
+    read."""
     about = _about(folder, name)
     height, width, channels = about["shape"]
     assert 0 <= top < bottom <= height and 0 <= left < right <= width

@@ -128,7 +128,8 @@ def parts(folder: Path) -> Path:
 
 
 def sweep(folder: Path) -> None:
-    """Delete what tasks that are gone had half written. Whole arrays, results and parts stay. A bucket has no halves."""
+    """Delete what tasks that are gone had half written. Whole arrays, results and parts stay. A bucket has no
+    halves."""
     if place.is_remote(folder):
         return
     for path in [*folder.rglob("*.partial*")]:

@@ -1,7 +1,7 @@
 """Golden packed files and the numbers that they decode to; `python -m tests.golden.make_golden` makes all of them.
 
-Until the format is released a change of it makes them anew; from then on they are never made again, for they must decode
-for ever.
+Until the format is released a change of it makes them anew; from then on they are never made again, for they must
+decode for ever.
 """
 
 from __future__ import annotations

@@ -68,8 +68,8 @@ class Stumbling:
 
 @contextmanager
 def stumbling_proxy(target: int, every: int = 20):
-    """One request in `every` fails, in three ways by turns; a connection carries one request. Which ones fail depends on
-    the order in which they arrive, what comes of it does not."""
+    """One request in `every` fails, in three ways by turns; a connection carries one request. Which ones fail depends
+    on the order in which they arrive, what comes of it does not."""
     numbers, told = itertools.count(1), Stumbling(0)
 
     class Handler(socketserver.StreamRequestHandler):

@@ -20,7 +20,8 @@ FLAGS = (
     "--window-size=1280,1400",
     "--remote-debugging-pipe",
 )
-# What draws: Chromium's own SwiftShader, or Mesa's llvmpipe, which is what the product's renderer runs on where there is no graphics card.
+# What draws: Chromium's own SwiftShader, or Mesa's llvmpipe, which is what the product's renderer runs on where there
+# is no graphics card.
 SWIFTSHADER = ("--disable-gpu",)
 MESA = ("--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist")
 

@@ -1,4 +1,5 @@
-"""What operators get: the compose file as Compose reads it, manifests as Kubernetes does, a dashboard of figures there are."""
+"""What operators get: the compose file as Compose reads it, manifests as Kubernetes does, a dashboard of figures there
+are."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ _VARIABLE = re.compile(r"\$(?:\$|\{(\w+)(?::?([-?])([^}]*))?\}|(\w+))")
 
 
 def resolved(text: str, environment: dict[str, str]) -> str:
-    """With variables put in as Compose does (compose-spec, 12-interpolation). Raises KeyError for one that must be set."""
+    """With variables put in as Compose does (compose-spec, 12-interpolation). Raises KeyError for one that must be
+    set."""
 
     def value(match: re.Match) -> str:
         name, how, otherwise = match[1] or match[4], match[2], match[3]

@@ -91,8 +91,8 @@ class Image:
 
 
 def _as_nobody_special() -> tuple[dict, list[str]]:
-    """How to run without root's right to write anywhere: as the image's user; where that one may not run this Python, as
-    root without the capability; as ourselves where we are not root."""
+    """How to run without root's right to write anywhere: as the image's user; where that one may not run this Python,
+    as root without the capability; as ourselves where we are not root."""
     as_user = {"user": USER, "group": USER, "extra_groups": []}
     if os.getuid() != 0:
         return {}, []

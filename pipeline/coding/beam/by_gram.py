@@ -45,7 +45,8 @@ def _gram_row(row, gram, quotients, atom, scale):
 
 @part(fastmath=FAST)
 def _subtract_earlier(row, chol, rows, slot, t):
-    """row -= chol[t, j] / pivot * (row of <q_j, a>), of all j < t; rows (r, w, k), that of q_j at node slot[j] of its step."""
+    """row -= chol[t, j] / pivot * (row of <q_j, a>), of all j < t; rows (r, w, k), that of q_j at node slot[j] of its
+    step."""
     width, j, scale = np.uintp(row.shape[0]), 0, chol[t, t]
     while j + 2 <= t:
         x, y = np.float32(scale * chol[t, j]), np.float32(scale * chol[t, j + 1])
@@ -65,9 +66,10 @@ def pursue_beam(
 ):  # fmt: skip
     """As `omp_kernels.pursue`, by order-recursive selection with a beam; `initial` is overwritten.
 
-    Of each of up to `width` supports the `candidates` atoms of highest score (of the empty one `width`, if those are more) are
-    tried. Of all supports so made that lower the residual by more than `multiplier`, the `width` that leave least are kept. path
-    (n, r + 1): what the best of t atoms leaves, t = 0, 1, and so on; the codes are the best of the last step.
+    Of each of up to `width` supports the `candidates` atoms of highest score (of the empty one `width`, if those are
+    more) are tried. Of all supports so made that lower the residual by more than `multiplier`, the `width` that leave
+    least are kept. path (n, r + 1): what the best of t atoms leaves, t = 0, 1, and so on; the codes are the best of the
+    last step.
     """
     k, most = initial.shape[1], atom.shape[1]
     scratch = (

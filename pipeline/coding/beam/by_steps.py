@@ -1,7 +1,9 @@
-"""Order-recursive pursuit with a beam, without a Gram matrix: all patches of a block take their first atom, then their second.
+"""Order-recursive pursuit with a beam, without a Gram matrix: all patches of a block take their first atom, then their
+second.
 
-Beyond 16,384 atoms a Gram matrix is too large. Then the vectors q_t of all nodes are made, as rows of d texels, and one GEMM a
-step has their products with all atoms; nothing of the size k x k is made, and the same `MOST_BYTES` hold whatever k is.
+Beyond 16,384 atoms a Gram matrix is too large. Then the vectors q_t of all nodes are made, as rows of d texels, and one
+GEMM a step has their products with all atoms; nothing of the size k x k is made, and the same `MOST_BYTES` hold
+whatever k is.
 """
 
 from __future__ import annotations
@@ -38,8 +40,8 @@ def pursue_beam_rows(
     n_atoms,
     path,
 ):
-    """`by_gram.pursue_beam` for a block of patches (n, d), in place, by `products(rows)`: (m, k) float32 of rows (m, d) with all
-    atoms of `dictionary`."""
+    """`by_gram.pursue_beam` for a block of patches (n, d), in place, by `products(rows)`: (m, k) float32 of rows (m, d)
+    with all atoms of `dictionary`."""
     n, most = atom.shape
     k, d = dictionary.shape
     n_atoms[:], path[:, 0] = 0, energy
@@ -103,8 +105,8 @@ def _advance(
     patches, energy, products, initial, row, tolerance, multiplier, levels, t, candidates, all_nodes, n_nodes, explained, norm,
     atom, weight, code, n_atoms, path,
 ):  # fmt: skip
-    """One step of every patch that has nodes; those that are done have none after it. row (m, k): products of the last vector
-    of each node's basis with all atoms, patch by patch."""
+    """One step of every patch that has nodes; those that are done have none after it. row (m, k): products of the last
+    vector of each node's basis with all atoms, patch by patch."""
     n, k = initial.shape
     width, most, now = explained.shape[2], atom.shape[1], t % 2
     slack, score, upper = np.zeros(k, np.float32), np.empty(k, np.float32), np.empty(n_groups(k), np.float32)

@@ -1,7 +1,7 @@
 """A beam over supports. Dimensions: w nodes, r ranks, t atoms of a support, p children tried.
 
-A node is a support; its children are the support with one of the atoms of highest score (see `scores`). A child is valued by the
-squared residual with the weights that will be stored, so with the rounding of all of them.
+A node is a support; its children are the support with one of the atoms of highest score (see `scores`). A child is
+valued by the squared residual with the weights that will be stored, so with the rounding of all of them.
 
 Papers: Karabulut and Yongacoglu 2004 (a beam over supports); HPG 2021, section 3.4 (quantised weights in the loop).
 """
@@ -23,8 +23,8 @@ from pipeline.coding.omp_kernels import (
 )
 from pipeline.execution.compiled import part
 
-# Share of a patch's squared norm within which two residuals count as one: a support that is found in two orders leaves the
-# same but for rounding, which must not choose.
+# Share of a patch's squared norm within which two residuals count as one: a support that is found in two orders leaves
+# the same but for rounding, which must not choose.
 TIE = 1e-6
 
 
@@ -104,8 +104,8 @@ def _append(nodes, b, t, atom, target, products):
 def try_children(
     nodes, b, t, s, explained, norm, n_wanted, enough, patch, energy, unit, products, levels, pool, n_found
 ):
-    """Try node b with the atoms of highest score; children that leave less than `enough` come into the pool, of which there
-    are `n_found` before and the number returned after."""
+    """Try node b with the atoms of highest score; children that leave less than `enough` come into the pool, of which
+    there are `n_found` before and the number returned after."""
     n_tried = 0
     while n_tried < n_wanted:
         best, gain = take_best(s, patch, products.dictionary, unit, explained, norm, t)
@@ -170,9 +170,9 @@ def _least(values, n, tie):
 
 @part()
 def keep_best(nodes, t, pool, n_found, n_wanted, tie, products, children, atom, weight, code):
-    """Make nodes of the children that leave least, `n_wanted` of them, none twice in another order; the codes become those
-    of the first. Of children within `tie` of each other the one tried first counts as the better. Returns how many there are,
-    and what the first leaves."""
+    """Make nodes of the children that leave least, `n_wanted` of them, none twice in another order; the codes become
+    those of the first. Of children within `tie` of each other the one tried first counts as the better. Returns how
+    many there are, and what the first leaves."""
     n_kept, error = 0, np.inf
     while n_kept < n_wanted:
         first = _least(pool.error, n_found, tie)

@@ -83,8 +83,9 @@ def score_first(s):
 def score_beside(s, row, along, parent, explained, norm, support, t):
     """Upper bounds of <r, a>^2 / |a - P a|^2, zero for atoms in the span of the support.
 
-    row = <q_(t-1), a> of all atoms, along = <y, q_(t-1)>; explained and norm (k,) become what the support explains of every
-    correlation and what of every atom's squared norm lies outside its span, from `parent`, the same of one atom fewer.
+    row = <q_(t-1), a> of all atoms, along = <y, q_(t-1)>; explained and norm (k,) become what the support explains of
+    every correlation and what of every atom's squared norm lies outside its span, from `parent`, the same of one atom
+    fewer.
     """
     if t == 1:
         _ratios_of_one(s, row, along, explained, norm)

@@ -1,7 +1,7 @@
 """What a dictionary that patches are searched in has to offer, whatever way it finds the best atom.
 
-Variants, a file each: `whole` (all products by one GEMM), `symmetric` (atoms in the eight symmetries of the square), `coarse`
-(certified by few coefficients, with a Gram matrix), `stepwise` (without a k x k matrix). `choice` picks one.
+Variants, a file each: `whole` (all products by one GEMM), `symmetric` (atoms in the eight symmetries of the square),
+`coarse` (certified by few coefficients, with a Gram matrix), `stepwise` (without a k x k matrix). `choice` picks one.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
-"""Atoms in the eight symmetries of the square (the group D4): products with patches for a quarter of the multiplications.
+"""Atoms in the eight symmetries of the square (the group D4): products with patches for a quarter of the
+multiplications.
 
 In coefficients (`grid`) a mirrored atom has the signs of its odd ones changed. So the products with an atom in its four
 mirrors are sums and differences of four partial products, of the coefficients that are even or odd along either
 axis; those with the four symmetries that exchange its axes are the same of the patch with its axes exchanged.
 
-Symmetries are orthogonal: <turn(a, t), turn(b, s)> = <a, turn(b, s after the inverse of t)>. So an eighth of the Gram matrix is
-enough, and the rest of it need not come out of memory.
+Symmetries are orthogonal: <turn(a, t), turn(b, s)> = <a, turn(b, s after the inverse of t)>. So an eighth of the Gram
+matrix is enough, and the rest of it need not come out of memory.
 """
 
 from __future__ import annotations
@@ -76,8 +77,8 @@ class SymmetricDictionary:
 def with_symmetries(
     straight: np.ndarray, size: int, dictionary: np.ndarray | None = None, with_gram: bool = True
 ) -> SymmetricDictionary:
-    """Atoms (k, 3 size^2), coefficients, in all symmetries; `dictionary` is what `in_all_symmetries` makes of them, where it is
-    at hand."""
+    """Atoms (k, 3 size^2), coefficients, in all symmetries; `dictionary` is what `in_all_symmetries` makes of them,
+    where it is at hand."""
     dictionary = in_all_symmetries(straight, size) if dictionary is None else dictionary
     parts = tuple(np.ascontiguousarray(straight[:, columns]) for columns in _parities(size))
     made = SymmetricDictionary(dictionary, parts, size, np.empty((0, 0), np.float32))

@@ -113,8 +113,8 @@ def _discs(block: Block) -> tuple[np.ndarray, ...]:
 def _foreign(
     block: Block, rows: np.ndarray, view: View, known: np.ndarray, corner: tuple[int, int], foreign_radii: float
 ) -> np.ndarray:
-    """Which of the disc's points belong to another surface, (n, m) bool; `known` is the part of the view's picture from the
-    cell `corner` (row, column) on that these discs fall into."""
+    """Which of the disc's points belong to another surface, (n, m) bool; `known` is the part of the view's picture from
+    the cell `corner` (row, column) on that these discs fall into."""
     foreign = np.zeros((len(rows), len(disc_points()[0])), bool)
     eye, origin = view.eye, block.sources.origin
     seen = eye.numbers, eye.around, view.scale, origin, view.shape
@@ -161,7 +161,8 @@ def _look_up(
     top,
     left,
 ):
-    """Mark the points of discs whose nearest point lies further than `foreign_radii` of theirs from the disc's plane."""
+    """Mark the points of discs whose nearest point lies further than `foreign_radii` of theirs from the disc's
+    plane."""
     height, width = shape
     for k in range(rows.shape[0]):
         i = rows[k]

@@ -1,7 +1,9 @@
-"""How far around a splat a plane, up to one straight line, explains its neighbourhood: the arc that `decision.py` decides by.
+"""How far around a splat a plane, up to one straight line, explains its neighbourhood: the arc that `decision.py`
+decides by.
 
-A plane is tried with every line that leaves all that stands above the plane behind it. Of the members within a tolerance of
-the plane, on the kept side and in a ring around the splat, the longest run of directions without a wide gap is the arc.
+A plane is tried with every line that leaves all that stands above the plane behind it. Of the members within a
+tolerance of the plane, on the kept side and in a ring around the splat, the longest run of directions without a wide
+gap is the arc.
 """
 
 from __future__ import annotations
@@ -30,11 +32,12 @@ LANES = 16  # of float32 that are added up at once, where the compiler has vecto
 def reach_arc(
     offset: np.ndarray, count: np.ndarray, tolerance: float, enough: float, radius: float = 1.0
 ) -> np.ndarray:
-    """Whether a plane explains an arc of `enough` radians or more, (n,) bool, of each neighbourhood: `offset` (n, k, 3), the
-    splat itself (zeros) among the first `count` (n,). `radius` is the splat's in units of the offsets, `tolerance` is in radii.
+    """Whether a plane explains an arc of `enough` radians or more, (n,) bool, of each neighbourhood: `offset` (n, k,
+    3), the splat itself (zeros) among the first `count` (n,). `radius` is the splat's in units of the offsets,
+    `tolerance` is in radii.
 
-    Directions are sorted once a plane: of a part of them no run is longer than of all, so lines are tried only where all of
-    them reach far enough; and they are sorted only where the sectors that hold any can.
+    Directions are sorted once a plane: of a part of them no run is longer than of all, so lines are tried only where
+    all of them reach far enough; and they are sorted only where the sectors that hold any can.
     """
     found = np.zeros(len(offset), bool)
     _reach_arc(
@@ -89,8 +92,8 @@ def _reach_arc(offset, count, tolerance, ring, enough, run, found):
 
 @kernel(error_model="numpy")
 def _plane(member, a, b, c, tolerance):
-    """The plane through members `a`, `b` and `c`: whether it is one that counts, two directions along it, its normal, and how far
-    from the splat it lies. None does where the three are nearly on a line, or the plane misses the splat.
+    """The plane through members `a`, `b` and `c`: whether it is one that counts, two directions along it, its normal,
+    and how far from the splat it lies. None does where the three are nearly on a line, or the plane misses the splat.
 
     Number by number: with arrays of three, these kernels took 6.3 s to compile; so, 1.9 s.
     """
@@ -148,8 +151,8 @@ def _project(member, count, a, p0, p1, p2, q0, q1, q2, n0, n1, n2, height, x, y)
 
 @kernel(error_model="numpy")
 def _may_reach(there, run):
-    """Whether sectors follow each other, in a run of so many around the turn, each with a member or with at most MOST_EMPTY after
-    one: where an arc reaches far enough, they do."""
+    """Whether sectors follow each other, in a run of so many around the turn, each with a member or with at most
+    MOST_EMPTY after one: where an arc reaches far enough, they do."""
     step = 1
     left = MOST_EMPTY
     while left > 0:
@@ -189,8 +192,8 @@ def _ring(count, height, x, y, tolerance, ring, turn, ring_x, ring_y):
 
 @kernel(error_model="numpy")
 def _either_side(count, height, x, y, tolerance, ring_x, ring_y, arc, enough, least):
-    """Whether the members kept by a line reach `enough`, with either face of the plane up; all, with an arc of `arc`, where
-    nothing stands above."""
+    """Whether the members kept by a line reach `enough`, with either face of the plane up; all, with an arc of `arc`,
+    where nothing stands above."""
     m = len(ring_x)
     kept_x, kept_y, cut = np.empty(m), np.empty(m), np.empty(LINES)
     for up in (1.0, -1.0):
@@ -220,8 +223,8 @@ def _either_side(count, height, x, y, tolerance, ring_x, ring_y, arc, enough, le
 
 @kernel(error_model="numpy")
 def _longest_run(x, y, m):
-    """The longest arc in which no two of the first `m` members, in order of their directions, lie further than WIDEST_GAP apart,
-    around the turn."""
+    """The longest arc in which no two of the first `m` members, in order of their directions, lie further than
+    WIDEST_GAP apart, around the turn."""
     start = -1
     for j in range(m):
         if _is_gap(x, y, j, m):

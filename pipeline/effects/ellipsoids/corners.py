@@ -1,4 +1,5 @@
-"""Corners of flat things, which are discs: within the reach they look like the end of a ribbon, further out they go on widening.
+"""Corners of flat things, which are discs: within the reach they look like the end of a ribbon, further out they go on
+widening.
 
 A right angle of a sheet fills a quarter turn at any distance; a ribbon's end, and what crosses it, ever narrower arcs.
 """
@@ -24,8 +25,8 @@ def are_corners(
 ) -> np.ndarray:
     """Which neighbourhoods are corners of flat things, (n,) bool.
 
-    `further` in twice the reach, `deviation` (n, 3) in the reach, whose second is `least` or more: less is a line. Members
-    nearer than `inner` say nothing of directions; `flatness` is the largest third deviation of what is flat.
+    `further` in twice the reach, `deviation` (n, 3) in the reach, whose second is `least` or more: less is a line.
+    Members nearer than `inner` say nothing of directions; `flatness` is the largest third deviation of what is flat.
     """
     _, covariance = moments(further.offset, further.count)
     wider, axes = principal_axes(covariance)

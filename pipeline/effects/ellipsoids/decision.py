@@ -66,8 +66,9 @@ CROSSING_WIDE_RADII = 1.1  # second deviation: two ropes at right angles have 1.
 def thin_splats(point: np.ndarray, around: Around, radius: float, noise: float) -> np.ndarray:
     """Which of `point` (n, 3) no plane explains that is cut by a line at most, and so call for an ellipsoid, (n,) bool.
 
-    `around` are the scan's points, thinned by CELL_RADII, to WIDEST_RADII about them, in cells of CELLS_RADII; `noise` of the
-    scan (a length). Guarantees: a point without a neighbourhood is a disc; equal neighbourhoods are decided equally.
+    `around` are the scan's points, thinned by CELL_RADII, to WIDEST_RADII about them, in cells of CELLS_RADII; `noise`
+    of the scan (a length). Guarantees: a point without a neighbourhood is a disc; equal neighbourhoods are decided
+    equally.
     """
     wide = Around(around.given, WIDE_CELLS_RADII * radius, round(WIDEST_RADII / WIDE_CELLS_RADII))
     count, is_wide, deviation = _spread(point, around, wide, radius)
@@ -108,8 +109,8 @@ def _thin(
     radius: float,
     noise: float,
 ) -> np.ndarray:  # (n,) bool
-    """Of neighbourhoods in radii, all in twice the reach: those that are `thin`, or that no plane explains (`planes`: where that is
-    open), or else where two ropes cross, unless they are scan lines or corners of flat things."""
+    """Of neighbourhoods in radii, all in twice the reach: those that are `thin`, or that no plane explains (`planes`:
+    where that is open), or else where two ropes cross, unless they are scan lines or corners of flat things."""
     rows = np.flatnonzero(planes)
     closer = narrowed(_rows(near, rows), REACH_RADII)
     thin[rows] = ~reach_arc(closer.offset, closer.count, _tolerance(radius, noise), LEAST_ARC)
@@ -142,8 +143,8 @@ def _spread(
 def _stay_thin(
     point: np.ndarray, around: Around, further: Neighbourhood, deviation: np.ndarray, radius: float, noise: float
 ) -> np.ndarray:  # (n,) bool
-    """Of what seems thin, all but scan lines and corners of flat things; lengths in radii, `further` in twice the reach. A
-    neighbourhood that is full is the same in any wider reach."""
+    """Of what seems thin, all but scan lines and corners of flat things; lengths in radii, `further` in twice the
+    reach. A neighbourhood that is full is the same in any wider reach."""
     thin = ~flat_further_out(further, WIDER[0], radius, noise)
     rows = np.flatnonzero(thin)
     flatness = 0.5 * _tolerance(radius, noise)

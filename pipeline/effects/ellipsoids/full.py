@@ -11,8 +11,8 @@ from pipeline.execution.compiled import kernel
 
 
 def is_full(point: np.ndarray, around: Around, reach: float) -> np.ndarray:
-    """Where MOST of `around` or more lie within `reach` of `point` (n, 3), (n,) bool; a reach is at most `around.most_steps`
-    cells."""
+    """Where MOST of `around` or more lie within `reach` of `point` (n, 3), (n,) bool; a reach is at most
+    `around.most_steps` cells."""
     full = np.zeros(len(point), bool)
     if around.is_grid and len(point):
         cell = around.cells(point)

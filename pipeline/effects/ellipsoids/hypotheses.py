@@ -1,4 +1,5 @@
-"""Members that planes and lines are tried through: by a fixed hash, so that equal neighbourhoods are decided equally."""
+"""Members that planes and lines are tried through: by a fixed hash, so that equal neighbourhoods are decided
+equally."""
 
 from __future__ import annotations
 

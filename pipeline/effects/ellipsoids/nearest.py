@@ -23,11 +23,12 @@ BINS = 256  # of squared distances, that members are put in order by
 
 
 def gather(point: np.ndarray, around: Around, reach: float, unit: float = 1.0) -> Neighbourhood:
-    """The neighbourhoods of `point` (n, 3) among `around`, which holds all within OUTLIER_REACHES reaches; a reach is at most
-    `around.most_steps` of its cells. Offsets are in `unit`s.
+    """The neighbourhoods of `point` (n, 3) among `around`, which holds all within OUTLIER_REACHES reaches; a reach is
+    at most `around.most_steps` of its cells. Offsets are in `unit`s.
 
-    Members are those within `reach`, the nearest MOST of them; where they are fewer than LEAST, the nearest LEAST that are no
-    outliers, nor more than so many cells away; where those are fewer than LEAST_AFTER_OUTLIERS, none. A point that thinning took out of `around` is put back.
+    Members are those within `reach`, the nearest MOST of them; where they are fewer than LEAST, the nearest LEAST that
+    are no outliers, nor more than so many cells away; where those are fewer than LEAST_AFTER_OUTLIERS, none. A point
+    that thinning took out of `around` is put back.
     """
     offset, count = _nearest(point, around, reach, MOST, unit)
     few = np.flatnonzero(count < LEAST)
@@ -38,8 +39,8 @@ def gather(point: np.ndarray, around: Around, reach: float, unit: float = 1.0) -
 
 
 def narrowed(wide: Neighbourhood, reach: float) -> Neighbourhood:
-    """`wide`, which was gathered in a longer reach but with the same cells, in `reach`: offsets are shared, beyond `count` they are
-    others' then."""
+    """`wide`, which was gathered in a longer reach but with the same cells, in `reach`: offsets are shared, beyond
+    `count` they are others' then."""
     within = n_within(wide.offset, wide.count, reach)
     return Neighbourhood(wide.offset, np.where(within < LEAST, np.minimum(wide.count, LEAST), within))
 
@@ -57,7 +58,8 @@ def n_within(offset, count, reach):
 
 
 def _nearest(point: np.ndarray, around: Around, reach: float, most: int, unit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets (n, MOST, 3) and count (n,) of the nearest within `reach`, the point itself and at most `most` with it."""
+    """Offsets (n, MOST, 3) and count (n,) of the nearest within `reach`, the point itself and at most `most` with
+    it."""
     if not around.is_grid or not len(point):
         return np.zeros((len(point), MOST, 3)), np.zeros(len(point), np.int64)
     offset, count = np.empty((len(point), MOST, 3)), np.zeros(len(point), np.int64)
@@ -72,8 +74,8 @@ def _nearest(point: np.ndarray, around: Around, reach: float, most: int, unit: f
 def _nearest_within(
     point, of_point, order, around, of_around, rank, size, reach, edge, steps, most, unit, offset, count
 ):
-    """Points by `order`, so that those of a cell come together; `around` in the order of its cells. Of members equally far away
-    that of the lower `rank` comes first, so that no neighbourhood depends on where cells begin."""
+    """Points by `order`, so that those of a cell come together; `around` in the order of its cells. Of members equally
+    far away that of the lower `rank` comes first, so that no neighbourhood depends on where cells begin."""
     room, known, n_there = 1 << 9, np.int64(-1), 0
     rows = (2 * steps + 1) ** 2
     first, last, is_near = np.zeros(rows, np.int64), np.zeros(rows, np.int64), rows_within(steps, edge, reach)
@@ -124,7 +126,8 @@ def _within(away, n_there, reach, found):
 
 @kernel(error_model="numpy")
 def _in_order(away, number, rank, found, n, most, reach, begins, member, distance):
-    """The nearest `most` of the `n` that were found, or all of them: their numbers and squared distances, nearest first."""
+    """The nearest `most` of the `n` that were found, or all of them: their numbers and squared distances, nearest
+    first."""
     begins[:] = 0
     scale = (BINS - 1) / (reach * reach * (1 + 1e-12))
     for k in range(n):

@@ -1,7 +1,7 @@
 """How members of a neighbourhood spread: its own eigenvalues, which decide most splats without a list of members.
 
-Offsets are counted in whole units of reach / UNITS, so that sums in float32 are exact for up to MOST members, whatever their
-order: the compiler may add eight at once, and no bit depends on it.
+Offsets are counted in whole units of reach / UNITS, so that sums in float32 are exact for up to MOST members, whatever
+their order: the compiler may add eight at once, and no bit depends on it.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class Spread:
 
 
 def spread_of(point: np.ndarray, around: Around, reach: float, second: float) -> Spread:
-    """How the neighbours of `point` (n, 3) within `reach` spread, as `around` holds them; one is wide with a second deviation
-    above `second`.
+    """How the neighbours of `point` (n, 3) within `reach` spread, as `around` holds them; one is wide with a second
+    deviation above `second`.
 
     Guarantees: as of all members within a unit of their places; the same bits for the same points, in whatever company.
     """
@@ -115,7 +115,8 @@ def _has_at(members, n, p):
 
 @part(error_model="numpy")
 def _two_above(xx, xy, xz, yy, yz, zz, t):
-    """Whether two eigenvalues of a symmetric matrix or more are above `t`: by the signs of the pivots of A - t (Sylvester)."""
+    """Whether two eigenvalues of a symmetric matrix or more are above `t`: by the signs of the pivots of A - t
+    (Sylvester)."""
     a = xx - t
     if a == 0:
         a = 1e-300
@@ -129,7 +130,8 @@ def _two_above(xx, xy, xz, yy, yz, zz, t):
 
 @part(error_model="numpy")
 def _eigenvalues(xx, xy, xz, yy, yz, zz):
-    """Of a symmetric matrix, largest first, in closed form (O. K. Smith, Eigenvalues of a symmetric 3 x 3 matrix, 1961)."""
+    """Of a symmetric matrix, largest first, in closed form (O. K. Smith, Eigenvalues of a symmetric 3 x 3 matrix,
+    1961)."""
     off = xy * xy + xz * xz + yz * yz
     mean = (xx + yy + zz) / 3
     spread = math.sqrt(((xx - mean) ** 2 + (yy - mean) ** 2 + (zz - mean) ** 2 + 2 * off) / 6)

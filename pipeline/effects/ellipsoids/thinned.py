@@ -1,5 +1,5 @@
-"""Points thinned to one a cell, so that a neighbourhood has the same reach where a scanner stood close as where it stood far,
-and a bounded number of members."""
+"""Points thinned to one a cell, so that a neighbourhood has the same reach where a scanner stood close as where it
+stood far, and a bounded number of members."""
 
 from __future__ import annotations
 

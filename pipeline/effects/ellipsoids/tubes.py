@@ -1,4 +1,5 @@
-"""Where two ropes cross: a plane explains them as well as it explains a wall. So does a cross of two tubes, and no wall is one."""
+"""Where two ropes cross: a plane explains them as well as it explains a wall. So does a cross of two tubes, and no wall
+is one."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ FIRST_SHARE = 0.4  # of the first tube: what no tube through the splat explains 
 
 
 def at_crossings(near: Neighbourhood) -> np.ndarray:
-    """Which neighbourhoods two tubes explain, (n,) bool; the first tube holds the splat itself. `near` in radii, gathered in a
-    reach of CROSSING_RADII or more."""
+    """Which neighbourhoods two tubes explain, (n,) bool; the first tube holds the splat itself. `near` in radii,
+    gathered in a reach of CROSSING_RADII or more."""
     return _share_of_tubes(near.offset, n_within(near.offset, near.count, CROSSING_RADII)) >= TUBES_SHARE
 
 

@@ -31,8 +31,8 @@ def relit(
     corner: tuple[int, int] = (0, 0),
     size_px: tuple[int, int] | None = None,
 ) -> np.ndarray:
-    """A photograph (h, w, 3) uint8 with its light times exp(log_gain (3, N_TERMS) @ terms), rounded and clipped; or a window of it,
-    whose `corner` (x, y) is in a photograph of `size_px` (width, height).
+    """A photograph (h, w, 3) uint8 with its light times exp(log_gain (3, N_TERMS) @ terms), rounded and clipped; or a
+    window of it, whose `corner` (x, y) is in a photograph of `size_px` (width, height).
 
     Guarantees: a window has the bytes that it has in the whole."""
     height, width = pixels.shape[:2]
@@ -45,16 +45,16 @@ def relit(
 
 @functools.cache
 def _tables() -> tuple[np.ndarray, np.ndarray]:
-    """The root of light, in STEPS, by level, and the level by that root, in which sRGB is nearly even: a step is a thirtieth of a
-    level at most."""
+    """The root of light, in STEPS, by level, and the level by that root, in which sRGB is nearly even: a step is a
+    thirtieth of a level at most."""
     by_root = 255 * srgb_of((np.arange(STEPS + 1) / STEPS) ** 2)
     return np.float32(STEPS) * np.sqrt(LINEAR_OF_LEVEL).astype(np.float32), np.floor(by_root + 0.5).astype(np.uint8)
 
 
 @part(error_model="numpy")
 def _root_gains(g, y, left, width, gain):
-    """The root of the gain at each pixel of a row: 2^t, t within one octave, by its series to the seventh power (error 1e-6).
-    No sum may be reordered or contracted, so that a pixel has one gain in whatever window."""
+    """The root of the gain at each pixel of a row: 2^t, t within one octave, by its series to the seventh power (error
+    1e-6). No sum may be reordered or contracted, so that a pixel has one gain in whatever window."""
     c, b, a = np.float32(g[0] + g[2] * y + g[5] * y * y), np.float32(g[1] + g[4] * y), np.float32(g[3])
     for i in range(gain.shape[0]):
         x = np.float32(2 * (left + i) + 1 - width) / np.float32(width)

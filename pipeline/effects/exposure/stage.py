@@ -14,8 +14,8 @@ from storage.work import work
 
 @dataclass(frozen=True)
 class Exposed:
-    """One task. Its folder stands for the ingest's wherever photographs are looked at (`photographs.py`): it has the fields
-    of their gains, no pixels; its summary has the cameras."""
+    """One task. Its folder stands for the ingest's wherever photographs are looked at (`photographs.py`): it has the
+    fields of their gains, no pixels; its summary has the cameras."""
 
     ingest: Path
     log_gain: tuple  # (n_photos, 3, N_TERMS) as nested tuples

@@ -1,6 +1,7 @@
 """Numbers of splats over quadrics, and the frames that they are in.
 
-Cells have the side that the error asked for allows, and then are made as small as the whole bits of the number leave room for.
+Cells have the side that the error asked for allows, and then are made as small as the whole bits of the number leave
+room for.
 """
 
 from __future__ import annotations
@@ -33,12 +34,13 @@ def asked_steps(radii: np.ndarray, error: float) -> np.ndarray:
 
 
 def encode_quadrics(position: np.ndarray, normal_code: np.ndarray, asked: np.ndarray) -> tuple[np.ndarray, Frames]:
-    """Numbers (n,) uint64 and the frames of chunks, of positions (n, 3) float64 against the origin, octahedral normals (n, 2) int8 and
-    sides of cells (c,) as `asked_steps` makes them.
+    """Numbers (n,) uint64 and the frames of chunks, of positions (n, 3) float64 against the origin, octahedral normals
+    (n, 2) int8 and sides of cells (c,) as `asked_steps` makes them.
 
-    Guarantees: the decoded position lies within half a cell of the given one along every axis of its frame, but for float32's rounding
-    of `origin`; cells are at most 1.1 as wide as asked where 47 bits, 2^31 cells, 4,096 along an axis and that rounding leave them so;
-    normals come back exactly, though perhaps by another code of the same. A chunk depends on no other.
+    Guarantees: the decoded position lies within half a cell of the given one along every axis of its frame, but for
+    float32's rounding of `origin`; cells are at most 1.1 as wide as asked where 47 bits, 2^31 cells, 4,096 along an
+    axis and that rounding leave them so; normals come back exactly, though perhaps by another code of the same. A chunk
+    depends on no other.
     """
     n, n_chunks = len(position), -(-len(position) // CHUNK)
     rows = np.minimum(np.arange(n_chunks * CHUNK), n - 1).reshape(
@@ -81,8 +83,8 @@ def _up(step: np.ndarray) -> np.ndarray:
 
 
 def _coded(piece: Surface, step: np.ndarray) -> tuple[Frames, np.ndarray, np.ndarray]:
-    """Frames with cells of `step` (c,) uint16, the numbers (c, CHUNK) int64 in them, and the largest of each (c,). Where normals look all
-    round they have the whole map, by itself."""
+    """Frames with cells of `step` (c,) uint16, the numbers (c, CHUNK) int64 in them, and the largest of each (c,).
+    Where normals look all round they have the whole map, by itself."""
     frames = _positioned(piece, step)
     cell, half = _cells(piece.point, frames)
     low, many = _normal_range(half, piece.unfolded, frames)
@@ -99,7 +101,8 @@ def _coded(piece: Surface, step: np.ndarray) -> tuple[Frames, np.ndarray, np.nda
 
 
 def _least_steps(piece: Surface) -> np.ndarray:
-    """The side (c,) of the smallest cells of which the chunk's box has no more than MOST_PLACES, and MOST_FRAME_CELLS along U and V."""
+    """The side (c,) of the smallest cells of which the chunk's box has no more than MOST_PLACES, and MOST_FRAME_CELLS
+    along U and V."""
     largest = np.maximum(piece.extent.max(axis=1), piece.smallest)
     low, high = np.full(len(largest), -32.0), np.full(len(largest), 1.0)
     for _ in range(20):

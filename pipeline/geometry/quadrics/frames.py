@@ -1,8 +1,9 @@
 """The frames of chunks over quadrics, and what numbers in them decode to.
 
-A chunk of 128 neighbours is a piece of a surface: most of its box is empty, and its normals follow its shape. So a splat is a cell
-(i, j, k) along the frame's axes U, V and N, the third counted from the quadric over (i, j), and the steps by which its octahedral
-normal differs from a plane over (i, j), which is what the slope of a quadric is. All five are one number in mixed radix,
+A chunk of 128 neighbours is a piece of a surface: most of its box is empty, and its normals follow its shape. So a
+splat is a cell (i, j, k) along the frame's axes U, V and N, the third counted from the quadric over (i, j), and the
+steps by which its octahedral normal differs from a plane over (i, j), which is what the slope of a quadric is. All five
+are one number in mixed radix,
 
     number = (((k n_j + j) n_i + i) m_b + b) m_a + a  <  2^bits,
 
@@ -27,7 +28,8 @@ SLOPE_BITS = 8  # slopes of normals are in 2^-8 steps a half cell
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames of consecutive chunks, against the scan's origin, in the order of storage.packed.schema.FRAMES; 33 bytes a chunk."""
+    """The frames of consecutive chunks, against the scan's origin, in the order of storage.packed.schema.FRAMES; 33
+    bytes a chunk."""
 
     origin: np.ndarray  # (c, 3) float32: lowest corner of the cells
     turn: np.ndarray  # (c, 3) int8: quaternion x, y, z with w TURN_W, from the frame's axes to the file's
@@ -57,7 +59,8 @@ def frames_of_arrays(arrays: dict[str, np.ndarray]) -> Frames:
 
 
 def wrapped(code: np.ndarray) -> np.ndarray:
-    """Octahedral coordinates (..., 2) int64 in -254..254 that left the map over an edge, brought back to where they come in."""
+    """Octahedral coordinates (..., 2) int64 in -254..254 that left the map over an edge, brought back to where they
+    come in."""
     a, b = code[..., 0], code[..., 1]
     over = np.abs(a) > STEPS
     a, b = np.where(over, 2 * STEPS * np.sign(a) - a, a), np.where(over, -b, b)
@@ -68,8 +71,8 @@ def wrapped(code: np.ndarray) -> np.ndarray:
 def decode_quadrics(
     number: np.ndarray, frames: Frames, chunk: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (n, 3) float64 against the origin and octahedral normals (n, 2) int8. `chunk` (n,) names each splat's frame; by default
-    i // CHUNK."""
+    """Positions (n, 3) float64 against the origin and octahedral normals (n, 2) int8. `chunk` (n,) names each splat's
+    frame; by default i // CHUNK."""
     chunk = np.arange(len(number)) // CHUNK if chunk is None else chunk
     left, digits = number.astype(np.int64), []
     radix = (*(frames.normal_cells.astype(np.int64) + 1).T, *frames.cells.astype(np.int64).T)

@@ -22,10 +22,12 @@ def axes_of(turn: np.ndarray) -> np.ndarray:
 
 
 def quaternions_of(u: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """The quaternions (c, 3) int8 of frames with the axes U or V along `u` and N along `normal`, (c, 3) each, orthonormal, either way round.
+    """The quaternions (c, 3) int8 of frames with the axes U or V along `u` and N along `normal`, (c, 3) each,
+    orthonormal, either way round.
 
-    Of the eight such frames one has N above the horizon and U within 45 degrees of the x axis turned by the shortest way of N; its
-    rotation is at most 90 degrees of swing and 45 of twist, so x, y and z are at most sqrt(1 + tan(22.5)^2) = 1.083 of w.
+    Of the eight such frames one has N above the horizon and U within 45 degrees of the x axis turned by the shortest
+    way of N; its rotation is at most 90 degrees of swing and 45 of twist, so x, y and z are at most sqrt(1 +
+    tan(22.5)^2) = 1.083 of w.
     """
     normal = np.where(normal[:, 2:] < 0, -normal, normal)
     # The shortest rotation of z to N is 1 + N_z, N_x and N_y: (-N_y, N_x, 0, 1 + N_z).

@@ -1,4 +1,5 @@
-"""Chunks as pieces of surfaces: a frame of the smallest area, a quadric over it, and a plane that their normals follow."""
+"""Chunks as pieces of surfaces: a frame of the smallest area, a quadric over it, and a plane that their normals
+follow."""
 
 from __future__ import annotations
 
@@ -36,7 +37,8 @@ class Surface:
 
 
 def surface(point: np.ndarray, normal: np.ndarray) -> Surface:
-    """Chunks of points (c, CHUNK, 3) float64 with octahedral normals (c, CHUNK, 2) int64, whatever they are a piece of."""
+    """Chunks of points (c, CHUNK, 3) float64 with octahedral normals (c, CHUNK, 2) int64, whatever they are a piece
+    of."""
     turn, unfolded = _turns(point), _unfolded(normal)
     along = np.einsum("cij,ckj->cik", point - point.mean(axis=1, keepdims=True), axes_of(turn))
     scale = np.maximum(np.abs(along[..., :2]).max(axis=(1, 2)), SMALLEST_STEP)[:, None]
@@ -79,7 +81,8 @@ def _least_squares(design: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 
 def _unfolded(normal: np.ndarray) -> np.ndarray:
-    """Octahedral codes (c, CHUNK, 2) as they lie next to that of the chunk's mean normal, beyond the map's edges where that is nearer."""
+    """Octahedral codes (c, CHUNK, 2) as they lie next to that of the chunk's mean normal, beyond the map's edges where
+    that is nearer."""
     mean = decode_normals(normal.reshape(-1, 2)).reshape(*normal.shape[:2], 3).sum(axis=1)
     mean[np.linalg.norm(mean, axis=1) < 1e-6] = (0, 0, 1)
     middle = encode_normals(mean / np.linalg.norm(mean, axis=1, keepdims=True)).astype(np.int64)[:, None]

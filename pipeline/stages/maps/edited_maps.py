@@ -21,7 +21,8 @@ class MapEdited:
 
 @dataclass(frozen=True)
 class EditedMaps:
-    """A task a station. Arrays and summary as those of `Panoramas`; a station without a picture in `edited` keeps its map.
+    """A task a station. Arrays and summary as those of `Panoramas`; a station without a picture in `edited` keeps its
+    map.
 
     Raises: InvalidScan where no station has one.
     """

@@ -1,7 +1,8 @@
 """Cliplines of splats that reach over a silhouette, as the map that textures each of them shows it.
 
-The alpha of the panoramic system trims splats fragment by fragment (CEIG 2019, section 3.1); a line a splat does most of that in 12 bits, and
-needs no map where it is drawn. Maps have all points of a scan, so they know its edges better than the points that became splats.
+The alpha of the panoramic system trims splats fragment by fragment (CEIG 2019, section 3.1); a line a splat does most
+of that in 12 bits, and needs no map where it is drawn. Maps have all points of a scan, so they know its edges better
+than the points that became splats.
 """
 
 from __future__ import annotations

@@ -42,9 +42,9 @@ class PictureMade:
 
 @dataclass(frozen=True)
 class MapPictures:
-    """A task a station. Arrays map_colors_<i> (bytes of a WebP), map_depth_low_<i>, map_depth_high_<i> (h, 6 h) uint8; the
-    summary has each one's `StoredMap` (None for a station that saw nothing), and of all the bytes of colours, about those that
-    depths will take on disk (zlib's, in place of zarr's zstd), and PSNR."""
+    """A task a station. Arrays map_colors_<i> (bytes of a WebP), map_depth_low_<i>, map_depth_high_<i> (h, 6 h) uint8;
+    the summary has each one's `StoredMap` (None for a station that saw nothing), and of all the bytes of colours, about
+    those that depths will take on disk (zlib's, in place of zarr's zstd), and PSNR."""
 
     maps: Path  # as those of `Panoramas`
     log_gain: Gains  # of each station's light, by channel

@@ -1,5 +1,5 @@
-"""Station maps -> which of them textures each splat, and the splat's mean colour: what stands for it where its map shows
-another surface, and in whatever draws no maps."""
+"""Station maps -> which of them textures each splat, and the splat's mean colour: what stands for it where its map
+shows another surface, and in whatever draws no maps."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class StationsBlock:
 
 @dataclass(frozen=True)
 class StationOfSplats:
-    """A task a block. Arrays: station (n,) uint8, numbers of stations with maps in their order, NO_MAP where no map shows the
-    splat; average (n, 3) uint8."""
+    """A task a block. Arrays: station (n,) uint8, numbers of stations with maps in their order, NO_MAP where no map
+    shows the splat; average (n, 3) uint8."""
 
     of: MappedSplats
     log_gain: Gains

@@ -21,8 +21,8 @@ from storage.work import arrays
 MOST_BLOCKS = 16
 EVERY = 32  # splats of a block
 LEAST_SHARE = 0.9  # of a splat's square that a map must show
-# Levels of 255 by which the median spread of a splat's colours across stations must fall: less is what rounding makes of
-# equal ones.
+# Levels of 255 by which the median spread of a splat's colours across stations must fall: less is what rounding makes
+# of equal ones.
 LEAST_FALL = 1.0
 
 
@@ -49,8 +49,8 @@ class LightSeen:
 
 @dataclass(frozen=True)
 class StationLight:
-    """A task a block, of at most MOST_BLOCKS blocks. The summary has `log_gain` (n_stations, 3): zeros where gains solved
-    from half of the splats do not bring the other half together by LEAST_FALL."""
+    """A task a block, of at most MOST_BLOCKS blocks. The summary has `log_gain` (n_stations, 3): zeros where gains
+    solved from half of the splats do not bring the other half together by LEAST_FALL."""
 
     of: MappedSplats
     name = "station-light"

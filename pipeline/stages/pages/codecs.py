@@ -1,7 +1,7 @@
 """A page's bytes and its texels: encode and decode, by real codecs.
 
-JPEG keeps colour at full resolution (4:4:4): at quality 90 pages of fountain_p11 are 3 dB better than with halved colour.
-BC7 is what a GPU samples as it is, without decoding; PNG loses nothing.
+JPEG keeps colour at full resolution (4:4:4): at quality 90 pages of fountain_p11 are 3 dB better than with halved
+colour. BC7 is what a GPU samples as it is, without decoding; PNG loses nothing.
 """
 
 from __future__ import annotations
@@ -63,7 +63,8 @@ assert tuple(CODECS) == NAMES
 
 
 def decoded(codec: str, data: bytes, side_px: int, where: str) -> np.ndarray:
-    """The texels (side, side, 3) of a page's bytes. Raises: InvalidPackedFile for bytes that are no page of that size."""
+    """The texels (side, side, 3) of a page's bytes. Raises: InvalidPackedFile for bytes that are no page of that
+    size."""
     try:
         return CODECS[codec].decode(data, side_px)
     except Exception as error:  # decoders raise OSError, SyntaxError, ValueError and more

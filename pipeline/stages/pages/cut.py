@@ -1,7 +1,7 @@
 """A photograph cut into pages: all mip levels, each page with a border of its neighbours' texels (2020, section 4.1).
 
-The border is what filtering across the edge of a page needs; where a photograph ends its last texels are repeated. So all
-pages have the same size, and one texture holds any of them.
+The border is what filtering across the edge of a page needs; where a photograph ends its last texels are repeated. So
+all pages have the same size, and one texture holds any of them.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from storage.pages.layout import level_size
 
 
 def pages_of(rgb: np.ndarray, n_levels: int, page_px: int, border_px: int) -> Iterator[np.ndarray]:
-    """The pages of a photograph (h, w, 3) uint8 in the order of their numbers, each (side, side, 3) uint8, side = page_px +
-    2 border_px.
+    """The pages of a photograph (h, w, 3) uint8 in the order of their numbers, each (side, side, 3) uint8, side =
+    page_px + 2 border_px.
 
-    Guarantees: level l is the mean of what its texels cover of level l - 1, as `halved`; inside its border a page is its
-    level's own texels.
+    Guarantees: level l is the mean of what its texels cover of level l - 1, as `halved`; inside its border a page is
+    its level's own texels.
     """
     for level in range(n_levels):
         if level:

@@ -22,8 +22,8 @@ from storage.work import work
 
 @dataclass(frozen=True)
 class MapPages:
-    """A task a station that saw something: the pages of its map's colours, (h, 6 h) texels; what shows no surface takes after what is
-    around it. Makes coded.FILE."""
+    """A task a station that saw something: the pages of its map's colours, (h, 6 h) texels; what shows no surface takes
+    after what is around it. Makes coded.FILE."""
 
     maps: Path  # as those of `Panoramas`
     log_gain: Gains  # of each station's light, by channel

@@ -17,8 +17,8 @@ from storage.work import work
 
 @dataclass(frozen=True)
 class PhotoPages:
-    """A task a photograph: its pages, one after the other. `photos` is a folder of photographs, with their cameras in its
-    summary. Makes coded.FILE."""
+    """A task a photograph: its pages, one after the other. `photos` is a folder of photographs, with their cameras in
+    its summary. Makes coded.FILE."""
 
     photos: Path
     form: PageForm = PageForm()

@@ -19,9 +19,9 @@ MERGED = 64  # parts whose counts are held at once
 
 @dataclass(frozen=True)
 class GridCounts:
-    """A task a part of the points. Arrays: edges (3, n) float64 of the grid, against the origin; cell (m,) int32, begin and leaf
-    (m,) and start (n_leaves + 1,) int64 as in `Leaves`; n_before (n_parts, k) int64, of divided cells, the points before
-    each part."""
+    """A task a part of the points. Arrays: edges (3, n) float64 of the grid, against the origin; cell (m,) int32, begin
+    and leaf (m,) and start (n_leaves + 1,) int64 as in `Leaves`; n_before (n_parts, k) int64, of divided cells, the
+    points before each part."""
 
     ingest: Path
     thinned: Path | None = None  # which points are kept, where not all are

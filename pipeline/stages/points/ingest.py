@@ -31,8 +31,8 @@ PHOTO_TILE = 512
 
 @dataclass(frozen=True)
 class SlicesRead:
-    """What there is to know of slices: what `PointCounts` and `Looks` have seen, as their texts; and what black and white
-    stand for, the widest 1 % and 99 % of any slice's intensities, None where no point has one that is finite."""
+    """What there is to know of slices: what `PointCounts` and `Looks` have seen, as their texts; and what black and
+    white stand for, the widest 1 % and 99 % of any slice's intensities, None where no point has one that is finite."""
 
     n_splats: int
     counts: list
@@ -42,10 +42,10 @@ class SlicesRead:
 
 @dataclass(frozen=True)
 class Ingest:
-    """Task i stores slice i of the points, the tasks after them decode a photograph each. Of a file that can be read from its
-    start only, one task stores all slices. A row of the arrays is a point of the file, so that no task needs to know of others;
-    what is left out has no finite position. Where all points say otherwise of the scan than those that were sampled, the
-    summary's `seen` says what, and the stage is to be run again with it.
+    """Task i stores slice i of the points, the tasks after them decode a photograph each. Of a file that can be read
+    from its start only, one task stores all slices. A row of the arrays is a point of the file, so that no task needs
+    to know of others; what is left out has no finite position. Where all points say otherwise of the scan than those
+    that were sampled, the summary's `seen` says what, and the stage is to be run again with it.
 
     Arrays: position (n, 3) float64 absolute; where the scan has them normal (n, 3) float32, color (n, 3) uint8,
     intensity (n,) float32, station (n,) int32, candidate (n, N_CANDIDATES) uint16; photo_<i> (h, w, 3) uint8;
@@ -181,7 +181,8 @@ def _regrouped(pieces: Iterator[Piece], ends: Iterator[int]) -> Iterator[list[Pi
 
 
 def _cut(piece: Piece, n: int) -> tuple[Piece, Piece]:
-    """The first n points of a piece, and the others; what was seen of all of them goes with the first, to count once."""
+    """The first n points of a piece, and the others; what was seen of all of them goes with the first, to count
+    once."""
     n_seen = 0 if piece.visible_count is None else int(piece.visible_count[:n].sum())
     columns = {
         name: (value, n_seen if name == "visible_camera" else n)

@@ -1,4 +1,5 @@
-"""The points of an ingest that a scan is made of: those with a finite position, or the share of them that was thinned out."""
+"""The points of an ingest that a scan is made of: those with a finite position, or the share of them that was thinned
+out."""
 
 from __future__ import annotations
 
@@ -64,8 +65,8 @@ def part_range(ingest: Path, index: int) -> tuple[int, int]:
 def finite_pieces(
     ingest: Path, start: int, stop: int, names: tuple[str, ...] = COLUMNS, thinned: Path | None = None
 ) -> Iterator[dict[str, np.ndarray]]:
-    """The points of rows start..stop with a finite position, or those that are kept of them, by column, PIECE rows at a time: those of
-    `names` that the ingest has, positions against the origin, and `point`, the place in the ingest."""
+    """The points of rows start..stop with a finite position, or those that are kept of them, by column, PIECE rows at a
+    time: those of `names` that the ingest has, positions against the origin, and `point`, the place in the ingest."""
     names = tuple(name for name in columns_of(ingest) if name in names)
     origin = np.array(origin_of(work.summary(ingest, ScanRead)))
     for at in range(start, stop, PIECE):

@@ -21,8 +21,8 @@ PART, BEGIN, COUNT = range(3)  # columns of `run`
 class DealtLeaves:
     """A task a part of the points: it writes them as records, leaf by leaf, into a file of its own.
 
-    Arrays: run (m, 3) int64, which part has records of a leaf, from which on, and how many, leaf by leaf and part by part;
-    first (n_leaves + 1,) int64, the first run of each leaf. Files: records/<part>.npy (n,) of `record_of`.
+    Arrays: run (m, 3) int64, which part has records of a leaf, from which on, and how many, leaf by leaf and part by
+    part; first (n_leaves + 1,) int64, the first run of each leaf. Files: records/<part>.npy (n,) of `record_of`.
     """
 
     ingest: Path

@@ -26,19 +26,19 @@ from storage.packed.schema import CHUNK, GROUP, ONE_SIZE
 from storage.work import arrays, work
 
 LEVEL_SHIFT = 56  # bits of `point` above a place in the file: chosen by hash, a level's splats are not those of another
-# Times the radius that the splats of a cell cover together: coarser ones twice as large reach half a pixel over edges and silhouettes,
-# where most of their pictures' error is. PSNR to the finest level's, of a quarter and a twentieth of the splats as they are chosen
-# (benchmarks/levels.py): fountain_p11 33.3 and 25.2 dB with 1, 33.8 and 25.6 with 0.84, 34.2 and 26.4 with 0.71; conference_room 28.8 and
-# 26.4, 29.3 and 26.3, 29.2 and 26.0.
+# Times the radius that the splats of a cell cover together: coarser ones twice as large reach half a pixel over edges
+# and silhouettes, where most of their pictures' error is. PSNR to the finest level's, of a quarter and a twentieth of
+# the splats as they are chosen (benchmarks/levels.py): fountain_p11 33.3 and 25.2 dB with 1, 33.8 and 25.6 with 0.84,
+# 34.2 and 26.4 with 0.71; conference_room 28.8 and 26.4, 29.3 and 26.3, 29.2 and 26.0.
 SLIM = 0.8
 POINTS, NEIGHBOURS, SIZES = PARTS = ("points", "neighbours", "sizes")
 
 
 @dataclass(frozen=True)
 class CoarserLevel:
-    """A task a group. Arrays: the columns of the finer level's points; splat_normal (n, 3) float32, unit length and turned
-    either way; splat_radius (n,) float32; degenerate (n,) bool. `points` and `neighbours` are the partition's and the
-    neighbours' folders at level 1, beyond it both the folder of the level before."""
+    """A task a group. Arrays: the columns of the finer level's points; splat_normal (n, 3) float32, unit length and
+    turned either way; splat_radius (n,) float32; degenerate (n,) bool. `points` and `neighbours` are the partition's
+    and the neighbours' folders at level 1, beyond it both the folder of the level before."""
 
     points: Path
     neighbours: Path
@@ -93,9 +93,9 @@ class LevelsBlock:
 
 @dataclass(frozen=True)
 class Levels:
-    """A task a block of all levels. `part` says whose folder it stands for with all of them: the partition's (POINTS), the
-    neighbours' (NEIGHBOURS) or the sizes' (SIZES). Levels are whole groups but the last, the finest, so that no chunk or
-    group has splats of two."""
+    """A task a block of all levels. `part` says whose folder it stands for with all of them: the partition's (POINTS),
+    the neighbours' (NEIGHBOURS) or the sizes' (SIZES). Levels are whole groups but the last, the finest, so that no
+    chunk or group has splats of two."""
 
     part: str
     finest: Path  # the folder of the part of the finest level; of sizes that nothing told, the partition's
@@ -196,8 +196,8 @@ def with_levels(
     radius: float,
     n_coarser: int,
 ) -> tuple[StageRecord, Path, Path]:
-    """The points, neighbours and sizes of all levels, in the place of those of the finest, by stages that `do` does; its splats
-    have the one radius where they have no `sizes`, even if they `needed` some."""
+    """The points, neighbours and sizes of all levels, in the place of those of the finest, by stages that `do` does;
+    its splats have the one radius where they have no `sizes`, even if they `needed` some."""
     coarser: tuple[Path, ...] = ()
     for level in range(1, n_coarser + 1):
         source = (coarser[0],) * 2 if coarser else (partition.folder, neighbours)
@@ -210,7 +210,8 @@ def with_levels(
 
 
 def _turned(normal: np.ndarray, given: np.ndarray) -> np.ndarray:
-    """The merged normals, turned as those that the scan gave of the middle ones; where it gave none that is usable, none."""
+    """The merged normals, turned as those that the scan gave of the middle ones; where it gave none that is usable,
+    none."""
     usable, bad = usable_normals(given)
     side = np.where((normal * usable).sum(axis=1, keepdims=True) < 0, -1, 1)
     return np.where(bad[:, None], given, side * normal).astype(np.float32)

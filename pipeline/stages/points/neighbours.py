@@ -97,8 +97,8 @@ class Neighbourhoods:
 
 
 def signs_are_open(scan: ScanRead, partition: Path) -> bool:
-    """Whether nothing but the points says which side of a surface is out: a scan, as its ingest has it, without normals,
-    photographs or stations, not from the air, and of so few points that one process settles them."""
+    """Whether nothing but the points says which side of a surface is out: a scan, as its ingest has it, without
+    normals, photographs or stations, not from the air, and of so few points that one process settles them."""
     told = any(arrays.exists(partition, name) for name in ("normal", "station"))
     told = told or bool(scan.cameras) or scan.format == "las"
     return not told and work.summary(partition, Points).n_splats <= MOST_POINTS

@@ -36,8 +36,9 @@ class OrderedPart:
 
 @dataclass(frozen=True)
 class Partition:
-    """A task a leaf; without leaves the whole scan is one. Arrays as the ingest's, in chunk order, position against `origin`;
-    and point (n,) int64, each one's place in the ingest, which unlike its place here does not turn with the scan."""
+    """A task a leaf; without leaves the whole scan is one. Arrays as the ingest's, in chunk order, position against
+    `origin`; and point (n,) int64, each one's place in the ingest, which unlike its place here does not turn with the
+    scan."""
 
     ingest: Path
     thinned: Path | None = None  # which points are kept, where not all are; the leaves are of as many

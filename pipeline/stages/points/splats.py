@@ -40,8 +40,9 @@ class SplatsBlock:
 @dataclass(frozen=True)
 class Splats:
     """A task a block. Arrays by splat: position_code (n,) uint32, normal_code (n, 2) int8, camera (n,) uint16, color
-    (n, 3) uint8; by chunk: box_low, box_size (c, 3) float32, box_bits (c, 3) uint8; of quadrics in the place of codes and boxes
-    number (n,) uint64 and storage.packed.schema.FRAMES, of runs centre (n, 3) float32; with sizes size_code (n,) and size_scale (c, 2) uint8."""
+    (n, 3) uint8; by chunk: box_low, box_size (c, 3) float32, box_bits (c, 3) uint8; of quadrics in the place of codes
+    and boxes number (n,) uint64 and storage.packed.schema.FRAMES, of runs centre (n, 3) float32; with sizes size_code
+    (n,) and size_scale (c, 2) uint8."""
 
     ingest: Path
     partition: Path
@@ -135,8 +136,8 @@ class Splats:
     def _write_geometry(
         self, folder: Path, start: int, stop: int, position: np.ndarray, normal_code: np.ndarray
     ) -> tuple[np.ndarray, int]:
-        """Code positions, and normals with them where that is the form. Returns the positions (n, 3) as they will be decoded, and the bits
-        of all numbers of quadrics before they are sorted."""
+        """Code positions, and normals with them where that is the form. Returns the positions (n, 3) as they will be
+        decoded, and the bits of all numbers of quadrics before they are sorted."""
         if self.quadric_error is not None:
             number, frames = encode_quadrics(
                 position, normal_code, asked_steps(self._radii(start, stop), self.quadric_error)

@@ -1,8 +1,8 @@
 """The median split of points that do not fit into memory, streamed through two files.
 
 A node that fits is split there (`pipeline/geometry/chunks.py`); a larger one takes its bounds, the exact median by
-histograms, and one pass that writes its halves behind each other. Ties go by the order of the input in both, so the order of
-the points does not depend on what fits.
+histograms, and one pass that writes its halves behind each other. Ties go by the order of the input in both, so the
+order of the points does not depend on what fits.
 """
 
 from __future__ import annotations

@@ -16,8 +16,9 @@ from storage.work import arrays, work
 
 @dataclass(frozen=True)
 class Thin:
-    """A task a part of the file. Array: kept (n_rows,) bool, whether each point of the ingest is one of the share `density` < 1 of those with
-    a finite position that is kept, evenly spread within its part (`thinned`). A scan of one part is thinned as a whole.
+    """A task a part of the file. Array: kept (n_rows,) bool, whether each point of the ingest is one of the share
+    `density` < 1 of those with a finite position that is kept, evenly spread within its part (`thinned`). A scan of one
+    part is thinned as a whole.
 
     Raises: InvalidScan where none is left.
     """

@@ -1,4 +1,5 @@
-"""Points of a brick -> its cells, their mean normals, and the runs that cover them; then the steps of normals for all."""
+"""Points of a brick -> its cells, their mean normals, and the runs that cover them; then the steps of normals for
+all."""
 
 from __future__ import annotations
 
@@ -36,8 +37,8 @@ class BrickFilled:
 
 @dataclass(frozen=True)
 class RunCells:
-    """A task a brick. Arrays by brick i: key_i (n,) int64; normal_i (n, 3) float32; point_i (n,) int64, the row of the nearest point;
-    cell_i (m,) int32 and start_i (r + 1,) int64, the runs; of all codebook (32, 2) int8."""
+    """A task a brick. Arrays by brick i: key_i (n,) int64; normal_i (n, 3) float32; point_i (n,) int64, the row of the
+    nearest point; cell_i (m,) int32 and start_i (r + 1,) int64, the runs; of all codebook (32, 2) int8."""
 
     points: Path
     splats: Path  # whose normals are turned to who sees them
@@ -140,7 +141,8 @@ class _Points:
 
 
 def _mean_normals(normal: np.ndarray, begin: np.ndarray) -> np.ndarray:
-    """Of each cell (n_cells, 3), unit; where those of a cell cancel, as on two sides of a sheet, that of its nearest point."""
+    """Of each cell (n_cells, 3), unit; where those of a cell cancel, as on two sides of a sheet, that of its nearest
+    point."""
     total = np.add.reduceat(normal, begin, axis=0)
     count = np.diff(np.append(begin, len(normal)))
     length = np.linalg.norm(total, axis=1)
@@ -151,7 +153,8 @@ def _mean_normals(normal: np.ndarray, begin: np.ndarray) -> np.ndarray:
 def _filled(
     key: np.ndarray, is_added: np.ndarray, normal: np.ndarray, point: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Normals and points of all cells: those of cells that close gaps are a neighbour's, of several that of the lowest key."""
+    """Normals and points of all cells: those of cells that close gaps are a neighbour's, of several that of the lowest
+    key."""
     normals, points = np.zeros((len(key), 3)), np.full(len(key), -1)
     normals[~is_added], points[~is_added] = normal, point
     if not is_added.any():

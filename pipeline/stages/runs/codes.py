@@ -30,8 +30,9 @@ class BrickCoded:
 
 @dataclass(frozen=True)
 class RunCoding:
-    """A task a brick. Arrays by brick i: run_base_i, run_first_i, run_start_i, run_normal_i and run_step_i as the packed file has them, counted from the brick; by cell in
-    the order of the file position_i (m, 3) float32, normal_code_i (m, 2) int8, point_i (m,) int64."""
+    """A task a brick. Arrays by brick i: run_base_i, run_first_i, run_start_i, run_normal_i and run_step_i as the
+    packed file has them, counted from the brick; by cell in the order of the file position_i (m, 3) float32,
+    normal_code_i (m, 2) int8, point_i (m,) int64."""
 
     cells: Path
     grid: Path

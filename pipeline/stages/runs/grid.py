@@ -25,8 +25,9 @@ PIECES, PIECE_BLOCKS = 8, 8  # of the sample: pieces of so many blocks that lie 
 class RunGridChoice:
     """A task. Array: bricks (m, 6) int64 of pipeline.geometry.runs.bricks.
 
-    `turn` is that of a volume's own grid, whose cells these are; else slices lie across the axis that gives the longest runs. Without a
-    `cell` one of the size at which `hit_rate` points lie in a cell: sampling error first, whatever runs that makes.
+    `turn` is that of a volume's own grid, whose cells these are; else slices lie across the axis that gives the longest
+    runs. Without a `cell` one of the size at which `hit_rate` points lie in a cell: sampling error first, whatever runs
+    that makes.
     """
 
     points: Path

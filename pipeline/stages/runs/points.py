@@ -1,4 +1,5 @@
-"""Decoded cells as the points of a scan: what comes after textures, sizes and packs them in the frame that the renderer decodes."""
+"""Decoded cells as the points of a scan: what comes after textures, sizes and packs them in the frame that the renderer
+decodes."""
 
 from __future__ import annotations
 
@@ -31,9 +32,9 @@ class CellsBlock:
 
 @dataclass(frozen=True)
 class RunPoints:
-    """A task a block. Arrays: the columns of the points, of the point nearest to each cell's centre, but `position` and `normal` of the cell;
-    normal_code (n, 2) int8; spacing (n,) float32, the point's and at least a cell; degenerate (n,) bool. It stands in the place of the
-    partition and of the neighbours."""
+    """A task a block. Arrays: the columns of the points, of the point nearest to each cell's centre, but `position` and
+    `normal` of the cell; normal_code (n, 2) int8; spacing (n,) float32, the point's and at least a cell; degenerate
+    (n,) bool. It stands in the place of the partition and of the neighbours."""
 
     points: Path
     neighbours: Path

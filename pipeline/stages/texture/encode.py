@@ -20,8 +20,8 @@ from pipeline.texture.patches import centred, patch_errors
 from pipeline.texture.resample import PATCH_DIM, disc_weights
 from storage.work import arrays
 
-# Of an atom on a splat of a coarser level, which is drawn where it is some pixels wide: on fountain_p11, draft, 36.8 dB, its
-# splats take 8.4 bytes each and those of the finest level 9.1; at the same multiplier 13 and more.
+# Of an atom on a splat of a coarser level, which is drawn where it is some pixels wide: on fountain_p11, draft, 36.8
+# dB, its splats take 8.4 bytes each and those of the finest level 9.1; at the same multiplier 13 and more.
 COARSER_PRICE = 4.0
 ROWS = 1024  # patches in float32 at a time: 12 MiB
 
@@ -40,8 +40,8 @@ class BlockCoded:
 @dataclass(frozen=True)
 class Encode:
     """A task a block. Arrays: n_atoms (n,) uint8, atom (n, r) uint16, weight_code (n, r) uint8, error (n,) float32: the
-    squared norm that is left of each patch, before its texels are clamped. Atoms of coarser levels have COARSER_PRICE; what
-    is said of errors is of the finest."""
+    squared norm that is left of each patch, before its texels are clamped. Atoms of coarser levels have COARSER_PRICE;
+    what is said of errors is of the finest."""
 
     patches: Path
     colors: Path

@@ -1,12 +1,12 @@
-"""What an atom must be worth: one Lagrange multiplier for all splats, such that the whole scan has the error that its target
-promises.
+"""What an atom must be worth: one Lagrange multiplier for all splats, such that the whole scan has the error that its
+target promises.
 
 The promise is the cut-off's: a splat that its average colour leaves below the target's error keeps what it has, every
 other comes down to that error. Which splats then pay for it is left to the multiplier.
 
-An atom is taken where it lowers a splat's squared error by more than the multiplier. With one multiplier for all, no atom moved
-from one splat to another would lower the sum (a Lagrange multiplier, Everett 1963; Shoham and Gersho 1988), where one
-cut-off for all spends atoms on splats that are hardly mended by them.
+An atom is taken where it lowers a splat's squared error by more than the multiplier. With one multiplier for all, no
+atom moved from one splat to another would lower the sum (a Lagrange multiplier, Everett 1963; Shoham and Gersho 1988),
+where one cut-off for all spends atoms on splats that are hardly mended by them.
 """
 
 from __future__ import annotations
@@ -107,7 +107,8 @@ def multiplier_for(ladder: Ladder, training: Training) -> float:
 
 
 def least_multiplier(ladder: Ladder, training: Training) -> float:
-    """The multiplier, found between the middles of the ladder's steps, down to which an atom more gains LEAST_GAIN_DB."""
+    """The multiplier, found between the middles of the ladder's steps, down to which an atom more gains
+    LEAST_GAIN_DB."""
     n_atoms = np.array(ladder.n_atoms) * training.n_active / training.n_splats
     fall_db = -10 * np.diff(np.log10(np.maximum(_error_of_all(ladder, training), 1e-30)))
     gain_db, log_multiplier = fall_db / np.maximum(np.diff(n_atoms), 1e-9), np.log(ladder.multiplier)

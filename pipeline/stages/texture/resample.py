@@ -1,4 +1,5 @@
-"""Photographs -> patches, in the frame of the decoded geometry: kept, or measured and made again where they are used."""
+"""Photographs -> patches, in the frame of the decoded geometry: kept, or measured and made again where they are
+used."""
 
 from __future__ import annotations
 
@@ -38,8 +39,8 @@ class Resample:
     """A task a block. Arrays: texel (n, PATCH_DIM) uint8, average (n, 3) float32 in 255ths, energy (n,) float32, point
     (n,) int64 as the partition's.
 
-    Not `kept`, there are no texels, 3 kB a splat, and no points: `texels` makes them again from the file AGAIN, in which this stage
-    stands, and reads the partition's.
+    Not `kept`, there are no texels, 3 kB a splat, and no points: `texels` makes them again from the file AGAIN, in
+    which this stage stands, and reads the partition's.
     """
 
     ingest: Path
@@ -90,8 +91,8 @@ class Resample:
         )
 
     def again(self, index: int, wanted: np.ndarray) -> np.ndarray:
-        """Texels (m, PATCH_DIM) uint8 of the splats `wanted` (m,), ascending rows of block `index`; the process's memory, good
-        until it makes others."""
+        """Texels (m, PATCH_DIM) uint8 of the splats `wanted` (m,), ascending rows of block `index`; the process's
+        memory, good until it makes others."""
         block = _block(self.ingest, self.partition, self.splats, self.radius, self.up, self.ahead, index)
         return patches_again(block, wanted, self.antialiased, block_memory())
 
@@ -152,8 +153,8 @@ def _block(
 
 
 def block_memory() -> np.ndarray:
-    """(BLOCK, PATCH_DIM) uint8 of this thread, made once: new memory costs a process 8 us a patch, where a virtual machine must get
-    it from its host."""
+    """(BLOCK, PATCH_DIM) uint8 of this thread, made once: new memory costs a process 8 us a patch, where a virtual
+    machine must get it from its host."""
     if not hasattr(_thread, "memory"):
         _thread.memory = np.empty((arrays.BLOCK, PATCH_DIM), np.uint8)
     return _thread.memory

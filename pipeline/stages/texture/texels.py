@@ -13,8 +13,8 @@ from storage.work import arrays
 
 
 def texel_pieces(patches: Path, start: int, stop: int, rows: int) -> Iterator[tuple[int, np.ndarray]]:
-    """Texels (m, PATCH_DIM) uint8 of splats start..stop, `rows` at a time and less at the end of a block, each with its first splat;
-    not to be written to, and good until the next is asked for."""
+    """Texels (m, PATCH_DIM) uint8 of splats start..stop, `rows` at a time and less at the end of a block, each with its
+    first splat; not to be written to, and good until the next is asked for."""
     if _kept(patches):
         yield from arrays.pieces(patches, "texel", start, stop, rows)
         return

@@ -1,5 +1,6 @@
 """Which patches the dictionary is learned from: a part of those that their average colour does not settle, chosen by
-hash within octaves of contrast (`contrast_octaves.py`), as coefficients of principal components (`pipeline/coding/subspace.py`)."""
+hash within octaves of contrast (`contrast_octaves.py`), as coefficients of principal components
+(`pipeline/coding/subspace.py`)."""
 
 from __future__ import annotations
 
@@ -53,8 +54,8 @@ class TrainingSet:
     float64, the hash as a share of what its octave is taken below: who is below a half is a half of the set, of each
     octave.
 
-    A splat of the finest level is taken if a hash of its point's place in the scan's files and the seed says so, and patches are in the
-    order of that hash: neither depends on tasks or workers, nor on chunks, which turn with the scan.
+    A splat of the finest level is taken if a hash of its point's place in the scan's files and the seed says so, and
+    patches are in the order of that hash: neither depends on tasks or workers, nor on chunks, which turn with the scan.
     """
 
     patches: Path

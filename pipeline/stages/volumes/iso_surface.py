@@ -27,9 +27,9 @@ CLOSE_CELLS = 0.01  # off a surface by more than so much of a cell: counted as l
 
 @dataclass(frozen=True)
 class BrickOfSurfaces:
-    """What a task tells of its slices: the box of its points, None where there are none; by iso value how many there are, were
-    added, lie off the surface, and had no direction, and by how many cells the others are off, summed; the largest value of its voxels at the
-    border of the volume, None where it has none."""
+    """What a task tells of its slices: the box of its points, None where there are none; by iso value how many there
+    are, were added, lie off the surface, and had no direction, and by how many cells the others are off, summed; the
+    largest value of its voxels at the border of the volume, None where it has none."""
 
     n_splats: int
     low: list[float] | None
@@ -46,8 +46,9 @@ class BrickOfSurfaces:
 class IsoSurface:
     """A task some slices of the HCP grid, with the slices about them as halos.
 
-    Arrays: position (n, 3) float64 in the volume's frame, normal (n, 3) float32 towards lower values, zero where the volume tells
-    none, color (n, 3) uint8; sample (m, 3) float64: every so many-th position. By task, by iso value, by slice, row and column of the grid.
+    Arrays: position (n, 3) float64 in the volume's frame, normal (n, 3) float32 towards lower values, zero where the
+    volume tells none, color (n, 3) uint8; sample (m, 3) float64: every so many-th position. By task, by iso value, by
+    slice, row and column of the grid.
 
     Raises: InvalidScan where no iso value makes a point, or cells are too many.
     """
@@ -154,7 +155,8 @@ class IsoSurface:
         )
 
     def _is_closed(self, volume: VolumeRead, results: list[BrickOfSurfaces]) -> bool:
-        """Whether all surfaces end nowhere and look outwards: all voxels are known, and those of the border lower than any of their values."""
+        """Whether all surfaces end nowhere and look outwards: all voxels are known, and those of the border lower than
+        any of their values."""
         highest = max(r.highest_at_border for r in results if r.highest_at_border is not None)
         return not volume.n_unknown and highest < min(iso.value for iso in self.isos)
 
@@ -229,8 +231,8 @@ def highest_at_border(voxels: np.ndarray, first: int, n: int) -> float | None:
 
 
 def grid_of(lattice: Lattice, middle: np.ndarray) -> GridFrame:
-    """The lattice as a grid of runs has it; its origin is the cell near `middle` (3,) in even rows and slices, from which all others lie as
-    they do from cell (0, 0, 0)."""
+    """The lattice as a grid of runs has it; its origin is the cell near `middle` (3,) in even rows and slices, from
+    which all others lie as they do from cell (0, 0, 0)."""
     x, y, z = (float(x) for x in (middle - lattice.origin) @ lattice.turn)
     column, row, slice_ = cell_of(x, y, z, lattice.size)
     origin = lattice.in_frame(np.array(centre_of(column, row - row % 2, slice_ - slice_ % 2, lattice.size)))

@@ -102,8 +102,8 @@ class Voxels:
 
 
 def slab(voxels: Path, first: int, end: int, pad: float | None = None) -> np.ndarray:
-    """Slices first..end of voxels as float32 (n_k, n_j, n_i); with `pad` as if a layer of that value lay about the volume, which slice 0
-    then is part of."""
+    """Slices first..end of voxels as float32 (n_k, n_j, n_i); with `pad` as if a layer of that value lay about the
+    volume, which slice 0 then is part of."""
     if pad is None:
         return arrays.read(voxels, "voxels", first, end).astype(np.float32)
     n_k, n_j, n_i = arrays.layout_of(voxels, "voxels").shape

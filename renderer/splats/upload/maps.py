@@ -1,9 +1,9 @@
 """The maps of a scene in GPU memory: colours with mip levels and depth codes, a layer of a texture array each.
 
 A layer has a map's six squares, three in a row: bottom cap, top cap, and the band in quarters; station_map.glsl finds
-them. So no layer is wider than three heights. Coarser levels of colours stand side by side below the finest: lookups take
-texels one by one, as each has its own depth to test, so GL's own levels would serve nothing. Layers are as large as the
-largest map.
+them. So no layer is wider than three heights. Coarser levels of colours stand side by side below the finest: lookups
+take texels one by one, as each has its own depth to test, so GL's own levels would serve nothing. Layers are as large
+as the largest map.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ LOOKED_UP_FROM_PX = 2.5  # map_of_splat.glsl says the same
 
 @dataclass(frozen=True)
 class MapsInView:
-    """Tells which views look any splat up in its map: most of those that show a scan from afar do not, and programs without maps draw them
-    several times as fast."""
+    """Tells which views look any splat up in its map: most of those that show a scan from afar do not, and programs
+    without maps draw them several times as fast."""
 
     low: np.ndarray  # (n_groups, 3) corners of groups against the origin, whole splats in them
     high: np.ndarray

@@ -1,7 +1,8 @@
 """What is derived when a scene is loaded, and its arrays side by side, as the shaders take them: words of numpy arrays.
 
-Derived are running counts of batches (what batch_count says, summed, so that a shader can search them), where the streams of each
-group and batch begin, and the box of each group. The viewer does the same (services/web/viewer/tables.js).
+Derived are running counts of batches (what batch_count says, summed, so that a shader can search them), where the
+streams of each group and batch begin, and the box of each group. The viewer does the same
+(services/web/viewer/tables.js).
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ ROUNDING = 1e-5  # of a cone's cosine: so much wider, or float32 might narrow it
 
 def splat_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
     """Position, normal and, where it is in whole bytes, colour of each splat side by side, (n, 8) or (n, 5) uint8: one
-    load instead of five; of quadrics the first word of each group, in what follows too, and the words of numbers, uint32."""
+    load instead of five; of quadrics the first word of each group, in what follows too, and the words of numbers,
+    uint32."""
     if "splats" in arrays:
         first = arrays["splat_word"][::CHUNKS_PER_GROUP]
         return np.concatenate([first + np.uint32(len(first)), arrays["splats"]])
@@ -29,8 +31,8 @@ def splat_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def box_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """Low corner, size, bits along x and y, and the scale of its splats' sizes, of each chunk's box, (n_chunks, 7) uint32; of quadrics
-    (n_chunks, 9), as renderer/shaders/quadric.glsl reads them."""
+    """Low corner, size, bits along x and y, and the scale of its splats' sizes, of each chunk's box, (n_chunks, 7)
+    uint32; of quadrics (n_chunks, 9), as renderer/shaders/quadric.glsl reads them."""
     words = _frame_words(arrays) if "splats" in arrays else np.zeros((len(arrays["batch_count"]), 7), np.uint32)
     if "box_low" in arrays:
         _add_boxes(words, arrays)
@@ -40,8 +42,8 @@ def box_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def _frame_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """Origin; turn and bits; step and steps of normals; curve and high parts of cells; low parts of cells and the scale of sizes; slopes;
-    where normals begin and the first word."""
+    """Origin; turn and bits; step and steps of normals; curve and high parts of cells; low parts of cells and the scale
+    of sizes; slopes; where normals begin and the first word."""
     cells, step = arrays["frame_cells"].astype(np.uint32) - 1, arrays["frame_step"].astype(np.uint32)
     low, many = (arrays["normal_low"] + 256).astype(np.uint32), arrays["normal_cells"].astype(np.uint32)
     in_group = arrays["splat_word"] - np.repeat(arrays["splat_word"][::CHUNKS_PER_GROUP], CHUNKS_PER_GROUP)[: len(low)]
@@ -131,8 +133,8 @@ def group_boxes(scene: PackedScene) -> np.ndarray:
 
 
 def group_cones(scene: PackedScene) -> np.ndarray:
-    """Axis and cosine of the half angle of a cone that holds the normals of each group, (n_groups, 4) float32; -1 where it holds all, or ellipsoids,
-    which have no back. DuoDecim (2006), section 2.6."""
+    """Axis and cosine of the half angle of a cone that holds the normals of each group, (n_groups, 4) float32; -1 where
+    it holds all, or ellipsoids, which have no back. DuoDecim (2006), section 2.6."""
     normal, starts = decode_normals(scene_normal_codes(scene)), np.arange(0, scene.header.n_splats, GROUP)
     total = np.add.reduceat(normal, starts, axis=0)
     axis = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-9)

@@ -19,7 +19,8 @@ _SECURITY = {
 
 
 class Secured:
-    """ASGI middleware: bodies pass as they are, where Starlette's own for functions takes each block through a queue."""
+    """ASGI middleware: bodies pass as they are, where Starlette's own for functions takes each block through a
+    queue."""
 
     def __init__(self, app) -> None:
         self.app = app

@@ -1,5 +1,5 @@
-"""Files take turns, so that answers about jobs do not wait behind those of a hundred viewers: finding a file costs as much as any other
-answer, and that many at once would all stand in one line with it."""
+"""Files take turns, so that answers about jobs do not wait behind those of a hundred viewers: finding a file costs as
+much as any other answer, and that many at once would all stand in one line with it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ AT_ONCE = 2  # files that are being looked for; sending them costs little, takes
 
 
 class FilesInTurn:
-    """ASGI middleware. Guarantees: at most AT_ONCE requests for files of artifacts or pages are between their beginning and the beginning of
-    their answer; what is no file never waits."""
+    """ASGI middleware. Guarantees: at most AT_ONCE requests for files of artifacts or pages are between their beginning
+    and the beginning of their answer; what is no file never waits."""
 
     def __init__(self, app) -> None:
         self.app, self._turns = app, asyncio.Semaphore(AT_ONCE)

@@ -115,7 +115,8 @@ def add_edited_maps(compress: argparse.ArgumentParser) -> None:
 
 
 def settings_with_maps(options: argparse.Namespace) -> Settings:
-    """The settings; edited maps ask for the texture that they are for. Raises WrongArgument where another is asked for."""
+    """The settings; edited maps ask for the texture that they are for. Raises WrongArgument where another is asked
+    for."""
     settings = settings_of(options)
     if not options.maps:
         return settings

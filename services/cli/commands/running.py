@@ -37,7 +37,8 @@ def scan_path(text: str) -> Path:
 
 
 def look_first(scan: Path, draws: bool, settings: Settings) -> None:
-    """What takes a second is looked at before workers start: the scan's header, and OpenGL where pictures are wanted."""
+    """What takes a second is looked at before workers start: the scan's header, and OpenGL where pictures are
+    wanted."""
     from services.processes.inspect import inspect
 
     inspect(scan, settings.reading, settings.choice)

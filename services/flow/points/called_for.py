@@ -1,4 +1,5 @@
-"""What a scan calls for: coarser levels and radii of their own first, for all that the plan of effects measures is of such splats."""
+"""What a scan calls for: coarser levels and radii of their own first, for all that the plan of effects measures is of
+such splats."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ def calls_for_sizes(summary: SizesNeeded, request: str) -> bool:
 
 
 def plan_scan(run: Run, sources: Sources, request: dict[str, str]) -> tuple[EffectPlan, dict[str, Path]]:
-    """Measure the scan for every effect that the request leaves open, and plan; and what the surveys of effects made."""
+    """Measure the scan for every effect that the request leaves open, and plan; and what the surveys of effects
+    made."""
     if unlit := sources.scan.is_albedo and request["relighting"] == AUTO:
         request = request | {"relighting": ON}  # colours without light in them show no shape
     if not sources.sizes or work.summary(sources.sizes, SizesNeeded).large_share is None:

@@ -19,7 +19,8 @@ def quadric_error(asked: GeometryRequest) -> float | None:
 
 
 def quadrics_row(asked: GeometryRequest, made: SplatsMade) -> Row:
-    """The row of the plan: bits a splat over quadrics by those of boxes, before numbers are sorted by batches, which takes up to 5 away."""
+    """The row of the plan: bits a splat over quadrics by those of boxes, before numbers are sorted by batches, which
+    takes up to 5 away."""
     share = (made.number_bits + FRAME_BITS) / BOX_BITS
     is_asked = asked.form == QUADRICS
     enabled = is_asked or share < 1

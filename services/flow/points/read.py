@@ -43,8 +43,8 @@ def points_of(
     reading: ReadOptions = ReadOptions(),
     on_cells: bool = False,
 ) -> tuple[StageRecord[ScanRead], StageRecord[Points]]:
-    """Read the scan or the surfaces of a volume, and put its points in chunk order, or that share of them; `on_cells` leaves those of a
-    volume at the centres of their cells."""
+    """Read the scan or the surfaces of a volume, and put its points in chunk order, or that share of them; `on_cells`
+    leaves those of a volume at the centres of their cells."""
     if is_volume(scan):
         ingest = surface_points(run, scan, surface, on_cells)
     else:

@@ -40,7 +40,8 @@ def iso_values_of(run: Run, path: Path, choice: Choice) -> tuple[StageRecord[Vol
 
 
 def surface_points(run: Run, path: Path, asked: SurfaceRequest, on_cells: bool = False) -> StageRecord[ScanRead]:
-    """The points of the surfaces asked for, or of the one that the volume proposes first; `on_cells` at the centres of their cells.
+    """The points of the surfaces asked for, or of the one that the volume proposes first; `on_cells` at the centres of
+    their cells.
 
     Raises: InvalidScan where it proposes none.
     """

@@ -1,7 +1,7 @@
 """The demo's scan of points alone: a knot on a paved floor as a laser scanner's file has it, made from formulas.
 
-A LAS file of coloured points with a scanner's noise and without normals, so that what `compress` does for scans of points
-alone (normals estimated, one colour a splat) can be tried on it.
+A LAS file of coloured points with a scanner's noise and without normals, so that what `compress` does for scans of
+points alone (normals estimated, one colour a splat) can be tried on it.
 """
 
 from __future__ import annotations

@@ -46,8 +46,8 @@ def fly(packed: Path, pages: Path, path: Path, out: Path, options: FlightOptions
 
     The viewer stands still until what he sees is there; then the path begins. `out` appears whole or not at all.
 
-    Raises: InvalidPackedFile for a page file that is cut, altered or of another scan, ResourceExhausted for a pool that does
-    not hold what is always resident.
+    Raises: InvalidPackedFile for a page file that is cut, altered or of another scan, ResourceExhausted for a pool that
+    does not hold what is always resident.
     """
     walk = read_path(path)
     walk = Path90(walk.name, walk.poses[:: options.every])
@@ -100,7 +100,8 @@ def refuse_another_scan(file: PageFile, header: Header) -> None:
 
 
 def warnings_of(file: PageFile, header: Header) -> list[str]:
-    """What pictures of these pages would show and a viewer might take for the scan: atoms and pages in different light."""
+    """What pictures of these pages would show and a viewer might take for the scan: atoms and pages in different
+    light."""
     if file.header.one_light or "exposure" not in header.effects:
         return []
     return [

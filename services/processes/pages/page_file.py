@@ -35,8 +35,8 @@ def make_pages(
     """Write the page file `out` of a scan's photographs as they were taken, or of a work folder's as its textures were
     sampled from them (in one light, where the plan has exposure on). Returns what it holds, and its `psnr_db`.
 
-    `out` is there whole or not at all. Raises: InvalidScan for a scan without photographs, and for a work folder of none or
-    of several.
+    `out` is there whole or not at all. Raises: InvalidScan for a scan without photographs, and for a work folder of
+    none or of several.
     """
     with aside(out) as beside:
         of_work = _is_work_folder(source)
@@ -61,7 +61,8 @@ def _is_work_folder(source: Path) -> bool:
 
 
 def photos_of(source: Path) -> Path:
-    """The folder of photographs of a work folder: in one light, where that was made. Raises: InvalidScan for several scans' photographs."""
+    """The folder of photographs of a work folder: in one light, where that was made. Raises: InvalidScan for several
+    scans' photographs."""
     found = _stage_folders(source)
     for name in (EXPOSURE, INGEST):
         of_name = [folder for folder in found if folder.name.startswith(name)]

@@ -18,7 +18,8 @@ KINDS = (*NAMES, PHOTOGRAPHS)
 def record(packed: Path, kind: str, seconds: float, out: Path) -> Path90:
     """Write the path of `kind` (one of KINDS), or through the poses of the path file of that name, into `out`.
 
-    Raises: InvalidScan for a packed file without photographs, for fewer than two of them, and for a file of poses that is none.
+    Raises: InvalidScan for a packed file without photographs, for fewer than two of them, and for a file of poses that
+    is none.
     """
     with PackedFile(packed) as opened:
         scene = opened.load()

@@ -28,9 +28,10 @@ def table_of(
     on_path: Callable[[str], None] = lambda name: None,
     cold: bool = False,
 ) -> dict:
-    """Misses by pixels relative to no prediction under `misses`, by pages under `misses_by_pages`, of the default policy and the first
-    budget; under `rows`
-    those of both policies, all budgets, by pixels and pages; with `cold` besides those of a viewer who comes in at once.
+    """Misses by pixels relative to no prediction under `misses`, by pages under `misses_by_pages`, of the default
+    policy and the first budget; under `rows`
+    those of both policies, all budgets, by pixels and pages; with `cold` besides those of a viewer who comes in at
+    once.
 
     Guarantees: the same file gives the same table, digit for digit.
     Raises: InvalidScan for a packed file without photographs.

@@ -1,8 +1,8 @@
 """Runs of a group in few bytes, and back: what a packed file holds of them.
 
-DuoDecim (2006), section 2.5, keeps codes as the graphics card takes them and packs them by zip. Here each field goes through adaptive
-models under a range coder: a turn by the two turns before, a step of the normal by the step before, a start by the start before. All models
-begin anew in every group, so that one is read alone.
+DuoDecim (2006), section 2.5, keeps codes as the graphics card takes them and packs them by zip. Here each field goes
+through adaptive models under a range coder: a turn by the two turns before, a step of the normal by the step before, a
+start by the start before. All models begin anew in every group, so that one is read alone.
 """
 
 from __future__ import annotations
@@ -161,7 +161,8 @@ def pack_runs(runs: GroupRuns) -> np.ndarray:
 def unpack_runs(data: np.ndarray, n_cells: int) -> GroupRuns:
     """The way back of a group's bytes (n,) uint8.
 
-    Raises: ValueError where bytes are not just those of runs of `n_cells` cells. Any bytes may come: none beyond them are read.
+    Raises: ValueError where bytes are not just those of runs of `n_cells` cells. Any bytes may come: none beyond them
+    are read.
     """
     shapes = (n_cells, 3), (n_cells,), (n_cells,), (n_cells, 2), (n_cells,)
     base, first, start, normal, step = (np.empty(shape, np.int64) for shape in shapes)

@@ -1,7 +1,7 @@
 """An adaptive binary range coder: each bit by how likely it was, in whole numbers of 32 bits.
 
-A model is a probability of 0 in 4,096ths; it moves a sixteenth of the way at every bit (Martin, Range encoding, 1979; the carry is that
-of LZMA). A reader needs products of 20 by 12 bits and unsigned comparisons, nothing wider.
+A model is a probability of 0 in 4,096ths; it moves a sixteenth of the way at every bit (Martin, Range encoding, 1979;
+the carry is that of LZMA). A reader needs products of 20 by 12 bits and unsigned comparisons, nothing wider.
 """
 
 from __future__ import annotations
@@ -126,7 +126,8 @@ def read_bit(state, data, models, at):
 
 @compiled
 def write_tree(state, out, models, base, value, bits):
-    """A number of `bits` bits, the highest first, each by a model of its own for every way to it: models base + 1 to base + 2^bits - 1."""
+    """A number of `bits` bits, the highest first, each by a model of its own for every way to it: models base + 1 to
+    base + 2^bits - 1."""
     node = 1
     for shift in range(bits - 1, -1, -1):
         bit = (value >> shift) & 1
@@ -143,8 +144,8 @@ def read_tree(state, data, models, base, bits):
     return node - (1 << bits)
 
 
-# A signed number takes SIGNED models: a tree of how many bits its size has (0..15), its sign, then the size's bits below the highest:
-# two of them by models, the others even.
+# A signed number takes SIGNED models: a tree of how many bits its size has (0..15), its sign, then the size's bits
+# below the highest: two of them by models, the others even.
 SIGNED = 80
 _SIGN, _SECOND, _THIRD = 16, 32, 48
 

@@ -1,7 +1,7 @@
 """Runs of cells in a packed file: which belong to a group of splats, and whether their tables fit each other.
 
-A group of GROUP splats is whole sections, a section whole runs, so that a group is decoded from its own alone. Cells stand run by
-run; the splats of a chunk are its cells, sorted by batch as those of any file.
+A group of GROUP splats is whole sections, a section whole runs, so that a group is decoded from its own alone. Cells
+stand run by run; the splats of a chunk are its cells, sorted by batch as those of any file.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ DECODED = (
     Array("run_step", ("t",), "uint8", "geometry", "turn, 3 bits, and step of the normal, 5, of each further cell"),
 )
 
-# Of a cell that is a run and a section of its own: 43 bits by models, which take no more than 9 each, and 90 others are 60 bytes.
+# Of a cell that is a run and a section of its own: 43 bits by models, which take no more than 9 each, and 90 others are
+# 60 bytes.
 _MOST_BYTES_A_CELL, _ENDING = 64, 4
 
 
@@ -54,7 +55,8 @@ def cell_order(run_batch: np.ndarray | None, n: int) -> np.ndarray:
 
 
 def joined_tables(n_sections: np.ndarray, n_runs: np.ndarray, first: np.ndarray) -> dict[str, np.ndarray]:
-    """`run_first` and `run_section` of consecutive groups of so many sections and runs (g,) each, of what theirs say alone (q,)."""
+    """`run_first` and `run_section` of consecutive groups of so many sections and runs (g,) each, of what theirs say
+    alone (q,)."""
     before = np.cumsum(n_runs) - n_runs
     return {
         "run_first": (first + np.repeat(before, n_sections)).astype(np.uint32),
@@ -63,8 +65,8 @@ def joined_tables(n_sections: np.ndarray, n_runs: np.ndarray, first: np.ndarray)
 
 
 def run_bounds(header: Header, arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Low and high corner (3,) float64 against the origin of a box that holds all cells of a group's runs: a run leaves its first cell
-    by no more columns and rows than it has cells, and never its slice. Not the smallest such box."""
+    """Low and high corner (3,) float64 against the origin of a box that holds all cells of a group's runs: a run leaves
+    its first cell by no more columns and rows than it has cells, and never its slice. Not the smallest such box."""
     assert header.runs is not None
     start, first = arrays["run_start"], arrays["run_first"].astype(np.int64)
     section = np.searchsorted(first, np.arange(len(start)), side="right") - 1
@@ -84,7 +86,8 @@ def run_bounds(header: Header, arrays: dict[str, np.ndarray]) -> tuple[np.ndarra
 
 
 def check_runs(header: Header, arrays: dict[str, np.ndarray]) -> None:
-    """ValueError unless the tables fit each other, so that no decoder leaves an array, or the whole numbers of float32."""
+    """ValueError unless the tables fit each other, so that no decoder leaves an array, or the whole numbers of
+    float32."""
     assert header.runs is not None
     length, first = lengths_of(arrays["run_start"]), arrays["run_first"].astype(np.int64)
     sections = arrays["run_section"].astype(np.int64)

@@ -1,4 +1,5 @@
-"""Order-recursive pursuit with a beam: its twin that tries all atoms, SPAMS, and the same codes whatever the way to the products."""
+"""Order-recursive pursuit with a beam: its twin that tries all atoms, SPAMS, and the same codes whatever the way to the
+products."""
 
 from __future__ import annotations
 

@@ -165,7 +165,8 @@ def test_foreign__points_of_a_disc_over_a_silhouette_are_another_surface_s_and_t
     edge = np.array([[1.45, 0.15, 0.0]])  # of the pillar: the wall lies beyond it for smaller y
     on_edge = Squares(edge, np.array([[0.0, 1, 0]]), np.array([[0.0, 0, 1]]), np.array([0.1]))
     station_map = ideal_map(centre)
-    # the pillar's face is at x = 0.95; the disc lies where its far corner is, so only what the ray meets there is its own
+    # the pillar's face is at x = 0.95; the disc lies where its far corner is, so only what the ray meets there is its
+    # own
     near = Squares(np.array([[0.95, 0.158, 0.0]]), on_edge.u, on_edge.v, np.array([0.1]))
     assert foreign_points(station_map, near, points).tolist() == [[False, False, True, False]]
     nothing = StationMap(station_map.frame, station_map.color, np.full_like(station_map.depth, 65535))

@@ -1,4 +1,5 @@
-"""Small files of the kinds that people report, each with what its maker knows: positions, colours, normals, counts, words."""
+"""Small files of the kinds that people report, each with what its maker knows: positions, colours, normals, counts,
+words."""
 
 import tarfile
 from dataclasses import dataclass

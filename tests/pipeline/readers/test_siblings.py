@@ -1,4 +1,5 @@
-"""Made files of the kinds that tests/pipeline/readers/test_cases.py has, and of their siblings: each right, and said."""
+"""Made files of the kinds that tests/pipeline/readers/test_cases.py has, and of their siblings: each right, and
+said."""
 
 import shutil
 import struct

@@ -1,4 +1,5 @@
-"""`transforms.json`: the same cameras as the COLMAP model that it was made from, and its own words for what is wrong."""
+"""`transforms.json`: the same cameras as the COLMAP model that it was made from, and its own words for what is
+wrong."""
 
 import json
 import shutil

@@ -1,4 +1,5 @@
-"""Gaps between splats: discs that reach the farthest vertices of their cells leave none, and nothing grows over a rim."""
+"""Gaps between splats: discs that reach the farthest vertices of their cells leave none, and nothing grows over a
+rim."""
 
 import numpy as np
 import pytest

@@ -12,8 +12,8 @@ RAMP = np.arange(4 * 5 * 6, dtype=np.int16).reshape(6, 5, 4) - 50  # (n_k, n_j, 
 
 
 def ball(shape=(24, 22, 20), spacing=(1.0, 1.0, 1.0), radius: float = 7.0, inside: float = 100.0) -> np.ndarray:
-    """Voxels (n_k, n_j, n_i) of a ball about the middle, of `radius` in units of length: values fall linearly through inside / 2 on it,
-    by 10 a unit."""
+    """Voxels (n_k, n_j, n_i) of a ball about the middle, of `radius` in units of length: values fall linearly through
+    inside / 2 on it, by 10 a unit."""
     k, j, i = np.indices(shape[::-1], dtype=np.float64)
     far = np.sqrt(sum(((x - (n - 1) / 2) * s) ** 2 for x, n, s in zip((i, j, k), shape, spacing)))
     return np.clip(inside / 2 + 10 * (radius - far), 0, inside)

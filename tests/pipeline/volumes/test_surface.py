@@ -1,4 +1,5 @@
-"""Points of iso-surfaces against surfaces that are known: where they lie, which way they look, and that none is missing."""
+"""Points of iso-surfaces against surfaces that are known: where they lie, which way they look, and that none is
+missing."""
 
 from __future__ import annotations
 
@@ -106,7 +107,8 @@ def test_surface__points_lie_no_further_than_a_cell_reaches_from_their_cell():
 
 @pytest.mark.parametrize("size", [1.1225, 3.0])
 def test_surface__features_of_one_voxel_have_points(size):
-    """A lone voxel, a wire and a sheet one voxel thick, at every place: each crossing of an edge has a point within two cells."""
+    """A lone voxel, a wire and a sheet one voxel thick, at every place: each crossing of an edge has a point within two
+    cells."""
     rng = np.random.default_rng(3)
     voxels = np.zeros((24, 24, 24))
     lone = rng.integers(2, 22, (12, 3))

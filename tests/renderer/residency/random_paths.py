@@ -1,7 +1,7 @@
 """A random path through a made set of pages, and what holds of the manager in each of its frames.
 
-A window of pages slides over photographs and their levels, as a viewer who turns, walks and jumps would want them; a second one runs
-ahead of it as predictions do. Some feedbacks are late or lost, loads take their time or fail.
+A window of pages slides over photographs and their levels, as a viewer who turns, walks and jumps would want them; a
+second one runs ahead of it as predictions do. Some feedbacks are late or lost, loads take their time or fail.
 """
 
 from __future__ import annotations

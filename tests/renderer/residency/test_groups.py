@@ -1,4 +1,5 @@
-"""Groups of splats in a pool of fixed size: what is missing is stood for by its nearest ancestor, and nothing is drawn twice."""
+"""Groups of splats in a pool of fixed size: what is missing is stood for by its nearest ancestor, and nothing is drawn
+twice."""
 
 import numpy as np
 from hypothesis import given, settings

@@ -51,7 +51,8 @@ def test_labels__a_photograph_that_none_near_has_is_never_taken(wall):
 
 
 def test_labels__a_photograph_never_spreads_over_what_something_hides_from_it(wall):
-    """A post stands before the wall, and hides a strip of it from the first photograph, which all splats around have."""
+    """A post stands before the wall, and hides a strip of it from the first photograph, which all splats around
+    have."""
     centre, normal, radius, _ = wall
     y = np.linspace(-1.0, 1.0, 60)
     post = np.array([(x, v, 2.0) for x in np.linspace(-0.04, 0.04, 3) for v in y])

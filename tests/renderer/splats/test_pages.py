@@ -1,5 +1,5 @@
-"""Pages on the GPU: with all of them there the picture is that of whole photographs; with none beyond the tails it is the
-atoms' or a blurred one; what is asked for is listed exactly."""
+"""Pages on the GPU: with all of them there the picture is that of whole photographs; with none beyond the tails it is
+the atoms' or a blurred one; what is asked for is listed exactly."""
 
 import threading
 from dataclasses import dataclass, replace

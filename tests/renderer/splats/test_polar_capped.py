@@ -1,4 +1,5 @@
-"""The shader's projection against the processor's, on the GL context: 0.02 texel there and back, poles and seam included."""
+"""The shader's projection against the processor's, on the GL context: 0.02 texel there and back, poles and seam
+included."""
 
 import moderngl
 import numpy as np

@@ -1,4 +1,5 @@
-"""Splats over quadrics are drawn as the twin does, and as those in boxes; their tables are refused where they are not sound."""
+"""Splats over quadrics are drawn as the twin does, and as those in boxes; their tables are refused where they are not
+sound."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Scans by their address: fetched where an upload would do as well, refused where the address leads where it must not."""
+"""Scans by their address: fetched where an upload would do as well, refused where the address leads where it must
+not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The reference client of tus in a real browser against a real service: its own tests' ways to upload, and each side's end.
+"""The reference client of tus in a real browser against a real service: its own tests' ways to upload, and each side's
+end.
 
 Its browser build is put into a page of the service, so that requests are the page's own.
 """

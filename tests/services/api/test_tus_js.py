@@ -1,4 +1,5 @@
-"""The reference client of tus against the service: chunked, parallel, deferred, resumed after the death of either side."""
+"""The reference client of tus against the service: chunked, parallel, deferred, resumed after the death of either
+side."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The list of expected figures: what is wrong with one is told before a job is submitted, and compared is what can be."""
+"""The list of expected figures: what is wrong with one is told before a job is submitted, and compared is what can
+be."""
 
 from __future__ import annotations
 

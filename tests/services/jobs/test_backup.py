@@ -1,4 +1,5 @@
-"""Backups: taken while a job runs, restored elsewhere with nothing else at hand, and the job goes on to the same bytes."""
+"""Backups: taken while a job runs, restored elsewhere with nothing else at hand, and the job goes on to the same
+bytes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""From a scan to a packed file over quadrics: each splat in its own place with its own colour, and what the plan says."""
+"""From a scan to a packed file over quadrics: each splat in its own place with its own colour, and what the plan
+says."""
 
 from __future__ import annotations
 

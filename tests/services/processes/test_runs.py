@@ -1,4 +1,5 @@
-"""From a scan or volume to a packed file of runs: every point's cell is there, the same bytes whatever runs the tasks, and what is reported."""
+"""From a scan or volume to a packed file of runs: every point's cell is there, the same bytes whatever runs the tasks,
+and what is reported."""
 
 from __future__ import annotations
 

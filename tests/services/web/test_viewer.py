@@ -112,9 +112,10 @@ def psnr_db(squared: np.ndarray) -> float:
 
 
 def assert_alike(page, renderer, scene, view, light=AS_PHOTOGRAPHED, max_atoms=MAX_ATOMS):
-    """50 dB where both see something, coverage within 0.001, pixel by pixel. On another driver corners are rounded otherwise, which decides about
-    pixels on rims: then each pixel is compared with the nearest of the product's picture and eight of it moved by what SwiftShader rounds, and the
-    four pixels, or one of a thousand, that differ most are left out: a rim's corners are rounded one by one."""
+    """50 dB where both see something, coverage within 0.001, pixel by pixel. On another driver corners are rounded
+    otherwise, which decides about pixels on rims: then each pixel is compared with the nearest of the product's picture
+    and eight of it moved by what SwiftShader rounds, and the four pixels, or one of a thousand, that differ most are
+    left out: a rim's corners are rounded one by one."""
     rgb, covered = picture_of(page, view)
     gpu_scene, s = GpuScene(scene, renderer.context), SNAPPED_PX
     same, views = is_same_driver(page, renderer), [view]
@@ -194,7 +195,8 @@ def test_viewer__lights_from_the_side_that_is_chosen(page, served, renderer):
 
 
 def test_viewer__cuts_away_what_lies_outside_a_section(page, served):
-    """Half of the sheet by a slider, as seen in the picture and by what can be picked; all of it again at the slider's end."""
+    """Half of the sheet by a slider, as seen in the picture and by what can be picked; all of it again at the slider's
+    end."""
     url, scene = served["atoms"]
     open_viewer(page, url)
     view = camera_looking((0.0, -3.0, 0.2), (0, 0, 0), (160, 160), (150.0, 150.0))

@@ -1,4 +1,5 @@
-"""What the viewer reads: ranges of a file over connections that break, its decoder of zstd, and what is damaged; and its one page."""
+"""What the viewer reads: ranges of a file over connections that break, its decoder of zstd, and what is damaged; and
+its one page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Files with levels of detail in the viewer: the same cut through them as the product's, within a budget, without holes while they arrive."""
+"""Files with levels of detail in the viewer: the same cut through them as the product's, within a budget, without holes
+while they arrive."""
 
 from __future__ import annotations
 
@@ -73,7 +74,8 @@ def stand(page, view: Camera) -> None:
 
 
 def assert_alike(page, renderer, picture, rgb, covered) -> None:
-    """50 dB and coverage within 0.001 where one driver draws both; else but for rims, whose corners each rounds in its way."""
+    """50 dB and coverage within 0.001 where one driver draws both; else but for rims, whose corners each rounds in its
+    way."""
     error, both = ((picture.rgb.astype(float) - rgb) ** 2).mean(axis=-1), covered & picture.coverage
     left_out, least, off = (0, 50, 0.001) if is_same_driver(page, renderer) else (0.01, 45, 0.004)
     kept = np.sort(error[both])[: int((1 - left_out) * both.sum())]
@@ -116,8 +118,9 @@ def test_levels__pictures_are_those_of_the_renderer(page, url, scene, renderer, 
 
 
 def test_levels__a_budget_bounds_what_is_drawn_and_kept(page, url, scene, renderer):
-    """A flight over all groups of the finest level with room for five of seven groups: groups go and come again, never more than those five lie in
-    memory, nothing is a hole before what is wanted has come, and then pictures are those of the renderer with that budget."""
+    """A flight over all groups of the finest level with room for five of seven groups: groups go and come again, never
+    more than those five lie in memory, nothing is a hole before what is wanted has come, and then pictures are those of
+    the renderer with that budget."""
     budget = 9000
     open_viewer(page, url + f"?budget={budget}&settled=0")
     whole, gpu_scene = page.look("viewer.statistics().gpuBytes"), GpuScene(scene, renderer.context)
@@ -143,8 +146,9 @@ def test_levels__a_budget_bounds_what_is_drawn_and_kept(page, url, scene, render
 
 
 def test_levels__a_view_at_rest_settles_to_the_picture_of_all(page, packed, scene, renderer):
-    """Of a file of which half is in memory at a time: no byte is asked of the server more than twice, the picture before stays on the canvas until all is
-    drawn, a pick meanwhile and a move are of the picture while one moves, and the coarsest level never leaves."""
+    """Of a file of which half is in memory at a time: no byte is asked of the server more than twice, the picture
+    before stays on the canvas until all is drawn, a pick meanwhile and a move are of the picture while one moves, and
+    the coarsest level never leaves."""
     budget, view, (app, sent) = 9000, view_from(1.2), counting()
     gpu_scene = GpuScene(scene, renderer.context)
     with serving(packed, app) as address:

@@ -1,4 +1,5 @@
-"""Readers of zarr that others wrote open packed files: tensorstore and zarrita.js (zarr-python is what storage uses)."""
+"""Readers of zarr that others wrote open packed files: tensorstore and zarrita.js (zarr-python is what storage
+uses)."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
-"""A bucket in place of a folder: the same arrays, files that are whole or not there, one holder, a cache that is bounded."""
+"""A bucket in place of a folder: the same arrays, files that are whole or not there, one holder, a cache that is
+bounded."""
 
 from __future__ import annotations
 

@@ -109,7 +109,8 @@ def test_quadrics__mean_error_is_the_one_asked_for():
 
 
 def test_quadrics__a_curved_piece_takes_cells_that_a_flat_one_would_not_have():
-    """Heights are over the quadric: those of a bowl take a layer or two of cells, the same in another order a box full."""
+    """Heights are over the quadric: those of a bowl take a layer or two of cells, the same in another order a box
+    full."""
     position, normal = cases()["a bowl"]
     code, shuffled = encode_normals(normal), position.copy()
     shuffled[:, 2] = np.random.default_rng(1).permutation(shuffled[:, 2])
