@@ -51,7 +51,7 @@ def test_wording__knobs_are_options_where_somebody_types(tmp_path, capsys):
 
 
 def test_benchmarks__say_in_a_line_which_packages_they_lack():
-    hide = "import sys; sys.modules['hypothesis'] = sys.modules['psutil'] = None; import runpy; "
+    hide = "import sys; sys.modules['pytest'] = None; import runpy; "
     run = "runpy.run_module('benchmarks.service', run_name='__main__')"
     ended = subprocess.run(
         [sys.executable, "-c", hide + run], capture_output=True, text=True, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}
