@@ -1,9 +1,12 @@
-"""A volume as large as the paper's Wholebody, made by tiling: seconds, processor seconds and memory of its surface in runs.
+"""A volume as large as the paper's Wholebody, made by tiling: seconds, processor seconds and memory of a whole `compress` of its surface.
 
-    python -m benchmarks.wholebody VOLUME.nrrd ISO --work FOLDER [--slices 3172 793] [--workers 2] [--json]
+    python -m benchmarks.wholebody VOLUME.nrrd ISO --work FOLDER [--slices 793 3172] [--geometry runs] [--workers 2] [--json]
 
-512 x 512 voxels a slice. DuoDecim (2006), Table 2, takes 1.7 hours of one core for its Wholebody, 512 x 512 x 3172. `processor_s` is of all
-processes, reading and writing with them; `stages` has seconds, then of their tasks the number, processor seconds, bytes left and MiB; on a machine that others use, half of that is what two cores of one's own would take.
+512 x 512 voxels a slice, all knobs but the geometry as `compress` has them, with previews and report. DuoDecim (2006), Table 2, takes 1.7 hours of one
+core for its Wholebody, 512 x 512 x 3172. `wall_s` begins with the start of the workers and ends with the last file; `tiling_s` is not in it.
+`processor_s` is of all processes, reading and writing with them: on a machine that others use, half of that is what two cores of one's own would
+take. `stages` has seconds, then of their tasks the number, processor seconds, bytes left and MiB. `leader_mib` is the most that the
+process which leads and draws has held, of the largest job up to then.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ import numpy as np
 
 from benchmarks.patches import Silent
 from pipeline.execution.executors import DaskExecutor
-from pipeline.planning.settings import settings_for
+from pipeline.planning.settings import DEFAULT_PRESET, PRESETS, Settings, settings_for
 from pipeline.volumes.open import open_volume
 from services.processes.compress import compress
 from storage.packed.packed import SUFFIX
@@ -35,29 +38,41 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--slices", type=int, nargs="+", default=[793, 3172])
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--geometry", choices=("auto", "boxes", "runs"), default="runs")
+    parser.add_argument("--preset", choices=tuple(PRESETS), default=DEFAULT_PRESET)
+    parser.add_argument("--no-previews", action="store_true")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    rows = [measured(options.volume, options.iso, options.work, n, options.workers) for n in options.slices]
+    asked = {"iso": options.iso, "geometry": options.geometry}
+    settings = settings_for(options.preset, **asked)
+    rows = [
+        measured(options.volume, options.work, n, settings, options.workers, not options.no_previews)
+        for n in options.slices
+    ]
     print(json.dumps(rows) if options.json else "\n\n".join(map(_text, rows)))
 
 
-def measured(volume: Path, iso: str, folder: Path, n_slices: int, n_workers: int) -> dict:
+def measured(volume: Path, folder: Path, n_slices: int, settings: Settings, n_workers: int, previews: bool) -> dict:
+    begun = time.perf_counter()
     tiled = tile(volume, folder / f"tiled_{n_slices}.nrrd", n_slices)
+    tiling = time.perf_counter() - begun
     stages, out = folder / f"work_{n_slices}", folder / f"out_{n_slices}"
     before, begun = _processor_s(), time.perf_counter()
     with DaskExecutor(n_workers) as executor:
-        settings = settings_for("draft", iso=iso, geometry="runs")
-        report = compress(tiled, out, settings, executor, Silent(), render=False, work=stages)
+        report = compress(tiled, out, settings, executor, Silent(), render=previews, work=stages)
     wall = time.perf_counter() - begun
     file_bytes = next(out.glob(f"*{SUFFIX}")).stat().st_size
     used = {s["name"]: _used(stages, s["name"]) for s in report["stages"]}
     for path in (stages, out):
         shutil.rmtree(path)
     tiled.unlink()
+    runs = report.get("runs") or {}
     return {
-        "slices": n_slices, "workers": n_workers, "cells": report["splats"], "wall_s": wall, "processor_s": _processor_s() - before,
-        "peak_mib": max(s["peak_rss_bytes"] or 0 for s in report["stages"]) / 2**20, "file_bytes": file_bytes,
-        "bits": report["runs"]["bits"], "disk_bits": report["runs"]["disk_bits"], "efficiency": report["runs"]["efficiency"],
+        "slices": n_slices, "workers": n_workers, "preset": settings.preset, "geometry": settings.geometry, "splats": report["splats"],
+        "tiling_s": tiling, "wall_s": wall, "processor_s": _processor_s() - before,
+        "peak_mib": max(s["peak_rss_bytes"] or 0 for s in report["stages"]) / 2**20,
+        "leader_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10, "file_bytes": file_bytes,
+        **{name: runs.get(name) for name in ("bits", "disk_bits", "efficiency")},
         "stages": {s["name"]: [round(s["seconds"], 1), *used[s["name"]]] for s in report["stages"]},
     }  # fmt: skip
 

@@ -195,7 +195,8 @@ def splats_from(
     if not row.enabled:
         splats = _over_quadrics_or_in_boxes(geometry, splats_with)
         return replace(splats, geometry=(row, *splats.geometry))
-    runs = runs_of_splats(run, geometry, grid, partition.folder, neighbours.folder, boxes.splats.folder)
+    folders = partition.folder, neighbours.folder, boxes.splats.folder
+    runs = runs_of_splats(run, geometry, grid, *folders, of_volume=ingest.summary.grid is not None)
     points, near = as_points(runs), as_spacings(runs)
     made = _sized_splats(run, ingest, points, near, scan, radius, plain, held_out, 0, of_runs=True)
     return replace(made, runs=runs, geometry=(row,))

@@ -61,14 +61,21 @@ def grid_for(run: Run, asked: GeometryRequest, ingest: ScanRead, points: Path, s
 
 
 def runs_of_splats(
-    run: Run, asked: GeometryRequest, grid: StageRecord[GridFound], points: Path, neighbours: Path, splats: Path
+    run: Run,
+    asked: GeometryRequest,
+    grid: StageRecord[GridFound],
+    points: Path,
+    neighbours: Path,
+    splats: Path,
+    of_volume: bool,
 ) -> RunGeometry:
-    """Cells, codes and decoded points of splats that were made as boxes, which tell how normals are turned."""
+    """Cells, codes and decoded points of splats that were made as boxes, which tell how normals are turned. Gaps `of_volume` stay: that no
+    cell of a surface lies there is known, of a scan it may be chance."""
     from pipeline.stages.runs.cells import RunCells
     from pipeline.stages.runs.codes import RunCoding
     from pipeline.stages.runs.points import RunPoints
 
-    cells = run.do(RunCells(points, splats, grid.folder, asked.run_length))
+    cells = run.do(RunCells(points, splats, grid.folder, asked.run_length, closing=not of_volume))
     codes = run.do(RunCoding(cells.folder, grid.folder))
     made = run.do(RunPoints(points, neighbours, cells.folder, codes.folder, grid.summary.cell))
     return RunGeometry(grid, cells, codes, made, asked.run_length)
