@@ -40,23 +40,27 @@ class Named:
 
     def look_at(self, look: Look, rows: Rows, masks: dict[str, np.ndarray] | None = None) -> None:
         """At what was measured: marked points tell nothing of others' colours."""
-        masks = masks or {}
+        self._look_at(look, rows, self._color(rows), masks or {})
+
+    def _look_at(self, look: Look, rows: Rows, color: np.ndarray | None, masks: dict[str, np.ndarray]) -> None:
         intensity = _native(rows[self.columns.intensity[0]]) if self.columns.intensity else None
-        color = self._color(rows)
         if masks:
             left = ~np.any(list(masks.values()), axis=0)
             color, intensity = (None if v is None else v[left] for v in (color, intensity))
         look.add(len(rows[self.columns.position[0]]), color, intensity, masks)
 
-    def piece(self, rows: Rows, decision: Decision) -> Piece:
+    def piece(self, rows: Rows, decision: Decision, look: Look | None = None) -> Piece:
+        """The points of rows, none of them marked; `look` looks at them too."""
         columns = self.columns
+        values = self._color(rows) if decision.top is not None or look is not None else None
+        if look is not None:
+            self._look_at(look, rows, values, {})
 
         def stack(names: tuple[str, ...], dtype: type) -> np.ndarray | None:
-            return np.stack([rows[n] for n in names], axis=1).astype(dtype) if names else None
+            return _side_by_side(rows, names, np.dtype(dtype)) if names else None
 
         color, colorless = None, None
         if decision.top is not None:
-            values = self._color(rows)
             color = to_8_bits(values, decision.top)
             colorless = ~np.isfinite(values).all(axis=1) if values.dtype.kind == "f" else None
         elif columns.harmonic:
@@ -75,6 +79,13 @@ class Named:
             return None
         color = _native(np.stack([rows[n] for n in names], axis=1))
         return color.astype(np.uint8) if self.color_type == "i1" else color  # `char` of a writer that means `uchar`
+
+
+def _side_by_side(rows: Rows, names: tuple[str, ...], dtype: np.dtype) -> np.ndarray:  # (n, k)
+    made = np.empty((len(rows[names[0]]), len(names)), dtype)
+    for column, name in enumerate(names):
+        made[:, column] = rows[name]
+    return made
 
 
 def _native(values: np.ndarray) -> np.ndarray:

@@ -37,11 +37,10 @@ class Evidence:
 
     def add(self, values: np.ndarray) -> None:
         """Look at `values` (n, channels) more; points with one that is not finite say nothing."""
-        if values.dtype.kind == "f":
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
             known = np.isfinite(values).all(axis=1)
-            if not known.all():
-                self.n_unknown += int((~known).sum())
-                values = values[known]
+            self.n_unknown += int((~known).sum())
+            values = values[known]
         if not len(values):
             return
         self.n_points += len(values)
@@ -50,11 +49,12 @@ class Evidence:
             self.first = _most_frequent(some)
         values = np.ascontiguousarray(values)
         if values.dtype in (np.uint8, np.uint16):
-            counts = np.zeros(1 << 16, np.int64)
+            counts = np.zeros(1 << 8 * values.itemsize, np.int64)
             self.n_as_first += int(_count_short(values, counts, self.first))
             running = np.cumsum(counts[::-1])[::-1]
-            self.above += [running[int(top) + 1] if top < 65535 else 0 for top in _TOPS]
-            self.n_scaled += int(counts[_MULTIPLES].sum())
+            self.above += [running[int(top) + 1] if top < len(counts) - 1 else 0 for top in _TOPS]
+            if len(counts) > 256:
+                self.n_scaled += int(counts[_MULTIPLES].sum())
             self.highest = max(self.highest, float(np.flatnonzero(counts)[-1]))
             return
         above, scaled, negative, same, highest = _count(values, _TOPS, self.first)

@@ -61,14 +61,13 @@ class VisibilityStream:
         """
         counts, cameras = [np.empty(0, np.int64)], [np.empty(0, np.int32)]
         while n_points:
-            starts, end = self._whole_lists(n_points)
-            if len(starts):
-                count, camera = self._split(starts - self.next, self.words[self.next : end])
+            count, camera, end = self._whole_lists(n_points)
+            if len(count):
                 counts.append(count)
                 cameras.append(camera)
                 self.next = end
-                n_points -= len(starts)
-                self.n_taken += len(starts)
+                n_points -= len(count)
+                self.n_taken += len(count)
             else:
                 self._fill()
         return np.concatenate(counts), np.concatenate(cameras)
@@ -88,38 +87,35 @@ class VisibilityStream:
         self.words = np.concatenate([left, np.frombuffer(block[: len(block) // 4 * 4], "<u4")])
         self.next = 0
 
-    def _whole_lists(self, max_points: int) -> tuple[np.ndarray, int]:
-        """Where lists that lie wholly in the block begin, and where the last of them ends."""
-        starts, end = _starts(self.words, self.next, max_points, self.n_cameras)
-        if end < len(self.words) and len(starts) < max_points and self.words[end] > self.n_cameras:
-            where = f"{self.where}:point {self.n_taken + len(starts)}"
-            raise InvalidScan(where, f"{self.words[end]} cameras", f"at most {self.n_cameras}")
-        return starts, end
-
-    def _split(self, starts: np.ndarray, words: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        counts = words[starts].astype(np.int64)
-        is_camera = np.ones(len(words), bool)
-        is_camera[starts] = False
-        cameras = words[is_camera]
-        wrong = np.flatnonzero(cameras >= self.n_cameras)
-        if wrong.size:
-            point = self.n_taken + int(np.searchsorted(np.cumsum(counts), wrong[0], side="right"))
+    def _whole_lists(self, max_points: int) -> tuple[np.ndarray, np.ndarray, int]:
+        """Counts and cameras of lists that lie wholly in the block, and where the last of them ends."""
+        counts, cameras, end, is_wrong = _lists(self.words, self.next, max_points, self.n_cameras)
+        where = f"{self.where}:point {self.n_taken + len(counts)}"
+        if is_wrong:
             allowed = f"0 to {self.n_cameras - 1}, positions in the list of registered images"
-            raise InvalidScan(f"{self.where}:point {point}", f"camera {cameras[wrong[0]]}", allowed)
-        return counts, cameras.astype(np.int32)
+            raise InvalidScan(where, f"camera {self.words[end]}", allowed)
+        if end < len(self.words) and len(counts) < max_points and self.words[end] > self.n_cameras:
+            raise InvalidScan(where, f"{self.words[end]} cameras", f"at most {self.n_cameras}")
+        return counts, cameras, end
 
 
 @kernel()
-def _starts(words, word, most, n_cameras):
-    """Where the next lists begin, at most so many, and where the last of them ends: before one that is cut off or too
-    long."""
-    starts = np.empty(min(most, words.shape[0] - word), np.int64)
-    n = 0
-    while n < len(starts) and word < words.shape[0]:
+def _lists(words, word, most, n_cameras):
+    """Counts (n,) and cameras of the next lists, at most so many, and where the last of them ends: before one that is cut off or
+    too long; or at a camera that there is none of, and True."""
+    counts = np.empty(min(most, words.shape[0] - word), np.int64)
+    cameras = np.empty(words.shape[0] - word, np.int32)
+    n, m = 0, 0
+    while n < len(counts) and word < words.shape[0]:
         count = np.int64(words[word])
         if count > n_cameras or word + count >= words.shape[0]:
             break
-        starts[n] = word
+        for at in range(word + 1, word + 1 + count):
+            if words[at] >= n_cameras:
+                return counts[:n], cameras[:m], at, True
+            cameras[m] = words[at]
+            m += 1
+        counts[n] = count
         n += 1
         word += count + 1
-    return starts[:n], word
+    return counts[:n], cameras[:m], word, False

@@ -98,7 +98,7 @@ def _slice(opened: _Opened, first: int, stop: int, max_points: int) -> Iterator[
     rows = [min(max_points, stop - at) for at in range(first, stop, max_points)]
     path, place = opened.members.label(opened.visibility), _places(opened)
     seen = visibility_from(path, opened.vertices.count, len(place), first, rows)
-    kept = (_without_missing(counts, place[cameras]) for counts, cameras in seen)
+    kept = (_without_missing(counts, cameras, place) for counts, cameras in seen)
     return (
         replace(p, visible_count=counts, visible_camera=cameras)
         for p, (counts, cameras) in zip(pieces, kept, strict=True)
@@ -111,17 +111,17 @@ def _pieces_seen(opened: _Opened, max_points: int) -> Iterator[Piece]:
     with members.open(name) as stream:
         visibility = VisibilityStream(stream, n_registered, shown(members.label(name)))
         for piece in opened.vertices.pieces(max_points):
-            counts, cameras = visibility.take(len(piece.position))
-            counts, cameras = _without_missing(counts, place[cameras])
+            counts, cameras = _without_missing(*visibility.take(len(piece.position)), place)
             yield replace(piece, visible_count=counts, visible_camera=cameras)
         visibility.finish()
 
 
-def _without_missing(counts: np.ndarray, cameras: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Visibility lists without cameras that are -1."""
-    there = cameras >= 0
-    if there.all():
+def _without_missing(counts: np.ndarray, cameras: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Visibility lists of registered photos as lists of cameras, which stand at `place`, without those at -1."""
+    if (place >= 0).all():  # then each stands where it is registered
         return counts, cameras
+    cameras = place[cameras]
+    there = cameras >= 0
     owner = np.repeat(np.arange(len(counts)), counts)[there]
     return np.bincount(owner, minlength=len(counts)), cameras[there]
 

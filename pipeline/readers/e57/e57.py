@@ -15,22 +15,26 @@ from functools import cached_property, partial
 import numpy as np
 from pye57 import libe57
 
-from pipeline.readers.attributes.decisions import WHOLE, Decision, reasons
+from pipeline.readers.attributes.decisions import Decision, reasons
 from pipeline.readers.attributes.looks import Look, Looks
 from pipeline.readers.attributes.marks import set_marks
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.readers.attributes.ranges import range_of
 from pipeline.readers.e57.damage import reason_of
 from pipeline.readers.e57.images import Images, read_images, read_photo
+from pipeline.readers.e57.kept import state_of, take
 from pipeline.readers.e57.nodes import open_image_file
 from pipeline.readers.e57.packets import BitField, bit_fields, packets_of, read_points
 from pipeline.readers.e57.points import (
     Rows,
     color_of,
+    cut,
     decide_station,
+    first_looks,
     local_of,
     look_at,
     masks_of,
+    names_of,
     station_rows,
     usual_top,
 )
@@ -42,7 +46,6 @@ from pipeline.readers.e57.stations import (
 from pipeline.scan import Piece, ScanSource
 from storage.errors import InvalidScan, SplatpressError
 
-FIRST_POINTS = 1 << 15  # of each station that are looked at where all would be too many
 GREY = 128  # of a station that has no colours while others do
 
 
@@ -93,6 +96,11 @@ class _Opened:
 def _pieces(opened: _Opened, max_points: int) -> Iterator[Piece]:
     if max_points < 1:
         raise ValueError(f"max_points {max_points}; allowed: 1 or more")
+    if (kept := take(opened.path)) is not None and len(kept) == len(opened.stations):
+        for i, columns in enumerate(kept):
+            for rows in cut(columns, max_points):
+                yield _piece(opened, i, rows)
+        return
     with open_image_file(opened.path) as file:
         for i, station in enumerate(opened.stations):
             where = f"{opened.path}:data3D[{station.index}]"
@@ -104,11 +112,11 @@ def _slice(opened: _Opened, first: int, stop: int, max_points: int) -> Iterator[
     """Points first..stop of all stations in a row, without those before them."""
     packets, before = packets_of(opened.path, opened.n_fields), 0
     for i, station in enumerate(opened.stations):
-        names = [name for name in dict.fromkeys(station.used) if name in station.fields]
         for at in range(max(0, first - before), min(station.n_points, stop - before), max_points):
             end = min(at + max_points, station.n_points, stop - before)
             fields = opened.fields[station.index]
-            yield _piece(opened, i, read_points(opened.path, packets[station.index], fields, names, at, end))
+            names, where = names_of(station), packets[station.index]
+            yield _piece(opened, i, read_points(opened.path, where, fields, names, at, end))
         before += station.n_points
 
 
@@ -192,14 +200,6 @@ def _fields_of(file: libe57.ImageFile) -> tuple[tuple[BitField, ...] | None, ...
     )
 
 
-def _first_look(file: libe57.ImageFile, path: str, station: Station, whole: bool) -> Look:
-    look = Look()
-    for rows in station_rows(file, f"{path}:data3D[{station.index}]", station, FIRST_POINTS, whole):
-        local = local_of(rows, station)
-        look_at(look, rows, station, masks_of(rows, station, local))
-    return look
-
-
 def open_e57(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
     """An E57 file: all its scans one after the other, and its posed images as cameras.
 
@@ -207,12 +207,12 @@ def open_e57(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
     Raises: InvalidScan for a file that is truncated or damaged or contradicts itself; UnsupportedScan for points
     without coordinates.
     """
+    state = state_of(path)
     with open_image_file(path) as file:
         stations, warnings = _read_stations(file, path)
         fields = _fields_of(file)
         images = read_images(file, path)
-        whole = sum(s.n_points for s in stations) <= WHOLE
-        looks = tuple(_first_look(file, path, station, whole) for station in stations)
+        looks = first_looks(file, path, stations, state)
     return _source(_Opened(path, options, tuple(stations), images, looks, fields, tuple(warnings)))
 
 

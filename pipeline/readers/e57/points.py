@@ -10,8 +10,10 @@ from collections.abc import Iterator
 import numpy as np
 from pye57 import libe57
 
-from pipeline.readers.attributes.decisions import Decision, Look, decide
+from pipeline.execution.compiled import kernel
+from pipeline.readers.attributes.decisions import WHOLE, Decision, Look, decide
 from pipeline.readers.attributes.ranges import STRAYS, to_8_bits
+from pipeline.readers.e57.kept import keep
 from pipeline.readers.e57.stations import (
     CARTESIAN,
     COLOR,
@@ -25,6 +27,7 @@ from storage.errors import InvalidScan
 
 # Declared limits are left where the values fill less than this share of them, as 8-bit values in limits of 16 bits do.
 LEAST_FILLED = 1 / 16
+FIRST_POINTS = 1 << 15  # of each station that are looked at where all would be too many
 
 Rows = dict[str, np.ndarray]
 
@@ -58,12 +61,23 @@ def _trusts_limits(station: Station, look: Look, top: float) -> bool:
 
 def color_of(rows: Rows, station: Station, top: float) -> np.ndarray:  # (n, 3) uint8
     """Colours (n, 3) uint8; `top` is what white is, 0 by the declared limits."""
-    values = np.stack([rows[c] for c in COLOR], axis=1)
     if top:
-        return to_8_bits(values, top)
-    low, high = np.array(station.color_limits).T
+        return to_8_bits(np.stack([rows[c] for c in COLOR], axis=1), top)
     # Limits are what the writer declared; a value beyond them is as bright as can be shown.
-    return to_8_bits((values - low) / (high - low), 1.0)
+    color = np.empty((len(rows[COLOR[0]]), 3), np.uint8)
+    for channel, (name, (low, high)) in enumerate(zip(COLOR, station.color_limits, strict=True)):
+        _within(rows[name], low, high, color[:, channel])
+    return color
+
+
+@kernel(error_model="numpy")
+def _within(values, low, high, levels):
+    """Values (n,) of `low` to `high` as 0 to 255 in `levels` (n,); what is not finite is black."""
+    span = high - low
+    for i in range(len(values)):
+        share = (values[i] - low) / span
+        share = share if np.isfinite(share) else 0.0
+        levels[i] = np.uint8(np.rint(min(max(share * 255.0, 0.0), 255.0)))
 
 
 # --- points ---
@@ -78,9 +92,13 @@ def local_of(rows: Rows, station: Station) -> np.ndarray:  # (n, 3) float64
     return np.stack([a * np.cos(c) * np.cos(b), a * np.cos(c) * np.sin(b), a * np.sin(c)], axis=1)
 
 
-def masks_of(rows: Rows, station: Station, local: np.ndarray) -> dict[str, np.ndarray]:
-    """Which points bear which marks."""
-    masks = {"range-zero": (local == 0).all(axis=1)}
+def masks_of(rows: Rows, station: Station, local: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """Which points bear which marks; `local` their positions, where they are known already."""
+    if station.coordinates == CARTESIAN:
+        x, y, z = (rows[name] for name in CARTESIAN)
+    else:
+        x, y, z = (local_of(rows, station) if local is None else local).T
+    masks = {"range-zero": (x == 0) & (y == 0) & (z == 0)}
     for name, state in (
         ("invalid", INVALID[station.coordinates]),
         ("no-color", COLOR_INVALID),
@@ -96,11 +114,13 @@ def look_at(look: Look, rows: Rows, station: Station, masks: dict[str, np.ndarra
     color = np.stack([rows[c] for c in COLOR], axis=1) if station.has_colors else None
     intensity = rows.get(INTENSITY)
     nowhere = masks["range-zero"] | masks.get("invalid", False)
-    if color is not None:
-        color = color[~(masks.get("no-color", False) | nowhere)]
-    if intensity is not None:
-        intensity = intensity[~(masks.get("no-intensity", False) | nowhere)]
+    color = _but(color, masks.get("no-color", False) | nowhere)
+    intensity = _but(intensity, masks.get("no-intensity", False) | nowhere)
     look.add(len(nowhere), color, intensity, masks)
+
+
+def _but(values: np.ndarray | None, unknown: np.ndarray) -> np.ndarray | None:
+    return values if values is None or not unknown.any() else values[~unknown]
 
 
 def _buffers(file: libe57.ImageFile, names: list[str], capacity: int) -> tuple[Rows, libe57.VectorSourceDestBuffer]:
@@ -111,9 +131,20 @@ def _buffers(file: libe57.ImageFile, names: list[str], capacity: int) -> tuple[R
     return arrays, buffers
 
 
+def cut(columns: Rows, max_points: int) -> Iterator[Rows]:
+    """Columns (n,) in runs of at most `max_points`."""
+    for at in range(0, len(next(iter(columns.values()))), max_points):
+        yield {name: column[at : at + max_points] for name, column in columns.items()}
+
+
+def names_of(station: Station) -> list[str]:
+    """The fields that are read."""
+    return [name for name in dict.fromkeys(station.wanted) if name in station.fields]
+
+
 def station_rows(file: libe57.ImageFile, where: str, station: Station, max_points: int, whole: bool) -> Iterator[Rows]:
-    """The points of a station; unless `whole`, of its first piece only."""
-    names = [name for name in dict.fromkeys(station.used) if name in station.fields]
+    """The points of a station, in arrays that the next piece is read into; unless `whole`, of its first piece only."""
+    names = names_of(station)
     arrays, buffers = _buffers(file, names, max(1, min(max_points, station.n_points)))
     points = file.root()["data3D"][station.index]["points"]
     reader = points.reader(buffers)
@@ -128,3 +159,21 @@ def station_rows(file: libe57.ImageFile, where: str, station: Station, max_point
         reader.close()
     if n_read != station.n_points:
         raise InvalidScan(f"{where}.points", f"{n_read} points read", f"{station.n_points}, as the header promises")
+
+
+def first_looks(
+    file: libe57.ImageFile, path: str, stations: list[Station], state: tuple[int, int, int]
+) -> tuple[Look, ...]:
+    """At all points of a small file, which are kept, else at the first of each station; `state` of the file before."""
+    whole = sum(s.n_points for s in stations) <= WHOLE
+    looks, kept = [], []
+    for station in stations:
+        look, most, columns = Look(), station.n_points if whole else FIRST_POINTS, {}
+        for columns in station_rows(file, f"{path}:data3D[{station.index}]", station, most, whole):
+            for rows in cut(columns, FIRST_POINTS):
+                look_at(look, rows, station, masks_of(rows, station))
+        looks.append(look)
+        kept.append(columns)
+    if whole and all(len(c[s.coordinates[0]]) == s.n_points for c, s in zip(kept, stations, strict=True)):
+        keep(path, state, tuple(kept))
+    return tuple(looks)

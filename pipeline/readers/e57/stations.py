@@ -61,7 +61,13 @@ class Station:
 
     @property
     def used(self) -> tuple[str, ...]:
-        states = (INVALID[self.coordinates], COLOR_INVALID, INTENSITY_INVALID, *_GRID)
+        """Fields that say something: rows and columns only by being there."""
+        return (*self.wanted, *_GRID)
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """Fields whose values are read, where they are there."""
+        states = (INVALID[self.coordinates], COLOR_INVALID, INTENSITY_INVALID)
         return (*self.coordinates, *states, *COLOR, INTENSITY, *self.normal)
 
 

@@ -58,6 +58,8 @@ def is_junk(name: str) -> bool:
 
 def _spellings(raw: bytes) -> set[str]:
     """All that the bytes may have been meant to say, composed."""
+    if raw.isascii():
+        return {raw.decode("ascii")}
     found = set()
     for encoding in _ENCODINGS:
         try:

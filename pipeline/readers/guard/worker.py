@@ -6,6 +6,7 @@ generator, may take so much processor time; the kernel ends the process that tak
 
 from __future__ import annotations
 
+import os
 import pickle
 import resource
 import signal
@@ -25,8 +26,9 @@ def send(connection: Connection, kind: int, value: object) -> None:
     connection.send_bytes(pickle.dumps([len(view) for view in views]))
     connection.send_bytes(body)
     for view in views:
-        if len(view):
-            connection.send_bytes(view)
+        left = view
+        while len(left):
+            left = left[os.write(connection.fileno(), left) :]
 
 
 def receive(connection: Connection) -> tuple[int, object]:
@@ -35,8 +37,11 @@ def receive(connection: Connection) -> tuple[int, object]:
     body = connection.recv_bytes()
     buffers = [bytearray(size) for size in sizes]
     for buffer in buffers:
-        if len(buffer):
-            connection.recv_bytes_into(buffer)
+        left = memoryview(buffer)
+        while len(left):  # into its place: Connection.recv_bytes_into copies what it received once more
+            if not (n := os.readv(connection.fileno(), [left])):
+                raise EOFError
+            left = left[n:]
     return pickle.loads(body, buffers=buffers)
 
 

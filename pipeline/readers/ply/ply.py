@@ -84,11 +84,9 @@ class Vertices:
         """Vertices first..stop, of a file that has no slices from 0 on, at most `max_points` a piece."""
         with self.opener() as stream:
             for rows in _rows(stream, self.header, self.where, max_points, (first, stop - first)):
-                named, look = _named(rows, self.header), None
-                if self.is_sample:
-                    look = self.look.like()
-                    self.named.look_at(look, named)
-                yield replace(self.named.piece(named, self.decision), look=None if look is None else (0, look))
+                look = self.look.like() if self.is_sample else None
+                piece = self.named.piece(_named(rows, self.header), self.decision, look)
+                yield piece if look is None else replace(piece, look=(0, look))
 
     def settled(self, looks: Looks) -> Vertices | None:
         """As all points have it; None where that is as it is."""

@@ -1,6 +1,7 @@
 """E57: stations and poses, coordinates, limits, images, on files written here and on the real scan."""
 
 import json
+import os
 import pickle
 import re
 
@@ -12,6 +13,7 @@ from pye57 import libe57
 from pipeline.cameras.pinhole import Pinhole
 from pipeline.readers import inspect_scan, open_scan
 from pipeline.readers.attributes.marks import NUMBER
+from pipeline.readers.e57 import e57
 from pipeline.readers.e57.nodes import rotation_matrix
 from pipeline.readers.e57.panoramas import Panorama, parts_of, share_left_out
 from storage.errors import InvalidScan, UnsupportedScan
@@ -131,6 +133,21 @@ def test_e57__piece_size_changes_nothing_and_is_never_exceeded(tmp_path):
     for n in (1, 7, 30, 80):
         assert max(len(p.position) for p in source.pieces(n)) <= n
         np.testing.assert_array_equal(gather(source, n)["position"], whole["position"])
+
+
+def test_e57__a_small_file_is_taken_apart_once_and_again_when_it_changed(tmp_path, monkeypatch):
+    path = write(tmp_path / "a.e57", cartesian(50), cartesian(30, seed=1))
+    read, station_rows = [], e57.station_rows
+    monkeypatch.setattr(e57, "station_rows", lambda *asked: read.append(asked) or station_rows(*asked))
+    source = e57.open_e57(str(path))
+    kept, n_read = gather(source), len(read)
+    again = gather(source)
+    assert (n_read, len(read)) == (0, 2)
+    np.testing.assert_array_equal(kept["position"], again["position"])
+    source = e57.open_e57(str(path))
+    os.utime(path, ns=(0, 0))
+    gather(source)
+    assert len(read) == 4
 
 
 def test_e57__spherical_coordinates_become_cartesian(tmp_path):
