@@ -14,6 +14,7 @@ from pipeline.scan import Piece, ScanSource
 
 # Steps of coordinates above this share of the spacing of points move points by an eighth of it and more.
 COARSE_SHARE = 0.25
+FAR_INSIDE = 0.5  # of what points span: bounds of a file that was cut are wider than its points
 FAR_SPANS = 1000.0  # a site of 100 m is 0.001 degrees, with heights of metres
 
 T = TypeVar("T")
@@ -39,6 +40,7 @@ _SUMS = (
     "n_without_intensity",
     "n_without_color",
     "n_unseen",
+    "n_at_origin",
     "marked",
 )
 
@@ -54,6 +56,7 @@ class PointCounts:
     n_without_intensity: int = 0
     n_without_color: int = 0
     n_unseen: int = 0
+    n_at_origin: int = 0
     marked: np.ndarray = field(default_factory=lambda: np.zeros(len(MARKS) + 1, np.int64))
     low: np.ndarray = field(default_factory=lambda: np.full(3, np.inf))
     high: np.ndarray = field(default_factory=lambda: np.full(3, -np.inf))
@@ -71,6 +74,8 @@ class PointCounts:
             kept = piece.position if keep.all() else piece.position[keep]
             self.low = np.minimum(self.low, kept.min(axis=0))
             self.high = np.maximum(self.high, kept.max(axis=0))
+            if (there := kept[:, 0] == 0).any():
+                self.n_at_origin += int(np.count_nonzero(there & (kept[:, 1] == 0) & (kept[:, 2] == 0)))
         self._add_attributes(piece, keep)
         return keep
 
@@ -118,8 +123,30 @@ class PointCounts:
             found.append(
                 f"{self.n_not_finite} of {self.n_points} points have a position that is not finite and are dropped"
             )
+        if self.n_at_origin > 1:
+            found.append(
+                f"{self.n_at_origin:,} of {self.n_points:,} points lie at (0, 0, 0), as what was not measured does in "
+                "depth pictures, and are kept"
+            )
         found += black_points(source, self.n_kept, self.n_without_color, self.n_without_intensity)
-        return found + self.coarse_steps(source) + self.likely_degrees(source)
+        return found + self.wrong_bounds(source) + self.coarse_steps(source) + self.likely_degrees(source)
+
+    def wrong_bounds(self, source: ScanSource) -> list[str]:
+        """A warning where points lie outside of the bounds that a LAS header declares, or all of them far inside."""
+        if source.format != "las" or source.bounds is None or not self.n_kept:
+            return []
+        low, high = map(np.array, source.bounds)
+        step = source.position_step or 0.0
+        outside = max(float((low - self.low).max()), float((self.high - high).max()))
+        inside = max(float((self.low - low).max()), float((high - self.high).max()))
+        is_whole = self.n_kept == self.n_points  # what is left out may have been at the bounds
+        if outside <= step and (inside <= FAR_INSIDE * float((self.high - self.low).max()) + step or not is_whole):
+            return []
+        said, found = (
+            " to ".join(f"({', '.join(f'{x:.6g}' for x in corner)})" for corner in corners)
+            for corners in (source.bounds, (self.low, self.high))
+        )
+        return [f"the header has points lie from {said}, but they lie from {found}: its bounds are wrong and not used"]
 
     def coarse_steps(self, source: ScanSource) -> list[str]:
         """A warning where coordinates are kept in steps that are not small against the spacing of points."""

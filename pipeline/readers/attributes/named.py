@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.readers.attributes.decisions import Decision, decide, reasons
 from pipeline.readers.attributes.looks import Look
+from pipeline.readers.attributes.marks import set_marks
 from pipeline.readers.attributes.names import HARMONIC, Columns
 from pipeline.readers.attributes.ranges import to_8_bits
 from pipeline.scan import Piece
 
 Rows = dict[str, np.ndarray]  # by the name of a column, (n,) each
+NOWHERE = "range-zero"
+LEAST_NOWHERE = 0.01  # of the points that were looked at: a scan that goes through its origin has one point there
+
+
+def is_nowhere(blocks: Iterable[Rows], columns: Columns) -> bool:
+    """Whether so many points lie at (0, 0, 0) as in a depth picture, whose pixels that were not measured do."""
+    n_points = n_there = 0
+    for rows in blocks:
+        n_points += len(rows[columns.position[0]])
+        n_there += int(np.count_nonzero(_at_origin(rows, columns)))
+    return n_there >= max(2, LEAST_NOWHERE * n_points)
+
+
+def _at_origin(rows: Rows, columns: Columns) -> np.ndarray:  # (n,) bool
+    x, y, z = (rows[name] for name in columns.position)
+    there = x == 0
+    return there & (y == 0) & (z == 0) if there.any() else there
 
 
 @dataclass(frozen=True)
@@ -21,6 +40,8 @@ class Named:
 
     columns: Columns
     color_type: str = "f8"  # numpy code
+    origin_is_nowhere: bool = False  # points at (0, 0, 0) were not measured
+    left_out: frozenset[str] = frozenset()  # marks, as ReadOptions has them
 
     @property
     def _attributes(self) -> tuple[bool, bool, float, bool]:
@@ -40,7 +61,10 @@ class Named:
 
     def look_at(self, look: Look, rows: Rows, masks: dict[str, np.ndarray] | None = None) -> None:
         """At what was measured: marked points tell nothing of others' colours."""
-        self._look_at(look, rows, self._color(rows), masks or {})
+        self._look_at(look, rows, self._color(rows), self._masks(rows) if masks is None else masks)
+
+    def _masks(self, rows: Rows) -> dict[str, np.ndarray]:
+        return {NOWHERE: _at_origin(rows, self.columns)} if self.origin_is_nowhere else {}
 
     def _look_at(self, look: Look, rows: Rows, color: np.ndarray | None, masks: dict[str, np.ndarray]) -> None:
         intensity = _native(rows[self.columns.intensity[0]]) if self.columns.intensity else None
@@ -50,11 +74,11 @@ class Named:
         look.add(len(rows[self.columns.position[0]]), color, intensity, masks)
 
     def piece(self, rows: Rows, decision: Decision, look: Look | None = None) -> Piece:
-        """The points of rows, none of them marked; `look` looks at them too."""
-        columns = self.columns
+        """The points of rows, marked only where they lie at an origin that is nowhere; `look` looks at them too."""
+        columns, masks = self.columns, self._masks(rows)
         values = self._color(rows) if decision.top is not None or look is not None else None
         if look is not None:
-            self._look_at(look, rows, values, {})
+            self._look_at(look, rows, values, masks)
 
         def stack(names: tuple[str, ...], dtype: type) -> np.ndarray | None:
             return _side_by_side(rows, names, np.dtype(dtype)) if names else None
@@ -71,6 +95,7 @@ class Named:
             color=color,
             colorless=colorless,
             intensity=rows[columns.intensity[0]].astype(np.float32) if decision.intensity else None,
+            mark=set_marks(len(rows[columns.position[0]]), masks, self.left_out) if masks else None,
         )
 
     def _color(self, rows: Rows) -> np.ndarray | None:  # (n, 3)

@@ -66,10 +66,12 @@ def best_model(members: Members, models: list[Model], vertices: Vertices) -> tup
 
 def _sample(vertices: Vertices) -> tuple[np.ndarray, np.ndarray | None]:
     """Positions (n, 3) and colours (n, 3) of some of the first points."""
-    piece = next(iter(vertices.pieces(min(FIRST_POINTS, vertices.count))))
-    rows = np.arange(0, len(piece.position), max(1, len(piece.position) // N_POINTS))
-    rows = rows[np.isfinite(piece.position[rows]).all(axis=1)]
-    return piece.position[rows], None if piece.color is None else piece.color[rows].astype(np.float64)
+    pieces = list(vertices.slice(0, min(FIRST_POINTS, vertices.count), FIRST_POINTS))
+    position = np.concatenate([piece.position for piece in pieces])
+    rows = np.arange(0, len(position), max(1, len(position) // N_POINTS))
+    rows = rows[np.isfinite(position[rows]).all(axis=1)]
+    colors = [piece.color for piece in pieces if piece.color is not None]
+    return position[rows], np.concatenate(colors)[rows].astype(np.float64) if colors else None
 
 
 def _error(members: Members, photos: Photos, position: np.ndarray, color: np.ndarray | None) -> float:

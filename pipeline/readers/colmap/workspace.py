@@ -25,7 +25,7 @@ from pipeline.readers.colmap.visibility_index import visibility_from
 from pipeline.readers.files.members import Folder, Members
 from pipeline.readers.files.spelling import shown
 from pipeline.readers.files.workspaces import POINTS, Workspace
-from pipeline.readers.ply.ply import Vertices, open_vertices, unused_properties
+from pipeline.readers.ply.ply import Vertices, at_once, open_vertices, unused_properties
 from pipeline.scan import Piece, ScanSource
 from storage.errors import InvalidScan, SplatpressError
 
@@ -95,7 +95,8 @@ def _slice(opened: _Opened, first: int, stop: int, max_points: int) -> Iterator[
     pieces = opened.vertices.slice(first, stop, max_points)
     if opened.visibility is None:
         return pieces
-    rows = [min(max_points, stop - at) for at in range(first, stop, max_points)]
+    n_most = at_once(max_points)
+    rows = [min(n_most, stop - at) for at in range(first, stop, n_most)]
     path, place = opened.members.label(opened.visibility), _places(opened)
     seen = visibility_from(path, opened.vertices.count, len(place), first, rows)
     kept = (_without_missing(counts, cameras, place) for counts, cameras in seen)

@@ -42,6 +42,10 @@ _PINHOLE = "pinholeRepresentation"
 _SPHERE, _CYLINDER = "sphericalRepresentation", "cylindricalRepresentation"
 _USED = (_PINHOLE, _SPHERE, _CYLINDER)  # of an image that has several, the first
 _BLOBS = {"jpegImage": ".jpg", "pngImage": ".png"}
+_AZIMUTH = (
+    "azimuths of spherical and cylindrical images are taken as the standard has them: 0 in an image's middle, growing to "
+    "its left; where colours lie mirrored or turned, their writer had it otherwise"
+)
 _TO_Y_DOWN = np.diag([1.0, -1.0, -1.0])
 
 
@@ -233,6 +237,8 @@ def read_images(file: libe57.ImageFile, path: str) -> Images:
                 blobs.append(Blob(i, used, key, panorama, part))
             told += [f"{where} {name!r}: {doubt}"] if doubt else []
         warnings += told
+    if any(blob.panorama for blob in blobs):
+        warnings.append(f"{path}: {_AZIMUTH}")
     return Images(tuple(cameras), tuple(blobs), tuple(warnings))
 
 

@@ -213,7 +213,7 @@ def _source(opened: _Opened) -> ScanSource:
         has_normals=bool(columns.normal),
         has_colors=decision.top is not None,
         has_intensity=decision.intensity,
-        bounds=(header.low, header.high) if has_bounds else None,
+        bounds=(_scaled(header.low, options), _scaled(header.high, options)) if has_bounds else None,
         position_step=float(np.abs(header.scales).max()),
         warnings=tuple(warnings),
         unused=(
@@ -234,6 +234,10 @@ def _source(opened: _Opened) -> ScanSource:
             "properties": ["X", "Y", "Z", "intensity", *named, *(f.name for f in extra_fields(header))],
         },
     )
+
+
+def _scaled(corner: tuple[float, float, float], options: ReadOptions) -> tuple[float, float, float]:
+    return corner[0], corner[1], corner[2] * options.height_scale
 
 
 def _warnings(path: str, units: Units, has_bounds: bool, options: ReadOptions) -> list[str]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.readers.attributes.decisions import Decision, probe_starts
 from pipeline.readers.attributes.looks import Look, Looks
-from pipeline.readers.attributes.named import Named, Rows
+from pipeline.readers.attributes.named import Named, Rows, is_nowhere
 from pipeline.readers.attributes.names import columns_of
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.readers.pcd.lzf import unpack
@@ -215,11 +215,13 @@ def open_pcd(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
     if not columns.position:
         raise InvalidScan(f"{path}:FIELDS", f"{[f[0] for f in header.fields]}", "x, y and z")
     color = columns.color[0] if columns.color else None
-    named, look = Named(columns, empty[color].dtype.str[1:] if color else "f8"), Look()
+    kind = empty[color].dtype.str[1:] if color else "f8"
     runs = probe_starts(header.n_points) if header.data == "binary" else [(0, min(header.n_points, FIRST_POINTS))]
-    for start, n in runs:
-        for records in _records(header, start, start + n, FIRST_POINTS):
-            named.look_at(look, _rows(header, records))
+    seen = (records for start, n in runs for records in _records(header, start, start + n, FIRST_POINTS))
+    blocks = [_rows(header, records) for records in seen]
+    named, look = Named(columns, kind, is_nowhere(blocks, columns), options.left_out), Look()
+    for rows in blocks:
+        named.look_at(look, rows)
     return _source(_Opened(header, options, named, look))
 
 

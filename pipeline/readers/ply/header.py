@@ -1,6 +1,6 @@
 """The header of a PLY file: its elements and their properties, in file order.
 
-Lines may end with LF, CR LF, CR or LF CR. Where the data begins after `end_header` is told from how the first line ends.
+Lines may end with LF, CR LF, CR or LF CR; a byte order mark of UTF-8 may stand before text. Where the data begins after `end_header` is told from how the first line ends.
 
 References: G. Turk, The PLY Polygon File Format, 1994.
 """
@@ -42,6 +42,10 @@ _TYPES = {
     "ulong": "u8",
 }
 _BYTE_ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_BOM = b"\xef\xbb\xbf"
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+_BINARY = re.compile(rb"[\r\n][ \t]*format[ \t]+binary")
+_SAVED = "a text editor saved it anew; export it again"
 _LINE_END = re.compile(rb"\r\n|\n\r|\r|\n")
 END = re.compile(rb"(?:^|[\r\n])[ \t]*end_header[ \t]*(?=[\r\n])")
 
@@ -108,7 +112,11 @@ class PlyHeader:
 
 def _header_bytes(stream: BinaryIO, where: str) -> tuple[bytes, int]:
     """The header without the end of its last line, and where the data begins."""
-    head = stream.read(3)
+    head, n_before = stream.read(3), 0
+    if head.startswith(_UTF_16):
+        raise InvalidScan(where, "text in UTF-16", "a PLY file in ASCII, or a binary one", _SAVED)
+    if head == _BOM:
+        head, n_before = stream.read(3), len(_BOM)
     if head != b"ply":
         raise InvalidScan(where, f"no 'ply' in its first line, which begins with {head!r}", "a PLY file")
     while not (end := END.search(head)) and len(head) <= MAX_HEADER_BYTES:
@@ -122,10 +130,13 @@ def _header_bytes(stream: BinaryIO, where: str) -> tuple[bytes, int]:
     if not end or end.end() > MAX_HEADER_BYTES:
         allowed = f"at most {MAX_HEADER_BYTES} bytes, lines of at most {MAX_LINE_BYTES}, closed by end_header"
         raise InvalidScan(f"{where}:header", f"no end_header in the first {len(head)} bytes", allowed)
+    if n_before and _BINARY.search(head[: end.end()]):
+        found = "a byte order mark of UTF-8 before a header of binary data"
+        raise InvalidScan(where, found, "a binary PLY file as it was written", _SAVED)
     after = (head + stream.read(2))[end.end() : end.end() + 2]
     # A CR alone, or a LF alone, ends the line unless the file's own line ends have two characters.
     n_end = 2 if after in (b"\r\n", b"\n\r") and (after == b"\r\n" and first[0] != b"\r" or after == first[0]) else 1
-    return head[: end.end()], end.end() + n_end
+    return head[: end.end()], n_before + end.end() + n_end
 
 
 def _lines(head: bytes, where: str) -> Iterator[str]:

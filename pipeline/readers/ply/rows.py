@@ -30,9 +30,16 @@ Rows = dict[int, np.ndarray]  # by the place of a property in its element
 
 
 def binary_rows(
-    stream: BinaryIO, header: PlyHeader, where: str, max_rows: int, first: int = 0, n: int | None = None
+    stream: BinaryIO,
+    header: PlyHeader,
+    where: str,
+    max_rows: int,
+    first: int = 0,
+    n: int | None = None,
+    in_place: bool = False,
 ) -> Iterator[Rows]:
-    """Rows first .. first + n of the vertices, all by default, at most `max_rows` at once.
+    """Rows first .. first + n of the vertices, all by default, at most `max_rows` at once; `in_place`: where the next
+    ones will be.
 
     Raises: InvalidScan where the data ends early, naming the byte.
     """
@@ -46,13 +53,20 @@ def binary_rows(
         return
     dtype = vertex.row_dtype(header.encoding)
     stream.seek(first * dtype.itemsize, io.SEEK_CUR)
+    room = np.empty(min(max_rows, n) if in_place else 0, dtype)  # new memory of megabytes costs more than reading
     for at in range(0, n, max_rows):
-        wanted = min(max_rows, n - at) * dtype.itemsize
-        block = stream.read(wanted)
-        if len(block) < wanted:
+        wanted = min(max_rows, n - at)
+        rows = room[:wanted] if in_place else np.empty(wanted, dtype)
+        if not _read_whole(stream, rows):
             raise InvalidScan(f"{where}:vertex", f"the data ends at byte {stream.tell()}", f"{vertex.count} vertices")
-        rows = np.frombuffer(block, dtype)
         yield {int(name): rows[name] for name in dtype.names}
+
+
+def _read_whole(stream: BinaryIO, rows: np.ndarray) -> bool:
+    left = memoryview(rows.view(np.uint8))  # type: ignore[arg-type]
+    while len(left) and (n := stream.readinto(left)):  # type: ignore[attr-defined]
+        left = left[n:]
+    return not len(left)
 
 
 def _skip(stream: BinaryIO, element: Element, header: PlyHeader, where: str) -> None:

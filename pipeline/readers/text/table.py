@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.readers.attributes.decisions import Decision
 from pipeline.readers.attributes.looks import Look, Looks
-from pipeline.readers.attributes.named import Named
+from pipeline.readers.attributes.named import Named, is_nowhere
 from pipeline.readers.attributes.names import columns_of
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.readers.ply.rows import parse_rows
@@ -167,8 +167,9 @@ def open_table(path: str, options: ReadOptions = ReadOptions()) -> ScanSource:
         names, is_guess = tuple(_guess(values, path.lower().endswith(".pts"))), True
     columns = columns_of(names)
     whole = columns.color and (values[:, [names.index(c) for c in columns.color]] % 1 == 0).all()
-    named, look = Named(columns, "i4" if whole else "f8"), Look()
-    named.look_at(look, dict(zip(names, values.T, strict=True)))
+    rows, look = dict(zip(names, values.T, strict=True)), Look()
+    named = Named(columns, "i4" if whole else "f8", is_nowhere([rows], columns), options.left_out)
+    named.look_at(look, rows)
     n_points = len(lines) if len(lines) < FIRST_POINTS else sum(1 for _ in _rows_of(path, n_columns, delimiter))
     return _source(_Opened(path, n_points, names, delimiter, is_guess, named, look))
 

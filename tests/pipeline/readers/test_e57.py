@@ -326,7 +326,8 @@ def test_e57__panoramas_become_photographs_that_see_the_points_in_their_colours(
     }
     assert (seen[shown.get(kind, slice(None))] > 0).all()
     assert len(source.cameras) == {"a third": 3, "cylinder": 8}.get(kind, 6)
-    told = source.warnings
+    *told, of_azimuth = source.warnings
+    assert "azimuths of spherical and cylindrical images are taken as the standard has them" in of_azimuth
     wanted = {"in metres": "taken for the whole sphere", "whole": None}.get(
         kind, "% of its pixels are not used: corners of its"
     )

@@ -36,7 +36,53 @@ def said(source):
     return " ".join(source.warnings)
 
 
+# --- what was not measured, in formats that have no word for it ---
+
+
+@pytest.mark.parametrize("ending", ["ply", "xyz", "pcd"])
+def test_points__of_empty_pixels_are_left_out_and_may_be_kept(tmp_path, ending):
+    rows = np.random.default_rng(0).random((N, 3)) + 1
+    rows[: N // 2] = 0
+    path = tmp_path / f"a.{ending}"
+    heads = {
+        "ply": f"ply\nformat ascii 1.0\nelement vertex {N}\n"
+        + "".join(f"property float {c}\n" for c in "xyz")
+        + "end_header",
+        "xyz": "",
+        "pcd": f"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH {N}\nHEIGHT 1\nPOINTS {N}\nDATA ascii",
+    }
+    np.savetxt(path, rows, fmt="%.6f", header=heads[ending], comments="")
+    source, kept = open_scan(path), open_scan(path, ReadOptions(marked_points="range-zero=keep"))
+    assert (marks(source) == np.where(np.arange(N) < N // 2, NUMBER["range-zero"], 0)).all() and not marks(kept).any()
+    assert any("250 of 500 points lie at their scanner's own origin" in f.text for f in check_scan(path))
+    found = check_scan(path, ReadOptions(marked_points="range-zero=keep"))
+    assert any("250 of 500 points lie at (0, 0, 0)" in f.text for f in found)
+
+
+def test_points__one_at_the_origin_is_a_point(tmp_path):
+    rows = np.random.default_rng(0).random((50, 3))
+    rows[7] = 0
+    np.savetxt(tmp_path / "a.xyz", rows, fmt="%.6f")
+    assert not marks(open_scan(tmp_path / "a.xyz")).any()
+    assert not any("(0, 0, 0)" in f.text for f in check_scan(tmp_path / "a.xyz") if f.severity == "warning")
+
+
 # --- PLY ---
+
+
+def test_ply__a_byte_order_mark_is_passed_over_before_text_and_named_before_data(tmp_path):
+    text = (
+        b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    )
+    path = tmp_path / "a.ply"
+    path.write_bytes(b"\xef\xbb\xbf" + text + b"1 2 3\n")
+    assert gather(open_scan(path), "position").tolist() == [[1, 2, 3]]
+    path.write_bytes(b"\xef\xbb\xbf" + text.replace(b"ascii", b"binary_little_endian") + bytes(12))
+    with pytest.raises(InvalidScan, match="a byte order mark of UTF-8 before a header of binary data"):
+        open_scan(path)
+    path.write_bytes((text + b"1 2 3\n").decode().encode("utf-16"))
+    with pytest.raises(InvalidScan, match="text in UTF-16"):
+        open_scan(path)
 
 
 def write_ply(path, columns, end="\n"):
@@ -539,3 +585,16 @@ def test_las__colours_of_extra_bytes_are_used_where_the_format_has_none(tmp_path
     scan.write(tmp_path / "a.las")
     source = open_scan(tmp_path / "a.las")
     assert (gather(source, "color") == color).all() and not {"Red", "Green", "Blue"} & set(source.unused)
+
+
+@pytest.mark.parametrize(
+    "low, high, is_told", [(-5.0, 5.0, True), (0.0, 100.0, True), (0.0, 9.99, False), (0, 14.0, False)]
+)
+def test_las__bounds_that_points_leave_or_do_not_fill_are_said(tmp_path, low, high, is_told):
+    scan = laspy.LasData(laspy.LasHeader(point_format=0, version="1.2"))
+    scan.x = scan.y = scan.z = np.linspace(0, 9.99, 50)
+    scan.write(tmp_path / "a.las")
+    whole = bytearray((tmp_path / "a.las").read_bytes())
+    struct.pack_into("<2d", whole, 179, high, low)
+    (tmp_path / "a.las").write_bytes(whole)
+    assert any("its bounds are wrong" in f.text for f in check_scan(tmp_path / "a.las")) == is_told
