@@ -1,5 +1,5 @@
 """Large LAZ and E57 files read by all workers: wall and processor seconds of the stage `ingest`, with one worker and
-more.
+more, and of each worker and of the process that parses for it: how many processors were busy, and how many there are.
 
     python -m benchmarks.ingest SCAN.laz FOLDER [--points 50000000] [--workers 1 2] [--formats laz e57]
 
@@ -10,13 +10,16 @@ and 27 bytes a point), which go at the end, and the stage's arrays.
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import laspy
 import numpy as np
+import psutil
 import pye57
 from pye57 import libe57
 
@@ -93,6 +96,19 @@ class Silent:
     def end(self, record: StageRecord) -> None: ...
 
 
+def used_by_process() -> list[tuple[float, float]]:
+    """Processor seconds so far of each worker of this process, and of all that it started: what parses for it."""
+    found = []
+    for process in psutil.Process().children(recursive=True):
+        with suppress(psutil.Error):
+            command = " ".join(process.cmdline())
+            if "spawn_main" in command or "forkserver" in command:
+                parsers = [p.cpu_times() for p in process.children(recursive=True)]
+                own = process.cpu_times()
+                found.append((own.user + own.system, sum(t.user + t.system for t in parsers)))
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scan", type=Path)
@@ -109,16 +125,25 @@ def main() -> None:
         for n_workers in args.workers:
             folder = args.folder / f"work-{n_workers}"
             with DaskExecutor(n_workers) as executor:
+                before = used_by_process()
                 start = time.perf_counter()
                 stage = Ingest(str(path), str(n_workers))
                 run_stage(stage, folder, executor, Silent())
                 wall = time.perf_counter() - start
+                after = used_by_process()
             tasks = work.finished_tasks(work.stage_folder(folder, stage)).values()
             used = sum(task.processor_seconds for task in tasks)
             peak = max(task.peak_rss_bytes for task in tasks) >> 20
             rate = f"{args.points / wall / 1e6:.2f} million points/s, {len(tasks)} tasks, a worker at most {peak} MiB"
             print(
                 f"  {n_workers} workers: {wall:.1f} s, {used:.1f} s of tasks (without the processes that parse); {rate}",
+                flush=True,
+            )
+            took = np.subtract(after, [*before, *[(0.0, 0.0)] * (len(after) - len(before))])
+            each = ", ".join(f"{own:.1f} + {parsing:.1f} s" for own, parsing in took)
+            print(
+                f"    each worker + its parser: {each}; {took.sum():.1f} s, {took.sum() / wall:.2f} processors busy of "
+                f"{len(os.sched_getaffinity(0))}",
                 flush=True,
             )
             shutil.rmtree(folder)

@@ -78,8 +78,6 @@ def _reach_arc(offset, count, tolerance, ring, enough, run, found):
             if not known:
                 continue
             plane = (F(p0), F(p1), F(p2), F(q0), F(q1), F(q2), F(n0), F(n1), F(n2), F(off))
-            if _n_held(xs, ys, zs, n_lanes, *plane, most, nearest) < least:
-                continue
             if not _may_reach(_sectors_held(xs, ys, zs, n_lanes, *plane, most, nearest), run):
                 continue
             _project(member, k, a, p0, p1, p2, q0, q1, q2, n0, n1, n2, height, x, y)
@@ -112,19 +110,9 @@ def _plane(member, a, b, c, tolerance):
 
 
 @kernel(error_model="numpy")
-def _n_held(xs, ys, zs, count, p0, p1, p2, q0, q1, q2, n0, n1, n2, off, most, least):
-    """How many members the plane's ring holds, within ROUGH: no fewer than members in float64."""
-    held = np.int32(0)
-    for j in range(count):
-        h = xs[j] * n0 + ys[j] * n1 + zs[j] * n2 - off
-        u, v = xs[j] * p0 + ys[j] * p1 + zs[j] * p2, xs[j] * q0 + ys[j] * q1 + zs[j] * q2
-        held += np.int32((abs(h) <= most) & (u * u + v * v >= least))
-    return held
-
-
-@kernel(error_model="numpy")
 def _sectors_held(xs, ys, zs, count, p0, p1, p2, q0, q1, q2, n0, n1, n2, off, most, least):
-    """A bit for each sector that holds such a member, or lies within ROUGH of it."""
+    """A bit for each sector that holds a member of the plane's ring, or lies within ROUGH of one: no fewer than members
+    in float64 lie in."""
     apart, low, high = F(SECTORS // 4) * ROUGH, np.uint64(0), np.uint64(0)
     for j in range(count):
         h = xs[j] * n0 + ys[j] * n1 + zs[j] * n2 - off
