@@ -130,6 +130,7 @@ class Fragments:
     d2: np.ndarray
     z: np.ndarray
     pushed_z: np.ndarray
+    hides: np.ndarray
     area_px: float | None
     ball: np.ndarray | None = None  # (m, 3) of an ellipsoid, in its half axes
 
@@ -400,8 +401,7 @@ def render(packed: Packed, view: View) -> tuple[np.ndarray, np.ndarray]:
     n_pixels = view.width_px * view.height_px
     surface, light, weights = np.full(n_pixels, np.inf), np.zeros((n_pixels, 3)), np.zeros(n_pixels)
     for found, tier in zip(drawn, tiers, strict=True):
-        hides = found.d2 < 0.7
-        np.minimum.at(surface, found.pixel[hides], (found.pushed_z * tier)[hides])
+        np.minimum.at(surface, found.pixel[found.hides], (found.pushed_z * tier)[found.hides])
     for found, tier, color in zip(drawn, tiers, colors, strict=True):
         if len(found.pixel):
             weight = (1 - found.d2) * (found.z * tier <= surface[found.pixel]) * np.isfinite(tier)
@@ -450,8 +450,7 @@ def map_tiers(packed: Packed, view: View, splat: Decoded, found: Fragments) -> t
 
 
 def fragments(splat: Decoded, view: View, near: float, margin_radii: float) -> Fragments:
-    radius, margin = splat.radius, margin_radii * splat.radius
-    middle = view.rotation @ (splat.position - view.centre)
+    radius, middle = splat.radius, view.rotation @ (splat.position - view.centre)
     if splat.axes is None:
         return _of_disc(
             middle,
@@ -460,28 +459,33 @@ def fragments(splat: Decoded, view: View, near: float, margin_radii: float) -> F
             splat.clipline,
             view,
             near,
-            margin,
+            (margin_radii, radius),
         )
     axes = splat.axes @ view.rotation.T
     eye = np.linalg.solve(axes.T, -middle)
     distance = np.linalg.norm(eye)
     if distance <= 1:
-        return Fragments(np.zeros(0, int), np.zeros((0, 2)), *np.zeros((3, 0)), None)
+        return Fragments(np.zeros(0, int), np.zeros((0, 2)), *np.zeros((3, 0)), np.zeros(0, bool), None)
     e = eye / distance
     x = np.cross(e, np.eye(3)[np.argmin(np.abs(e))])
     x /= np.linalg.norm(x)
     across = np.array([x, np.cross(e, x)])
     half_axes = np.sqrt((distance - 1) / (distance + 1)) * across @ axes
-    found = _of_disc(middle + e @ axes, half_axes, np.sqrt((half_axes**2).sum()), None, view, near, margin)
+    found = _of_disc(
+        middle + e @ axes, half_axes, np.sqrt((half_axes**2).sum()), None, view, near, (margin_radii, radius)
+    )
     on_rim = found.place / np.maximum(1, np.linalg.norm(found.place, axis=1, keepdims=True))
     k = np.sqrt((1 - (on_rim**2).sum(axis=1)).clip(0))
     ball = (np.sqrt(distance**2 - 1) * on_rim @ across + (1 + distance * k)[:, None] * e) / (distance + k)[:, None]
     deeper = (distance + 1) / (distance + np.sqrt(1 - found.d2))
-    return Fragments(found.pixel, ball[:, :2], found.d2, found.z * deeper, found.pushed_z * deeper, found.area_px, ball)
+    return Fragments(
+        found.pixel, ball[:, :2], found.d2, found.z * deeper, found.pushed_z * deeper, found.hides, found.area_px, ball
+    )
 
 
-def _of_disc(middle, axes, radius, line, view: View, near: float, margin: float) -> Fragments:
-    """Of the disc around `middle` (3,) with the half axes (2, 3), in the view's axes."""
+def _of_disc(middle, axes, radius, line, view: View, near: float, margin: tuple[float, float]) -> Fragments:
+    """Of the disc around `middle` (3,) with the half axes (2, 3), in the view's axes; `margin` in radii, and of what
+    radius."""
     column, row = np.meshgrid(np.arange(view.width_px) + 0.5, np.arange(view.height_px) + 0.5)
     px, focal, principal = (
         np.column_stack([column.ravel(), row.ravel()]),
@@ -496,15 +500,17 @@ def _of_disc(middle, axes, radius, line, view: View, near: float, margin: float)
         offset = px - (focal * middle[:2] / middle[2] + principal)
         left, singular, right = np.linalg.svd(jacobian)
         place = offset @ left / np.maximum(singular, SMALLEST_PX) @ right
-        d2, z = np.minimum((place**2).sum(axis=1), (offset**2).sum(axis=1)), np.full(len(px), middle[2])
+        in_radii, in_px, z = (place**2).sum(axis=1), (offset**2).sum(axis=1), np.full(len(px), middle[2])
     else:
         ray = np.column_stack([(px - principal) / focal, np.ones(len(px))])
         normal = np.cross(*axes)
         with np.errstate(divide="ignore", invalid="ignore"):
             z = (middle @ normal) / (ray @ normal)
             place = np.linalg.lstsq(axes.T, (ray * z[:, None] - middle).T, rcond=None)[0].T
-        d2 = (place**2).sum(axis=1)
+        in_radii, in_px = (place**2).sum(axis=1), np.full(len(px), np.inf)
     with np.errstate(invalid="ignore"):
+        d2, hides = np.minimum(in_radii, in_px), (in_radii < 0.7) | (in_px < 0.25)
         kept = (d2 < 1) & (z >= near) & (line is None or place @ line[:2] + line[2] >= 0)
-    pushed_z = z * (1 + margin / np.linalg.norm(middle) + NUDGE)
-    return Fragments(np.flatnonzero(kept), place[kept], d2[kept], z[kept], pushed_z[kept], area_px)
+    pushed_by = margin[0] * max(margin[1], middle[2] / min(view.fx_px, view.fy_px))
+    pushed_z = z * (1 + pushed_by / np.linalg.norm(middle) + NUDGE)
+    return Fragments(np.flatnonzero(kept), place[kept], d2[kept], z[kept], pushed_z[kept], hides[kept], area_px)

@@ -40,14 +40,16 @@ mat2 image_of_disc(Disc disc) {
 
 // Clip coordinates of a point of the disc, in camera axes. w = z, and depth is near / z: 1 near, 0 far.
 // With PUSHED the depth is that of the disc scaled away from the eye until its centre has moved by the margin, so many radii: that
-// leaves it flat, so that depths between corners are right too, and moves nothing on the screen.
+// leaves it flat, so that depths between corners are right too, and moves nothing on the screen. A splat below a pixel is drawn as wide as one, so
+// its margin is of that width: else only the nearest of the many splats on a pixel of a far or slanted surface would colour it.
 vec4 to_clip(Disc disc, vec3 point) {
     vec2 slope = 2.0 * view.lens.xy / view.screen.xy;
     vec2 shift = 2.0 * view.lens.zw / view.screen.xy - 1.0;
     float near = view.screen.z;
 #ifdef PUSHED
     float distance = length(disc.centre);
-    near *= distance / max(distance + view.screen.w * disc.radius + ROUNDING * distance, 1e-30);
+    float drawn = max(disc.radius, LOW_PASS_PX * disc.centre.z / min(view.lens.x, view.lens.y));
+    near *= distance / max(distance + view.screen.w * drawn + ROUNDING * distance, 1e-30);
 #endif
     return vec4(slope * point.xy + shift * point.z, near, point.z);
 }

@@ -24,7 +24,7 @@ from tests.reference_packed import decode_color, decode_radius, turned
 NEAR_IN_RADII = 0.01
 ROUNDING = 1e-5
 LEAST_WEIGHT = 1 / 1024
-HIDES = 0.7  # squared distance up to which a splat hides what lies behind it
+HIDES, HIDES_PX2 = 0.7, 0.25  # squared distances, in radii and in px, up to which a splat hides what lies behind it
 SNAPPED_PX = (
     1 / 512
 )  # how far rasterisers move a corner at most: GPUs round to 8 bits below a pixel, llvmpipe shades as if it did not
@@ -50,6 +50,7 @@ class Fragments:
     d2: np.ndarray
     z: np.ndarray
     pushed_z: np.ndarray
+    hides: np.ndarray  # (m,) bool
     area_px: float  # None where the splat is too close for it
     ball: np.ndarray | None = (
         None  # (m, 3) of an ellipsoid: where it is hit, in its own axes, as a point of the unit ball
@@ -127,20 +128,20 @@ def blend(scene: PackedScene, view: Camera, color) -> tuple[np.ndarray, np.ndarr
     header = scene.header
     discs, lines = discs_of(scene, view), cliplines_of(scene)
     axes, radius = ellipsoids_of(scene, view), radii_of(scene)
-    margin = header.margin_radii * radius
     drawn = [
         ellipsoid_fragments(
-            discs.centre[splat], axes[splat], view, radius[splat], margin[splat], NEAR_IN_RADII * header.radius
+            discs.centre[splat], axes[splat], view, radius[splat], header.margin_radii, NEAR_IN_RADII * header.radius
         )
         if splat in axes
-        else fragments_of(discs, splat, lines[splat], view, radius[splat], margin[splat], NEAR_IN_RADII * header.radius)
+        else fragments_of(
+            discs, splat, lines[splat], view, radius[splat], header.margin_radii, NEAR_IN_RADII * header.radius
+        )
         for splat in range(header.n_splats)
     ]
     n_pixels = view.width_px * view.height_px
     nearest = np.full(n_pixels, np.inf)
     for fragments in drawn:
-        hides = fragments.d2 < HIDES
-        np.minimum.at(nearest, fragments.pixel[hides], fragments.pushed_z[hides])
+        np.minimum.at(nearest, fragments.pixel[fragments.hides], fragments.pushed_z[fragments.hides])
     sums, weights = np.zeros((n_pixels, 3)), np.zeros(n_pixels)
     for splat, fragments in enumerate(drawn):
         if len(fragments.pixel):
@@ -191,7 +192,7 @@ def ellipsoids_of(scene: PackedScene, view: Camera) -> dict[int, np.ndarray]:
 
 
 def ellipsoid_fragments(
-    centre: np.ndarray, axes: np.ndarray, view: Camera, radius: float, margin: float, near: float
+    centre: np.ndarray, axes: np.ndarray, view: Camera, radius: float, margin_radii: float, near: float
 ) -> Fragments:
     """Rays against the surface: the smaller root of a quadratic, where the ellipsoid is the unit ball."""
     px = pixels_of(view)
@@ -200,7 +201,7 @@ def ellipsoid_fragments(
     eye, step = -centre @ to_ball, ray @ to_ball
     distance = np.linalg.norm(eye)
     if distance <= 1:
-        return Fragments(*np.zeros((6, 0)).astype(int), None)
+        return Fragments(*np.zeros((6, 0)).astype(int), np.zeros(0, bool), None)
     pole = centre + (eye / distance) @ axes
     x = np.linalg.svd(eye[None])[2][1]  # any two directions across the eye's
     y = np.cross(eye / distance, x)
@@ -211,6 +212,7 @@ def ellipsoid_fragments(
         image = image_of(outline, 0, view)
         area_px = abs(np.linalg.det(image))
         small = np.linalg.svd(image, compute_uv=False)[1] < 1
+    margin = margin_of(pole[2], radius, margin_radii, view)
     if small:
         return _small_ellipsoid(outline, distance, np.stack([x, y, eye / distance]), view, image, area_px, near, margin)
     a, b, c = (step**2).sum(axis=1), step @ eye, distance**2 - 1
@@ -222,7 +224,8 @@ def ellipsoid_fragments(
     pixel = np.flatnonzero(kept)
     ball = eye + z[pixel, None] * step[pixel]
     pushed_z = z[pixel] * (1 + margin / np.linalg.norm(pole) + ROUNDING)
-    return Fragments(pixel, *np.zeros((2, len(pixel))), d2[pixel], z[pixel], pushed_z, area_px, ball)
+    hides = d2[pixel] < HIDES
+    return Fragments(pixel, *np.zeros((2, len(pixel))), d2[pixel], z[pixel], pushed_z, hides, area_px, ball)
 
 
 def _disc_depth(disc: Discs, ray: np.ndarray) -> np.ndarray:
@@ -235,15 +238,15 @@ def _small_ellipsoid(outline, distance, facing, view, image, area_px, near, marg
     offset = pixels_of(view) - ray_to_px(outline.centre[0], view)
     left, half_axes, right = np.linalg.svd(image)
     on_disc = ((offset @ left) / np.maximum(half_axes, 1e-3)) @ right
-    d2 = np.minimum((on_disc**2).sum(axis=1), (offset**2).sum(axis=1))
+    d2, hides = _nearness(on_disc, offset)
     pixel = np.flatnonzero((d2 < 1) & (outline.centre[0, 2] >= near))
-    on_disc, d2 = on_disc[pixel], d2[pixel]
+    on_disc, d2, hides = on_disc[pixel], d2[pixel], hides[pixel]
     on_disc /= np.maximum(np.linalg.norm(on_disc, axis=1, keepdims=True), 1)
     k = np.sqrt(1 - (on_disc**2).sum(axis=1).clip(0, 1))
     seen = np.column_stack([on_disc * np.sqrt(distance**2 - 1), 1 + distance * k]) / (distance + k)[:, None]
     z = outline.centre[0, 2] * (distance + 1) / (distance + np.sqrt(1 - d2))
     pushed_z = z * (1 + margin / np.linalg.norm(outline.centre[0]) + ROUNDING)
-    return Fragments(pixel, on_disc[:, 0], on_disc[:, 1], d2, z, pushed_z, area_px, seen @ facing)
+    return Fragments(pixel, on_disc[:, 0], on_disc[:, 1], d2, z, pushed_z, hides, area_px, seen @ facing)
 
 
 def pixels_of(view: Camera) -> np.ndarray:
@@ -266,7 +269,7 @@ def image_of(discs: Discs, splat: int, view: Camera) -> np.ndarray:
 
 
 def fragments_of(
-    discs: Discs, splat: int, line: np.ndarray, view: Camera, radius: float, margin: float, near: float
+    discs: Discs, splat: int, line: np.ndarray, view: Camera, radius: float, margin_radii: float, near: float
 ) -> Fragments:
     px = pixels_of(view)
     centre, u, v = discs.centre[splat], discs.u[splat], discs.v[splat]
@@ -281,7 +284,7 @@ def fragments_of(
         offset = px - (ray_to_px(centre, view))
         left, half_axes, right = np.linalg.svd(image)
         on_disc = ((offset @ left) / np.maximum(half_axes, 1e-3)) @ right
-        d2 = np.minimum((on_disc**2).sum(axis=1), (offset**2).sum(axis=1))
+        d2, hides = _nearness(on_disc, offset)
         z = np.full(len(px), centre[2])
     else:
         normal = np.cross(u, v)
@@ -290,12 +293,24 @@ def fragments_of(
             offset = ray * z[:, None] - centre
             on_disc = np.stack([offset @ u, offset @ v], axis=1) / radius**2
             d2 = (on_disc**2).sum(axis=1)
+            hides = d2 < HIDES
     with np.errstate(invalid="ignore"):
         kept = (d2 < 1) & (z >= near) & (on_disc @ line[:2] + line[2] >= 0)
     pixel = np.flatnonzero(kept)
     z, on_disc = z[pixel], on_disc[pixel]
-    pushed_z = z * (1 + margin / np.linalg.norm(centre) + ROUNDING)
-    return Fragments(pixel, on_disc[:, 0], on_disc[:, 1], d2[pixel], z, pushed_z, area_px)
+    pushed_z = z * (1 + margin_of(centre[2], radius, margin_radii, view) / np.linalg.norm(centre) + ROUNDING)
+    return Fragments(pixel, on_disc[:, 0], on_disc[:, 1], d2[pixel], z, pushed_z, hides[pixel], area_px)
+
+
+def margin_of(z: float, radius: float, margin_radii: float, view: Camera) -> float:
+    """How far a splat is pushed back; one below a pixel is drawn as wide as one."""
+    return margin_radii * max(radius, z / min(view.fx_px, view.fy_px))
+
+
+def _nearness(on_disc: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squared distance and whether it hides what lies behind, by places on the disc in radii and on the screen in px."""
+    in_radii, in_px = (on_disc**2).sum(axis=1), (offset**2).sum(axis=1)
+    return np.minimum(in_radii, in_px), (in_radii < HIDES) | (in_px < HIDES_PX2)
 
 
 def ray_to_px(point: np.ndarray, view: Camera) -> np.ndarray:

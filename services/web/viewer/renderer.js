@@ -195,7 +195,8 @@ export class Renderer {
     const { header } = scene, ray = [(column + 0.5 - view.cx) / view.fx, (row + 0.5 - view.cy) / view.fy, 1];
     const pushed = (NEAR_IN_RADII * header.radius) / found[0];
     const pointOf = (radius) => {
-      const z = (pushed - (header.margin_radii * radius) / Math.hypot(...ray)) / (1 + 1e-5); // what the depth pass has added
+      const width = Math.max(radius, pushed / Math.min(view.fx, view.fy)); // a splat below a pixel is drawn as wide as one
+      const z = (pushed - (header.margin_radii * width) / Math.hypot(...ray)) / (1 + 1e-5); // what the depth pass has added
       return view.eye.map((e, i) => e + z * (view.rotation[0][i] * ray[0] + view.rotation[1][i] * ray[1] + view.rotation[2][i]));
     };
     return pointOf(radiusAt(scene, scene.kept, pointOf(header.radius)));

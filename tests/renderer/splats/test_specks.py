@@ -24,3 +24,20 @@ def test_specks__a_rim_lets_what_lies_behind_through(renderer, d2, hides):
     red, _, blue = picture.rgb[int(view.cy_px), min(at, 95)].tolist()
     assert picture.coverage[int(view.cy_px), min(at, 95)]
     assert red > 0 and (blue == 0) == hides
+
+
+def test_specks__a_far_slanted_surface_has_the_mean_of_what_lies_on_a_pixel(renderer):
+    """Forty thousand splats of a quarter of a pixel, black or white by chance, seen at 78 degrees: all on a pixel colour
+    it, not only the nearest of them."""
+    across, along = (axis.ravel() for axis in np.mgrid[-100:100, -100:100])
+    position = np.column_stack([0.01 * across, 0.01 * along, np.zeros(len(across))])
+    color = np.repeat(np.random.default_rng(3).integers(0, 2, (len(across), 1)) * 255, 3, axis=1).astype(np.uint8)
+    scene = build_scene(
+        Splats(position, np.tile([0.0, 0, 1], (len(across), 1)), color), Settings(radius=0.011, depth_margin=0.011)
+    )
+    gpu_scene = GpuScene(scene, renderer.context)
+    view = camera_looking((0, -9.8, 2), (0, 0, 0), (64, 48), (225.0, 225.0))
+    rgb = renderer.render(gpu_scene, view).rgb[22:26, 20:44, 0].astype(float)
+    gpu_scene.release()
+    assert rgb.std() < 15  # of the nearest alone 20
+    assert abs(rgb.mean() - 188) < 6  # half of white in linear light
