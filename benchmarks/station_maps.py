@@ -2,6 +2,7 @@
 a splat and with the maps in the file, against pictures of all points; and how long frames take.
 
     python -m benchmarks.station_maps SCAN [--station x,y,z] [--shares 0.1 0.01] [--preset balanced] [--json]
+        [--target-psnr-db 80]    # of maps: from about 45 on without loss, the bound of what maps show at a share
 
 Views: two near the first station, 2 and 20 % of the distance that it looks off it, in the directions in which all
 points cover most; and each of them away, 50 degrees to the left and right about what it looks at; one far, where all
@@ -88,6 +89,7 @@ class Asked:
     shares: list[float]
     preset: str
     station: str | None
+    target_psnr_db: float | None = None
 
 
 def packed(asked: Asked, folder: Path, share: float, texture: str) -> tuple[PackedScene, int]:
@@ -107,6 +109,7 @@ def packed(asked: Asked, folder: Path, share: float, texture: str) -> tuple[Pack
     command += [
         *(["--density", str(share)] if share < 1 else []),
         *([f"--station={asked.station}"] if asked.station else []),
+        *(["--target-psnr-db", str(asked.target_psnr_db)] if asked.target_psnr_db and texture == "map" else []),
     ]
     subprocess.run(command, check=True, capture_output=True)
     (file,) = out.glob("*.splatpress")
@@ -178,9 +181,10 @@ def main() -> None:
     parser.add_argument("--station")
     parser.add_argument("--shares", type=float, nargs="+", default=[0.1, 0.01])
     parser.add_argument("--preset", default="balanced")
+    parser.add_argument("--target-psnr-db", type=float)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    found = measured(Asked(options.scan, options.shares, options.preset, options.station))
+    found = measured(Asked(options.scan, options.shares, options.preset, options.station, options.target_psnr_db))
     if options.json:
         print(json.dumps(asdict(found)))
         return

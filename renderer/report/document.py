@@ -153,6 +153,28 @@ class EdgeShown(Part, frozen=True):
     pictures: dict[str, str]
 
 
+class StationView(Part, frozen=True):
+    """The packed file from near a station or away of it, with its textures and with one colour a splat: PSNR at
+    `points` that the stations saw and both pictures cover."""
+
+    camera: str
+    flat_db: float | None
+    textured_db: float | None
+    points: int
+    pictures: dict[str, str]
+
+
+class StationShown(Part, frozen=True):
+    """What a laser station saw. `covered` is the share of its map that shows a surface; `centre` in the scan's unit."""
+
+    station: int
+    centre: tuple[float, float, float]
+    step_degrees: float
+    covered: float
+    pictures: dict[str, str]
+    views: tuple[StationView, ...] = ()
+
+
 class ScanKnown(Part, frozen=True):
     """What a run knows of its scan; what it leaves out, the packed file says."""
 
@@ -205,6 +227,7 @@ class RunRecord(Part, frozen=True):
     settings: dict[str, Any] = {}
     effects: tuple[Row, ...] = ()
     edges: tuple[EdgeShown, ...] = ()
+    stations: tuple[StationShown, ...] = ()
     estimate: dict[str, EstimatedFigure] | None = None
     runs: RunsMade | None = None
     pages: PagesMade | None = None
@@ -227,6 +250,7 @@ class Report(Part, frozen=True):
     estimate: dict[str, EstimatedFigure] | None
     effects: tuple[Row, ...]
     edges: tuple[EdgeShown, ...]
+    stations: tuple[StationShown, ...]
     runs: RunsMade | None
     pages: PagesMade | None
     programs: tuple[str, ...]

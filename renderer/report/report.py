@@ -52,6 +52,7 @@ def build_report(
                 "estimate": known["estimate"],
                 "effects": known["effects"],
                 "edges": known["edges"],
+                "stations": known["stations"],
                 "runs": known["runs"],
                 "pages": known["pages"],
                 "programs": sorted({name for view in views for name in view.programs}),

@@ -23,6 +23,7 @@ PAGE_NAME = "report.html"
 ALL_PICTURES_BYTES = 8_400_000
 ONE_PICTURE_BYTES = 400_000
 EDGE_PICTURE_BYTES = 50_000  # three pictures of 448 px a close-up, four close-ups
+MAP_PICTURE_BYTES = 60_000  # at most twelve
 
 
 def write_page(folder: Path, report: dict, scene: PackedScene) -> Path:
@@ -63,6 +64,8 @@ def page_of(report: dict, scene: PackedScene, folder: Path) -> str:
         baseline_seconds=report_words.mean_pass_seconds(views, "baseline_seconds"),
         pictures=_embedded(views, folder, _bytes_a_picture(views)),
         edges=_embedded(report["edges"], folder, EDGE_PICTURE_BYTES),
+        maps=_embedded(report["stations"], folder, MAP_PICTURE_BYTES),
+        station_views=[_embedded(row["views"], folder, EDGE_PICTURE_BYTES) for row in report["stations"]],
         dictionary=Markup(png_uri(dictionary)) if dictionary is not None else None,
         n_dictionary=scene.header.n_dictionary,
         bokeh=Markup(Resources(mode="inline", components=["bokeh"]).render()),

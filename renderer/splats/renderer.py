@@ -247,7 +247,8 @@ class Renderer:
 
     def _draw_batch(self, frame: _Frame, gpu_scene: GpuScene, batch: int, name: str, **defines: int) -> None:
         batches = gpu_scene.scene.header.batches
-        leads = batch == 0 and gpu_scene.n_leading == 1  # so no splat needs to be looked for
+        # So no splat needs to be looked for; where the group has other batches too, its rows are not those of codes.
+        leads = batch == 0 and gpu_scene.n_leading == 1 and (len(batches) == 1 or not batches[0].n_atoms)
         for look in gpu_scene.looks:
             program, drawing = self._programs.drawing(
                 name, **defines, **look, BY_BATCH=int(not leads), LEADING=int(leads and len(batches) > 1)

@@ -11,15 +11,19 @@ import msgspec
 from pipeline.catalogue import RENDER
 from pipeline.execution.stage import StageRecord
 from renderer.evaluate.edges import draw_edges
+from renderer.evaluate.stations.pictures import draw_stations
 from renderer.report.document import RunRecord, StageCost, ViewMeasured
 from renderer.report.report import as_json, build_report, write_report
+from services.flow.maps import StationMaps
 from services.flow.run import Run
 from storage.packed.packed import PackedFile
 
 
-def write_outputs(run: Run, path: Path, photos: Path, record: RunRecord, out: Path, render: bool) -> dict:
-    """previews/, edges/, report.json and report.html beside each other in `out`. Returns the report, as report.json has
-    it."""
+def write_outputs(
+    run: Run, path: Path, photos: Path, record: RunRecord, out: Path, render: bool, maps: StationMaps | None = None
+) -> dict:
+    """previews/, edges/, maps/, report.json and report.html beside each other in `out`. Returns the report, as
+    report.json has it."""
     from renderer.report.report_page import write_page  # Bokeh takes 2 s to import, which an estimate does without
 
     with PackedFile(path) as packed:
@@ -30,9 +34,11 @@ def write_outputs(run: Run, path: Path, photos: Path, record: RunRecord, out: Pa
         if render and "cliplines" in scene.arrays and scene.header.cameras
         else []
     )
+    stations = run.paint(draw_stations, path, maps.folder, maps.log_gain, out) if render and maps else []
     known = msgspec.structs.replace(
         record,
         edges=tuple(edges),
+        stations=tuple(stations),
         stages=tuple(stage_row(r) for r in merged(run.records)),
     )
     report = as_json(build_report(scene, path.stat().st_size, known, views))

@@ -127,7 +127,7 @@ def finish(
         pages=beside.pages,
         found=beside.found or UNSET,
     )
-    return write_outputs(run, path, prepared.photos, record, out, render)
+    return write_outputs(run, path, prepared.photos, record, out, render, prepared.maps)
 
 
 def _with_choice(row: Row, textured: Texture) -> Row:

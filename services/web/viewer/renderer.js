@@ -112,7 +112,7 @@ export class Renderer {
   }
 
   drawBatch(scene, groups, batch, pass, defines, light) {
-    const { batches } = scene.header, leads = batch === 0 && scene.nLeading === 1;
+    const { batches } = scene.header, leads = !batch && scene.nLeading === 1 && !(batches[1] && batches[0].n_atoms);
     const program = this.program(pass, { ...defines, ...scene.defines, BY_BATCH: !leads, LEADING: leads && batches.length > 1 });
     this.drawGroups(scene, program, groups, leads ? null : batch, { batch, n_leading: 1, atoms_stored: batches[batch].n_atoms }, light);
   }

@@ -62,6 +62,17 @@ def test_renderer__reads_codes_of_every_width(renderer, bits, n_dictionary, weig
     assert_agrees(renderer, scene, camera_looking((0, -1, 0.2), (0, 0, 0)))
 
 
+def test_renderer__reads_codes_where_all_plain_splats_have_as_many_atoms(renderer):
+    """Their batch leads, and others follow in each chunk, whose rows are none of its codes'."""
+    rng = np.random.default_rng(5)
+    n = 3 * GROUP // 2
+    line = np.where(rng.random((n, 1)) < 0.5, [0.6, 0.8, 0.3], np.nan)
+    codes = coded(rng, n, max_atoms=1) | {"n_atoms": np.ones(n, int)}
+    scene = build_scene(sheet(rng, n, clipline=line, **codes), Settings(radius=0.03), random_dictionary(rng))
+    assert [(batch.n_atoms, batch.clipline) for batch in scene.header.batches] == [(1, False), (1, True)]
+    assert_agrees(renderer, scene, camera_looking((0, -1, 0.2), (0, 0, 0)))
+
+
 @pytest.mark.parametrize("blended", [False, True])
 @pytest.mark.parametrize("distance", [0.5, 1.5, 3.0, 8.0, 25.0])
 def test_renderer__draws_every_mip_level(renderer, distance, blended):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,14 +29,16 @@ from services.cli.arguments import add_knobs, add_preset
 from services.cli.commands.looks import add_edited_maps, settings_with_maps
 from services.cli.parser import WrongArgument
 from services.flow.map_pictures import map_scan
+from services.flow.run import Run
 from services.processes import estimate as pilot
-from services.processes.compress import compress
+from services.processes.compress import compress, make
 from storage.errors import InvalidScan
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Camera
 from storage.pages.file import PageFile
 from storage.work import arrays, work
 from tests.pipeline.execution.test_stage import Heard
+from tests.services.processes.dying import DyingPanoramas, DyingResampleMaps
 from tests.services.scans import point_scan
 from tests.stations import HALF, PILLAR, cast, room_color, scanned, write_e57
 
@@ -113,6 +116,24 @@ def test_maps__themselves_in_the_file_are_4_db_above_one_colour_where_splats_are
     assert picture_psnr_db(itself[1], renderer) > picture_psnr_db(flat[1], renderer) + 4
 
 
+def test_maps__stand_in_the_report_beside_what_textures_gain(scan, made, tmp_path):
+    """Near a station and away of it."""
+    _, _, folder = made(THINNER, name="thinner")
+    run = Run(folder, SerialExecutor(), Heard(), draw=lambda *_: [])
+    report = make(run, scan, THINNER, tmp_path)
+    assert json.loads((tmp_path / "report.json").read_text())["stations"] == report["stations"]
+    assert [row["centre"] for row in report["stations"]] == [pytest.approx(centre) for centre in STATIONS]
+    for row in report["stations"]:
+        with Image.open(tmp_path / row["pictures"]["map"]) as picture:
+            assert picture.width == 6 * picture.height and 0.9 < row["covered"] <= 1
+        near, *away = row["views"]
+        assert near["textured_db"] > near["flat_db"] + 4 and near["points"] > 5_000
+        assert len(away) == 2 and all(view["textured_db"] > view["flat_db"] for view in away)
+        assert all((tmp_path / path).is_file() for view in row["views"] for path in view["pictures"].values())
+    page = (tmp_path / "report.html").read_text()
+    assert page.count('alt="Map of station') == 2 and page.count('alt="Textured, ') == 6
+
+
 def test_maps__auto_takes_the_fewer_bytes_and_says_why(made):
     def choice(settings, name=""):
         report = made(settings, name=name)[0]
@@ -146,13 +167,18 @@ def test_maps__stations_are_brought_to_one_light(made):
     np.testing.assert_allclose(gain[1] - gain[0], np.log(0.8**-2.2), atol=0.12)
 
 
-def test_maps__bytes_do_not_depend_on_the_executor(made):
+def test_maps__bytes_depend_neither_on_the_executor_nor_on_workers_that_are_killed(made, monkeypatch):
+    """While maps are drawn and while they are looked up."""
+    both = (SETTINGS, ""), (THINNER, "thinner")
+    paths = [made(settings, name=name)[1] for settings, name in both]  # before any worker may die: this process is one
+    monkeypatch.setattr("services.flow.maps.Panoramas", DyingPanoramas)
+    monkeypatch.setattr("services.flow.code.ResampleMaps", DyingResampleMaps)
     with DaskExecutor(2) as executor:
-        for settings, name in ((SETTINGS, ""), (THINNER, "thinner")):
-            _, path, _ = made(settings, name=name)
-            _, other, _ = made(settings, executor, "dask")
+        for path, (settings, _) in zip(paths, both, strict=True):
+            _, other, folder = made(settings, executor, "dask")
             assert path.read_bytes() == other.read_bytes()
             assert path.with_suffix(".pages").read_bytes() == other.with_suffix(".pages").read_bytes()
+    assert {p.name.rsplit("-", 1)[0] for p in folder.glob("*.died")} == {"panoramas", "resample-maps"}
 
 
 def test_maps__their_pages_are_those_of_the_maps_in_one_light(made):
