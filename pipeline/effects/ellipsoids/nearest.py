@@ -117,11 +117,22 @@ def _squares(xs, ys, zs, n, x, y, z, away):
 @kernel(error_model="numpy")
 def _within(away, n_there, reach, found):
     """How many lie within `reach`, and which: `found`."""
-    limit, n = reach * reach * (1 + 1e-12), 0
-    for j in range(n_there):
+    limit, n = _largest_square(reach), 0
+    for j in range(n_there):  # with one comparison and no branch: a quarter of them lie within
         found[n] = j
-        n += away[j] <= limit and math.sqrt(away[j]) <= reach
+        n += np.int64(away[j] <= limit)
     return n
+
+
+@kernel(error_model="numpy")
+def _largest_square(reach):
+    """The largest number whose root is `reach` at most."""
+    square = reach * reach
+    while math.sqrt(square) > reach:
+        square = np.nextafter(square, 0.0)
+    while math.sqrt(np.nextafter(square, math.inf)) <= reach:
+        square = np.nextafter(square, math.inf)
+    return square
 
 
 @kernel(error_model="numpy")
