@@ -14,8 +14,8 @@ from storage.packed.packed import PackedScene
 from storage.packed.schema import GROUP, MIP_SIZES
 
 WINDOW_IN_RADII = 0.35  # sigma of the window on a patch that a splat's one colour is seen through
-GRID = 4  # samples to a side of a splat's square, where its texture is kept as more points
-GRID_RADIUS = 0.35  # of such a point in radii: neighbours are half a radius apart
+SIDES = {4: 2, 12: 4}  # samples on a splat's disc, and to a side of its square
+SAMPLE_RADIUS = {2: 0.5, 4: 0.35}  # of a sample in radii, by those to a side: neighbours are 1 and 0.5 radii apart
 
 
 @dataclass(frozen=True)
@@ -63,18 +63,28 @@ def cloud_of(scene: PackedScene, all_levels: bool = False) -> Cloud:
     return Cloud(*(column[first:] for column in columns), header.origin)  # type: ignore[arg-type, call-arg]
 
 
-def samples_of(scene: PackedScene, cloud: Cloud) -> Cloud:
-    """Every splat of the cloud of a scene as points on a grid of its square, those on its disc, with the colours that its texture has there."""
-    middle = (np.arange(GRID) + 0.5) * 2 / GRID - 1
+def samples_of(scene: PackedScene, cloud: Cloud, n_samples: int, least_contrast: float = 0.0) -> Cloud:
+    """Splats of the cloud of a scene as points on a grid of their square, the `n_samples` (4 or 12) on the disc, with the colours that the texture
+    has there. Splats whose samples differ from their mean by less than `least_contrast` in every channel stay one point, in their place."""
+    side = SIDES[n_samples]
+    middle = (np.arange(side) + 0.5) * 2 / side - 1
     y, x = (axis.ravel() for axis in np.meshgrid(middle, middle, indexing="ij"))
     inside = x * x + y * y < 1
-    place = np.column_stack([x, y])[inside]  # (m, 2)
-    color = np.concatenate([patch[:, inside] for patch in _patches(scene)])[scene.header.first_finest :]
-    n, m = len(cloud), len(place)
-    offset = np.einsum("mk,nkc->nmc", place, cloud.axes[:, :2])
-    axes = np.repeat(cloud.axes * np.array([GRID_RADIUS, GRID_RADIUS, 1.0])[:, None], m, axis=0)
-    position = (cloud.position[:, None] + offset).reshape(n * m, 3)
-    return Cloud(position, axes, np.repeat(cloud.solid, m), color.reshape(n * m, 3), cloud.origin)
+    place = np.column_stack([x, y])[inside]  # (n_samples, 2)
+    color = np.concatenate([patch[:, inside] for patch in _patches(scene, side)])[scene.header.first_finest :]
+    parts = np.abs(color - color.mean(axis=1, keepdims=True)).max(axis=(1, 2)) >= least_contrast
+    splat = np.repeat(np.arange(len(cloud)), np.where(parts, n_samples, 1))
+    sample = np.arange(len(splat)) - np.searchsorted(splat, splat)
+    axes, divided = cloud.axes[splat], parts[splat]
+    offset = np.einsum("nk,nkc->nc", place[sample], axes[:, :2])
+    axes[divided] *= np.array([SAMPLE_RADIUS[side], SAMPLE_RADIUS[side], 1.0])[:, None]
+    return Cloud(
+        cloud.position[splat] + np.where(divided[:, None], offset, 0.0),
+        axes,
+        cloud.solid[splat],
+        np.where(divided[:, None], color[splat, sample], cloud.color[splat]),
+        cloud.origin,
+    )
 
 
 def averages_of(scene: PackedScene) -> np.ndarray:
@@ -103,31 +113,31 @@ def _middle_colors(scene: PackedScene) -> np.ndarray:
     return color.clip(0, 1)
 
 
-def _patches(scene: PackedScene):
-    """Patches (n, GRID * GRID, 3) of one group after the other."""
+def _patches(scene: PackedScene, side: int):
+    """Patches (n, side * side, 3) of one group after the other."""
     average, header = averages_of(scene), scene.header
     if not header.n_dictionary:
-        yield np.repeat(average[:, None], GRID * GRID, axis=1)
+        yield np.repeat(average[:, None], side * side, axis=1)
         return
-    turned = _turned_atoms(scene)
+    turned = _turned_atoms(scene, side)
     for start in range(0, len(average), GROUP):
         index, amount = _codes(scene, start)
         atoms = np.einsum("nr,nrpc->npc", amount, turned[index])
         yield (average[start : start + GROUP, None] + atoms).clip(0, 1)
 
 
-def _turned_atoms(scene: PackedScene) -> np.ndarray:
-    """Every atom in every turn, (n_indices, GRID * GRID, 3) float64, of GRID texels to a side."""
-    size = min((s for s in scene.header.mip_sizes if s >= GRID), default=MIP_SIZES[0])
+def _turned_atoms(scene: PackedScene, side: int) -> np.ndarray:
+    """Every atom in every turn, (n_indices, side * side, 3) float64, of `side` texels to a side."""
+    size = min((s for s in scene.header.mip_sizes if s >= side), default=MIP_SIZES[0])
     atoms = scene.arrays[f"atoms_{size}"].astype(np.float64)
-    atoms = atoms.reshape(len(atoms), GRID, size // GRID, GRID, size // GRID, 3).mean(axis=(2, 4))
+    atoms = atoms.reshape(len(atoms), side, size // side, side, size // side, 3).mean(axis=(2, 4))
     atoms *= scene.arrays["atom_scale"][:, None, None, None]
     turns = []
     for turn in range(scene.header.n_turns):
         texels = atoms[:, :, ::-1] if turn & 1 else atoms
         texels = texels[:, ::-1] if turn & 2 else texels
         turns.append(texels.swapaxes(1, 2) if turn & 4 else texels)
-    return np.stack(turns, axis=1).reshape(-1, GRID * GRID, 3)
+    return np.stack(turns, axis=1).reshape(-1, side * side, 3)
 
 
 def _codes(scene: PackedScene, start: int) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 POINTS, GAUSSIANS, TILES, PAGE = "points", "Gaussians", "Gaussians of all levels", "splats"
+AUTO = "auto"
+SAMPLES = (AUTO, "1", "4", "12")  # points or Gaussians a splat
+FIT_STEPS = (
+    3  # that colours of Gaussians are fitted by: more fit the pictures given, and others hardly (docs/EXPORTS.md)
+)
 
 
 @dataclass(frozen=True)
@@ -21,7 +26,7 @@ FORMATS: dict[str, Format] = {
     "ply": Format(".ply", POINTS, "application/octet-stream", "positions as double, normals, colours, radii"),
     "las": Format(".las", POINTS, "application/vnd.las", "for GIS; normals and radii as extra dimensions"),
     "laz": Format(".laz", POINTS, "application/vnd.laszip", "the same, compressed"),
-    "3dgs-ply": Format(".3dgs.ply", GAUSSIANS, "application/octet-stream", "one a splat, as 3DGS trainers write them"),
+    "3dgs-ply": Format(".3dgs.ply", GAUSSIANS, "application/octet-stream", "as 3DGS trainers write them"),
     "spz": Format(".spz", GAUSSIANS, "application/octet-stream", "the same, small"),
     "sog": Format(".sog", GAUSSIANS, "application/zip", "the same, smaller, for SuperSplat and PlayCanvas"),
     "html": Format(".html", PAGE, "text/html", "the viewer and the file in one page, which opens offline"),

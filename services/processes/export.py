@@ -11,9 +11,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.exports import glb, las, ply, sog, spz, tiles
-from pipeline.exports.cloud import GRID, Cloud, cloud_of, samples_of
-from pipeline.exports.formats import FORMATS, GAUSSIANS, PAGE, POINTS, TILES
+from pipeline.exports.cloud import Cloud, cloud_of, samples_of
+from pipeline.exports.formats import AUTO, FIT_STEPS, FORMATS, GAUSSIANS, PAGE, POINTS, TILES
 from pipeline.exports.gaussians import Gaussians, gaussians_of, to_y_up, turned
+from renderer.evaluate.own_colours import in_own_colours
 from renderer.splats.detail import parents_of
 from renderer.splats.views import up_direction
 from services.web.viewer_page import one_page
@@ -24,6 +25,8 @@ from storage.packed.schema import GROUP, Header
 from storage.whole import whole
 
 SAMPLED = (POINTS, GAUSSIANS)  # kinds that may have more than one for a splat
+LEAST_CONTRAST = 4 / 255  # by which samples of a splat differ from their mean in a channel where it is four Gaussians
+MOST_DIVIDED = 4_000_000  # Gaussians; of a file that would have more each splat is one, where nothing was asked for
 METRES = {"metre": 1.0, "foot": 0.3048, "US survey foot": 1200 / 3937}
 
 
@@ -38,17 +41,20 @@ class Exported:
     lost: tuple[str, ...]
 
 
-def export(packed: Path, format: str, out: Path, textured: bool = False) -> Exported:
-    """Write `packed` as one of FORMATS to the path `out`, which appears when it is whole. With `textured`, points or Gaussians are
-    samples of textures, twelve a splat.
+def export(packed: Path, format: str, out: Path, samples: str = AUTO, fit: int = FIT_STEPS) -> Exported:
+    """Write `packed` as one of FORMATS to the path `out`, which appears when it is whole.
 
-    Raises: UnsupportedScan for a format that is unknown, or that is no list of points or Gaussians where `textured` asks for more of
+    `samples` of SAMPLES: points or Gaussians a splat; AUTO is one point, or four Gaussians where the texture has
+    contrast and one elsewhere. `fit`: steps that colours of Gaussians are fitted by to pictures of the file, 0 for none.
+
+    Raises: UnsupportedScan for a format that is unknown, or that is no list of points or Gaussians where `samples` asks for more of
     them, or for a file without atoms.
     """
     if format not in FORMATS:
         raise UnsupportedScan("export", f"format {format!r}", ", ".join(FORMATS))
     chosen = FORMATS[format]
-    if textured and chosen.kind not in SAMPLED:
+    more = samples not in (AUTO, "1")
+    if more and chosen.kind not in SAMPLED:
         raise UnsupportedScan(
             "export",
             f"{format} with textures as more points",
@@ -58,18 +64,33 @@ def export(packed: Path, format: str, out: Path, textured: bool = False) -> Expo
         if chosen.kind == PAGE:
             return _page(packed, opened.header, format, out)
         scene = opened.load()
-    if textured and not scene.header.n_dictionary:
+    if more and not scene.header.n_dictionary:
         raise UnsupportedScan(
             "export", f"textures as more points of {packed}, which has no atoms", "points without textures"
         )
-    cloud = cloud_of(scene, all_levels=chosen.kind == TILES)
-    lost = _lost_by_all(scene, cloud, chosen.kind, textured)
-    if textured:
-        cloud = samples_of(scene, cloud)
+    splats = cloud_of(scene, all_levels=chosen.kind == TILES)
+    cloud = sampled(scene, splats, chosen.kind, samples)
+    lost = _lost_by_all(scene, splats, cloud, chosen.kind)
+    elements: Cloud | Gaussians = cloud
+    if chosen.kind != POINTS:
+        elements = gaussians_of(cloud)
+    if isinstance(elements, Gaussians) and chosen.kind == GAUSSIANS:
+        elements, blending = in_own_colours(scene, elements, fit)
+        lost += blending
     out.parent.mkdir(parents=True, exist_ok=True)
     with whole(out, suffix=chosen.suffix) as partial:
-        lost += _WRITERS[format](partial, cloud if chosen.kind == POINTS else gaussians_of(cloud), scene.header)
+        lost += _WRITERS[format](partial, elements, scene.header)
     return Exported(format, out, out.stat().st_size, len(cloud), lost)
+
+
+def sampled(scene: PackedScene, splats: Cloud, kind: str, samples: str) -> Cloud:
+    """Points, or what Gaussians are made of."""
+    if samples == "1" or not scene.header.n_dictionary or (samples == AUTO and kind != GAUSSIANS):
+        return splats
+    if samples != AUTO:
+        return samples_of(scene, splats, int(samples))
+    divided = samples_of(scene, splats, 4, LEAST_CONTRAST)
+    return divided if len(divided) <= MOST_DIVIDED else splats
 
 
 def _page(packed: Path, header: Header, format: str, out: Path) -> Exported:
@@ -82,8 +103,8 @@ def _page(packed: Path, header: Header, format: str, out: Path) -> Exported:
     return Exported(format, out, len(data), header.n_finest, ())
 
 
-def _lost_by_all(scene: PackedScene, cloud: Cloud, kind: str, textured: bool) -> tuple[str, ...]:
-    n, lost = len(cloud), []
+def _lost_by_all(scene: PackedScene, splats: Cloud, cloud: Cloud, kind: str) -> tuple[str, ...]:
+    n, lost = len(splats), []
     first = 0 if kind == TILES else scene.header.first_finest
     n_lines = int((scene.rows.clipline[first:] >= 0).sum())
     if first:
@@ -92,7 +113,7 @@ def _lost_by_all(scene: PackedScene, cloud: Cloud, kind: str, textured: bool) ->
         n_textured = int((scene.n_atoms[first:] > 0).sum())
         lost.append(
             f"textures of {n_textured:,} of {n:,} splats: "
-            + (f"{GRID} x {GRID} samples of each" if textured else "each has the one colour of its patch's middle")
+            + (f"{len(cloud):,} samples of them" if len(cloud) > n else "each has the one colour of its patch's middle")
         )
     if scene.header.maps:
         n_mapped = int((scene.arrays["station"][first:] != NO_MAP).sum())
@@ -102,7 +123,7 @@ def _lost_by_all(scene: PackedScene, cloud: Cloud, kind: str, textured: bool) ->
         )
     if n_lines:
         lost.append(f"cliplines of {n_lines:,} splats: they are whole")
-    n_solid = int(cloud.solid.sum())
+    n_solid = int(splats.solid.sum())
     if n_solid and kind == POINTS:
         lost.append(f"shapes of {n_solid:,} ellipsoids: points with their longest half axis as radius")
     if kind != POINTS:

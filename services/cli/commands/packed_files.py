@@ -8,9 +8,11 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from pipeline.exports.formats import FORMATS, GAUSSIANS, POINTS
+from pipeline.exports.formats import AUTO, FIT_STEPS, FORMATS, GAUSSIANS, POINTS, SAMPLES
 from services.cli.exit_codes import OK
 from services.cli.parser import WrongArgument
+
+MOST_STEPS = 100
 
 
 def add_export(commands) -> None:
@@ -27,15 +29,31 @@ def add_export(commands) -> None:
     export.add_argument(
         "--out", type=Path, metavar="FILE", help="default: the packed file's name with the format's ending, beside it"
     )
+    kinds = ", ".join(n for n, known in FORMATS.items() if known.kind in (POINTS, GAUSSIANS))
+    many = export.add_mutually_exclusive_group()
+    many.add_argument(
+        "--samples",
+        choices=SAMPLES,
+        default=AUTO,
+        help=f"points or Gaussians a splat ({kinds}); {AUTO}: one point, or four Gaussians where its texture has contrast",
+    )
+    many.add_argument("--textured", action="store_true", help="the same as --samples 12")
     export.add_argument(
-        "--textured",
-        action="store_true",
-        help="keep textures as twelve points or Gaussians a splat: "
-        + ", ".join(n for n, known in FORMATS.items() if known.kind in (POINTS, GAUSSIANS)),
+        "--fit",
+        type=_steps,
+        default=FIT_STEPS,
+        metavar="STEPS",
+        help=f"that colours of Gaussians are fitted by to pictures of the file; 0 for none, default: {FIT_STEPS}",
     )
     export.add_argument("--overwrite", "-w", action="store_true", help="replace FILE")
     export.add_argument("--json", action="store_true", help="what was written and lost as the last line of stdout")
     export.set_defaults(command=_export)
+
+
+def _steps(text: str) -> int:
+    if not text.isdecimal() or int(text) > MOST_STEPS:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of steps from 0 to {MOST_STEPS}")
+    return int(text)
 
 
 def _export(options: argparse.Namespace) -> int:
@@ -47,7 +65,8 @@ def _export(options: argparse.Namespace) -> int:
     out = options.out or packed.with_suffix(FORMATS[options.to].suffix)
     if out.exists() and not options.overwrite:
         raise WrongArgument(f"--out {out} exists; choose another, or say --overwrite")
-    made = export(packed, options.to, out, options.textured)
+    samples = "12" if options.textured else options.samples
+    made = export(packed, options.to, out, samples, options.fit)
     if options.json:
         print(json.dumps({**asdict(made), "path": str(made.path)}))
     else:

@@ -1,6 +1,7 @@
 """Exports, each opened by a program of others: plyfile, laspy, splat-transform, gltf-validator, pygltflib."""
 
 import json
+import re
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -10,18 +11,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.exports.cloud import GRID_RADIUS, WINDOW_IN_RADII, cloud_of, samples_of
-from pipeline.exports.formats import FORMATS, PAGE, POINTS
+from pipeline.exports.cloud import SAMPLE_RADIUS, WINDOW_IN_RADII, cloud_of, samples_of
+from pipeline.exports.formats import AUTO, FORMATS, GAUSSIANS, PAGE, POINTS
 from pipeline.exports.gaussians import FLATNESS, OPACITY, SH_0, SIGMA_IN_RADII, gaussians_of, to_y_up
 from services.cli.main import main
-from services.processes.export import export
+from services.processes.export import export, sampled
 from storage.errors import UnsupportedScan
 from storage.maps import NO_MAP
 from storage.packed.packed import PackedFile
 from tests.packed_files import Case, write_arrays
 from tests.programs_of_others import complaints_of_gltf_validator, read_by_splat_transform
 from tests.reference_packed import decode_ellipsoid, decode_patch, decode_position
-from tests.scenes import Dictionary, Settings, build_scene, coded, random_dictionary, sheet
+from tests.scenes import Dictionary, Settings, build_scene, camera_looking, coded, random_dictionary, sheet
 
 MAPS = Path(__file__).parents[2] / "golden" / "maps.splatpress"
 UTM = (450000.25, 5400000.5, 100.0)
@@ -75,7 +76,7 @@ def test_cloud__takes_the_colour_of_the_middle_of_the_patch(scene):
 
 def test_samples__are_the_texture_at_places_of_the_disc(scene):
     cloud = cloud_of(scene)
-    samples = samples_of(scene, cloud)
+    samples = samples_of(scene, cloud, 12)
     per_splat = len(samples) // len(cloud)
     assert per_splat == 12
     for i in (3, 77, 299):
@@ -140,7 +141,7 @@ def test_ply__points_open_in_plyfile(packed, scene, tmp_path):
         np.column_stack([rows[n] for n in ("red", "green", "blue")]), 255 * cloud.color, atol=0.5
     )
     np.testing.assert_allclose(rows["radius"], cloud.radius, rtol=1e-6)
-    textured = export(packed, "ply", tmp_path / "b.ply", textured=True)
+    textured = export(packed, "ply", tmp_path / "b.ply", samples="12")
     assert PlyData.read(tmp_path / "b.ply")["vertex"].count == textured.n_elements == 12 * len(cloud)
 
 
@@ -168,7 +169,7 @@ def expected_columns(gaussians):
     [("3dgs-ply", 1e-6, 1e-6, 1e-6), ("sog", 3e-5, 0.51, 0.02), ("spz", 2e-4, 0.95, 0.04)],
 )
 def test_gaussians__open_in_splat_transform(packed, scene, format, position, color, scale, tmp_path):
-    export(packed, format, tmp_path / f"a{FORMATS[format].suffix}")
+    export(packed, format, tmp_path / f"a{FORMATS[format].suffix}", samples="1")
     names, rows = read_by_splat_transform(tmp_path / f"a{FORMATS[format].suffix}")
     gaussians = gaussians_of(cloud_of(scene))
     if format == "spz":  # it stands y up; splat-transform turns it to trainers' axes, y down
@@ -188,21 +189,42 @@ def test_gaussians__open_in_splat_transform(packed, scene, format, position, col
 
 def test_gaussians__of_textures_open_in_splat_transform(packed, scene, tmp_path):
     """Twelve a splat, each a third as large, with the colours that its texture has there."""
-    made = export(packed, "3dgs-ply", tmp_path / "a.ply", textured=True)
+    made = export(packed, "3dgs-ply", tmp_path / "a.ply", samples="12")
     names, rows = read_by_splat_transform(tmp_path / "a.ply")
-    read, samples = dict(zip(names, np.array(rows).T, strict=True)), samples_of(scene, cloud_of(scene))
-    assert made.n_elements == len(rows) == len(samples) == 12 * 300 and "samples of each" in " ".join(made.lost)
+    read, samples = dict(zip(names, np.array(rows).T, strict=True)), samples_of(scene, cloud_of(scene), 12)
+    assert made.n_elements == len(rows) == len(samples) == 12 * 300 and "samples of them" in " ".join(made.lost)
     np.testing.assert_allclose(np.column_stack([read[axis] for axis in "xyz"]), samples.position, atol=1e-5)
     color = np.column_stack([read[f"f_dc_{i}"] for i in range(3)]) * SH_0 + 0.5
     np.testing.assert_allclose(color, samples.color, atol=1e-5)
     discs = ~samples.solid
-    np.testing.assert_allclose(np.exp(read["scale_0"])[discs], SIGMA_IN_RADII * GRID_RADIUS * 0.1, rtol=1e-4)
+    np.testing.assert_allclose(np.exp(read["scale_0"])[discs], SIGMA_IN_RADII * SAMPLE_RADIUS[4] * 0.1, rtol=1e-4)
+
+
+def test_gaussians__of_contrast_are_four_a_splat_in_their_colours(tmp_path):
+    """Colours are fitted to the file's own pictures, from cameras that textured splats; the loss is told in dB."""
+    rng = np.random.default_rng(9)
+    cameras = [camera_looking((x, -2.0, 0.3), (0.0, 0.0, 0.0), (96, 72), name=str(x)) for x in (0.4, -0.4, 9.0)]
+    splats = sheet(rng, 300, tilt=0.1, camera=np.arange(300) % 2, **coded(rng, 300, 20))
+    scene = build_scene(splats, Settings(radius=0.08, cameras=tuple(cameras)), random_dictionary(rng))
+    path = write_arrays(scene.header, scene.arrays, tmp_path / "a.splatpress")
+    cloud = sampled(scene, cloud_of(scene), GAUSSIANS, AUTO)
+    counts = np.unique(np.round(cloud.radius / cloud.radius.max(), 6), return_counts=True)[1]
+    assert counts[1] + counts[0] // 4 == 300 and counts[0] % 4 == 0 and min(counts) > 20
+    made = [export(path, "3dgs-ply", tmp_path / f"{fit}.ply", fit=fit) for fit in (0, 3)]
+    assert made[0].n_elements == made[1].n_elements == len(cloud)
+    assert "cameras are" not in " ".join(made[0].lost)
+    after, before = re.search(
+        "from 2 of its cameras .* ([0-9.]+) dB .* ([0-9.]+) dB before", str(made[1].lost)
+    ).groups()
+    assert float(after) > float(before) + 1
+    again = export(path, "3dgs-ply", tmp_path / "again.ply")
+    assert again.path.read_bytes() == made[1].path.read_bytes() != made[0].path.read_bytes()
 
 
 def test_glb__passes_the_validator_and_opens_in_pygltflib(packed, scene, tmp_path):
     import pygltflib
 
-    export(packed, "glb", tmp_path / "a.glb")
+    export(packed, "glb", tmp_path / "a.glb", samples="1")
     complaints = complaints_of_gltf_validator(tmp_path / "a.glb")
     strange = [
         c for c in complaints if c["code"] != "UNSUPPORTED_EXTENSION" and "KHR_gaussian_splatting:" not in c["pointer"]
@@ -240,7 +262,7 @@ def test_export__refuses_what_it_cannot(packed, tmp_path):
         export(packed, "obj", tmp_path / "a.obj")
     for format in ("3dtiles", "html"):
         with pytest.raises(UnsupportedScan, match=f"{format} with textures.*ply, las, laz, 3dgs-ply, spz, sog, glb"):
-            export(packed, format, tmp_path / "a", textured=True)
+            export(packed, format, tmp_path / "a", samples="12")
     assert not list(tmp_path.iterdir())
 
 
@@ -249,7 +271,7 @@ def test_export__of_colours_alone_loses_no_textures_and_has_none(tmp_path):
     path = write_arrays(scene.header, scene.arrays, tmp_path / "a.splatpress")
     assert export(path, "ply", tmp_path / "a.ply").lost == ()
     with pytest.raises(UnsupportedScan, match="no atoms.*points without textures"):
-        export(path, "ply", tmp_path / "b.ply", textured=True)
+        export(path, "ply", tmp_path / "b.ply", samples="12")
     assert not (tmp_path / "b.ply").exists()
 
 
@@ -289,4 +311,4 @@ def test_export__cases_of_the_packed_format(tmp_path):
         )
     ):
         path = write_packed_file(case, tmp_path / f"{i}.splatpress")
-        assert export(path, "ply", tmp_path / f"{i}.ply", textured=True).n_elements == 12 * 300
+        assert export(path, "ply", tmp_path / f"{i}.ply", samples="12").n_elements == 12 * 300
