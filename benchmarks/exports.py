@@ -1,8 +1,8 @@
-"""What Gaussian exports lose on photographs that textured nothing: `python -m benchmarks.exports SCAN [--held-out 4 8]`.
+"""What Gaussians lose on photographs that textured nothing: `python -m benchmarks.exports SCAN [--held-out 4 8]`.
 
-Packs the scan without those photographs, draws the packed file and its Gaussians from their cameras, as they are written by default and as `--samples` and
-`--fit` say, and compares both with the photographs, over the pixels that the packed file covers. Colours are fitted to pictures of the packed file from the
-cameras of the other photographs. `--sigma` and `--opacity` try other Gaussians.
+Packs the scan without those photographs, draws the packed file and its Gaussians from their cameras, as they are
+written by default and as `--samples` and `--fit` say, and compares both with the photographs, over the pixels that the
+packed file covers. Colours are fitted to pictures of the packed file from the cameras of the other photographs. `--sigma` and `--opacity` try other Gaussians.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def measure(options: argparse.Namespace) -> list[dict]:
     shown = {i: renderer.render(gpu_scene, scene.header.cameras[i]) for i in held_out}
     photos = {i: read_photo(prepared.photos, i) for i in held_out}
     for samples, sigma, opacity, fit in product(options.samples, options.sigma, options.opacity, options.fit):
-        plain = gaussians_of(sampled(scene, cloud, GAUSSIANS, samples))
+        plain = gaussians_of(sampled(scene, cloud, GAUSSIANS, samples, fit)[0])
         tried = replace(plain, sigma=plain.sigma * sigma / SIGMA_IN_RADII, opacity=opacity)
         start = perf_counter()
         gaussians, _ = in_own_colours(scene, tried, fit) if fit else (tried, ())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from storage.packed.schema import GROUP, MIP_SIZES
 
 WINDOW_IN_RADII = 0.35  # sigma of the window on a patch that a splat's one colour is seen through
 SIDES = {4: 2, 12: 4}  # samples on a splat's disc, and to a side of its square
+BACKING_DEPTH, BACKING_RADIUS = 0.8, 0.65 / 0.55  # in radii; tried from 0.65 to 0.8 (docs/EXPORTS.md)
 SAMPLE_RADIUS = {2: 0.5, 4: 0.35}  # of a sample in radii, by those to a side: neighbours are 1 and 0.5 radii apart
 
 
@@ -28,6 +29,7 @@ class Cloud:
     )  # (n, 3, 3) float64 half axes as rows: u and v one radius long and the unit normal, or an ellipsoid's
     solid: np.ndarray  # (n,) bool: an ellipsoid, whose third axis is a length too
     color: np.ndarray  # (n, 3) float64 sRGB in [0, 1]
+    splat: np.ndarray  # (n,) int64: which of the file's splats this is one of
     origin: tuple[float, float, float]
 
     def __len__(self) -> int:
@@ -44,7 +46,7 @@ class Cloud:
 
 
 def cloud_of(scene: PackedScene, all_levels: bool = False) -> Cloud:
-    """Every splat of the finest level, or of `all_levels`, in the file's order, with the colour that its patch has in the middle.
+    """Every splat of the finest level, or of `all_levels`, in the file's order, in the colour of its patch's middle.
 
     The middle is the patch seen through a Gaussian window of WINDOW_IN_RADII, so atoms count in any turn alike.
     """
@@ -58,20 +60,21 @@ def cloud_of(scene: PackedScene, all_levels: bool = False) -> Cloud:
     if len(splat):
         solid[splat] = True
         axes[splat] = decode_ellipsoids(fields, normal_code[splat], header.up, header.ahead, radius[splat])
-    columns = (scene_positions(scene), axes, solid, _middle_colors(scene))
+    columns = (scene_positions(scene), axes, solid, _middle_colors(scene), np.arange(header.n_splats))
     first = 0 if all_levels else header.first_finest
     return Cloud(*(column[first:] for column in columns), header.origin)  # type: ignore[arg-type, call-arg]
 
 
 def samples_of(scene: PackedScene, cloud: Cloud, n_samples: int, least_contrast: float = 0.0) -> Cloud:
-    """Splats of the cloud of a scene as points on a grid of their square, the `n_samples` (4 or 12) on the disc, with the colours that the texture
-    has there. Splats whose samples differ from their mean by less than `least_contrast` in every channel stay one point, in their place."""
+    """Splats of the cloud of a scene as points on a grid of their square, the `n_samples` (4 or 12) on the disc, with
+    the colours that the texture has there. Splats whose samples differ from their mean by less than `least_contrast` in
+    every channel stay one point, in their place."""
     side = SIDES[n_samples]
     middle = (np.arange(side) + 0.5) * 2 / side - 1
     y, x = (axis.ravel() for axis in np.meshgrid(middle, middle, indexing="ij"))
     inside = x * x + y * y < 1
     place = np.column_stack([x, y])[inside]  # (n_samples, 2)
-    color = np.concatenate([patch[:, inside] for patch in _patches(scene, side)])[scene.header.first_finest :]
+    color = np.concatenate([patch[:, inside] for patch in _patches(scene, side)])[cloud.splat]
     parts = np.abs(color - color.mean(axis=1, keepdims=True)).max(axis=(1, 2)) >= least_contrast
     splat = np.repeat(np.arange(len(cloud)), np.where(parts, n_samples, 1))
     sample = np.arange(len(splat)) - np.searchsorted(splat, splat)
@@ -83,8 +86,20 @@ def samples_of(scene: PackedScene, cloud: Cloud, n_samples: int, least_contrast:
         axes,
         cloud.solid[splat],
         np.where(divided[:, None], color[splat, sample], cloud.color[splat]),
+        cloud.splat[splat],
         cloud.origin,
     )
+
+
+def backed(cloud: Cloud, splats: Cloud) -> Cloud:
+    """The cloud with one more behind each disc of `splats`, larger, for what shines through; a splat's lie together."""
+    behind = splats.position - BACKING_DEPTH * splats.radius[:, None] * splats.normal
+    axes = splats.axes * np.array([BACKING_RADIUS, BACKING_RADIUS, 1.0])[:, None]
+    backing = Cloud(behind, axes, splats.solid, splats.color, splats.splat, splats.origin)
+    disc, names = ~splats.solid, [field.name for field in fields(Cloud)][:-1]
+    columns = [np.concatenate([getattr(cloud, name), getattr(backing, name)[disc]]) for name in names]
+    order = np.argsort(columns[-1], kind="stable")
+    return Cloud(*(column[order] for column in columns), cloud.origin)  # type: ignore[arg-type, call-arg]
 
 
 def averages_of(scene: PackedScene) -> np.ndarray:

@@ -1,14 +1,16 @@
 """Colours of Gaussians that make their pictures most like given ones.
 
-Programs for 3D Gaussian splatting lay Gaussians over each other, front to back: the colour of a pixel is sum(w_i c_i), w_i = alpha_i * prod(1 - alpha_j)
-over those before i. So once places, sizes and opacity are known a picture is linear in the colours c: those that minimise
+Programs for 3D Gaussian splatting lay Gaussians over each other, front to back: the colour of a pixel is sum(w_i c_i),
+w_i = alpha_i * prod(1 - alpha_j) over those before i. So once places, sizes and opacity are known a picture is linear
+in the colours c: those that minimise
 
     sum over pictures |A c - b|^2 + KEPT |c - c0|^2
 
-are found by a few steps of conjugate gradients from c0 on, each colour scaled by the diagonal of A^T A + KEPT. What is seen in no picture keeps its own. A is
-never stored: a product with it, or its transpose, is a drawing.
+are found by a few steps of conjugate gradients from c0 on, each colour scaled by the diagonal of A^T A + KEPT. What is
+seen in no picture keeps its own. A is never stored: a product with it, or its transpose, is a drawing.
 
-References: Kerbl et al. 2023, section 6 and its program (0.3 px^2 of low-pass, three sigmas, alpha below 1/255 left out); Hestenes and Stiefel 1952.
+References: Kerbl et al. 2023, section 6 and its program (0.3 px^2 of low-pass, three sigmas, alpha below 1/255 left
+out); Hestenes and Stiefel 1952.
 """
 
 from __future__ import annotations

@@ -1,22 +1,22 @@
 """One Gaussian a splat: what programs for 3D Gaussian splatting draw.
 
-A disc of radius r becomes a Gaussian of SIGMA_IN_RADII r, flat along the normal; an ellipsoid one with its axes. Its peak is
-nearly opaque, so that the nearest surface shows.
+A disc of radius r becomes a Gaussian of SIGMA_IN_RADII r, flat along the normal; an ellipsoid one with its axes. Its
+peak is nearly opaque, so that the nearest surface shows.
 
 Reference: Kerbl et al., "3D Gaussian splatting for real-time radiance field rendering", SIGGRAPH 2023.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.exports.cloud import Cloud
 
-# Tried from 0.3 to 0.8 on photographs of fountain_p11 that textured nothing (benchmarks/exports.py): below 0.5 what lies
-# behind shines through, above 0.6 textures blur.
+# Tried from 0.3 to 0.8 on photographs of fountain_p11 that textured nothing (benchmarks/exports.py): below 0.5 what
+# lies behind shines through, above 0.6 textures blur.
 SIGMA_IN_RADII = 0.55
 FLATNESS = 0.02  # sigma along the normal over that across it; no viewer divides by nothing then
 OPACITY = 0.99  # the most that such programs draw
@@ -35,9 +35,15 @@ class Gaussians:
     color: np.ndarray  # (n, 3) float64 sRGB in [0, 1]
     opacity: float
     origin: tuple[float, float, float]
+    splat: np.ndarray  # (n,) int64: which of the file's splats this is one of
 
     def __len__(self) -> int:
         return len(self.position)
+
+    def of(self, rows: np.ndarray | slice) -> Gaussians:
+        """Some of them."""
+        names = ("position", "rotation", "sigma", "color", "splat")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     @property
     def dc(self) -> np.ndarray:  # (n, 3) coefficient of the constant spherical harmonic
@@ -51,20 +57,13 @@ def gaussians_of(cloud: Cloud) -> Gaussians:
     rotation = Rotation.from_matrix(directions.swapaxes(1, 2)).as_quat(canonical=True)
     sigma = SIGMA_IN_RADII * lengths
     sigma[~cloud.solid, 2] = FLATNESS * sigma[~cloud.solid, 0]
-    return Gaussians(cloud.position, rotation, sigma, cloud.color, OPACITY, cloud.origin)
+    return Gaussians(cloud.position, rotation, sigma, cloud.color, OPACITY, cloud.origin, cloud.splat)
 
 
 def turned(gaussians: Gaussians, rotation: Rotation) -> Gaussians:
     """The same Gaussians in turned axes."""
     quaternions = (rotation * Rotation.from_quat(gaussians.rotation)).as_quat(canonical=True)
-    return Gaussians(
-        rotation.apply(gaussians.position),
-        quaternions,
-        gaussians.sigma,
-        gaussians.color,
-        gaussians.opacity,
-        gaussians.origin,
-    )
+    return replace(gaussians, position=rotation.apply(gaussians.position), rotation=quaternions)
 
 
 def to_y_up(up: np.ndarray) -> Rotation:

@@ -1,7 +1,8 @@
-"""3D Tiles 1.1: a GLB for each group of splats, coarser levels above finer ones, in a zip with `tileset.json` at its root.
+"""3D Tiles 1.1: a GLB for each group of splats, coarser levels above finer ones, in a zip with `tileset.json` at root.
 
-A tile's content is what `glb.py` writes, y up, which programs turn z up as 3D Tiles have it; boxes stand in those axes, in metres, and hold the boxes of
-the tiles below. A tile's geometric error is the mean distance of its splats, their mean radius; 0 where nothing finer stands below.
+A tile's content is what `glb.py` writes, y up, which programs turn z up as 3D Tiles have it; boxes stand in those axes,
+in metres, and hold the boxes of the tiles below. A tile's geometric error is the mean distance of its splats, their
+mean radius; 0 where nothing finer stands below.
 
 Reference: OGC 22-025r4, 3D Tiles Specification 1.1.
 """
@@ -10,14 +11,14 @@ from __future__ import annotations
 
 import json
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.exports import glb
-from pipeline.exports.gaussians import SIGMA_IN_RADII, Gaussians
+from pipeline.exports.gaussians import Gaussians
+from storage.packed.schema import GROUP
 
 _ZIP_TIME = (1980, 1, 1, 0, 0, 0)
 _Z_UP = Rotation.from_matrix([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # y up to z up, as every program turns contents
@@ -25,16 +26,20 @@ _REACH = 3.0  # sigmas that a box holds
 
 
 def write(
-    path: Path, gaussians: Gaussians, group: int, parent: np.ndarray, y_up: Rotation, metres: float, unit: str
+    path: Path, gaussians: Gaussians, radius: np.ndarray, parent: np.ndarray, y_up: Rotation, metres: float, unit: str
 ) -> None:
-    """Write Gaussians of all levels, `group` of them a tile; `parent` (n_tiles,) is the tile above each, -1 of the coarsest.
+    """Write Gaussians of all levels, those of GROUP splats a tile, in the order of splats.
 
-    Guarantees: parents' boxes hold those of their children, and their geometric errors are no smaller; the same bytes for the same splats.
+    `radius` (n_splats,) is of splats, `parent` (n_tiles,) the tile above each, -1 of the coarsest.
+
+    Guarantees: parents' boxes hold those of their children, and their geometric errors are no smaller; the same bytes
+    for the same splats.
     """
     n_tiles = len(parent)
-    parts = [_part(gaussians, i * group, (i + 1) * group) for i in range(n_tiles)]
+    bounds = np.searchsorted(gaussians.splat, GROUP * np.arange(n_tiles + 1))
+    parts = [gaussians.of(slice(start, stop)) for start, stop in zip(bounds, bounds[1:])]
     low, high = (np.empty((n_tiles, 3)) for _ in range(2))
-    error = np.array([float(part.sigma.max(axis=1).mean()) / SIGMA_IN_RADII * metres for part in parts])
+    error = np.array([float(radius[i * GROUP : (i + 1) * GROUP].mean()) * metres for i in range(n_tiles)])
     has_child = np.isin(np.arange(n_tiles), parent)
     error[~has_child] = 0.0
     for i, part in enumerate(parts):
@@ -66,11 +71,6 @@ def write(
         archive.writestr(zipfile.ZipInfo("tileset.json", _ZIP_TIME), json.dumps(document))
         for i, part in enumerate(parts):
             archive.writestr(zipfile.ZipInfo(f"{i}.glb", _ZIP_TIME), glb.encoded(part, y_up, metres, unit))
-
-
-def _part(gaussians: Gaussians, start: int, stop: int) -> Gaussians:
-    columns = ("position", "rotation", "sigma", "color")
-    return replace(gaussians, **{name: getattr(gaussians, name)[start:stop] for name in columns})
 
 
 def _box(low: np.ndarray, high: np.ndarray) -> list[float]:

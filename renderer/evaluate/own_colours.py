@@ -1,8 +1,9 @@
-"""Gaussians of a packed file in the colours that make them look like the file itself, from where its photographs were taken."""
+"""Gaussians of a packed file in the colours that make them look like the file, from where photographs were taken."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,10 +23,11 @@ MOST_VIEWS, MOST_SIDE_PX = 12, 1536  # pictures that colours are fitted to
 
 
 def in_own_colours(scene: PackedScene, gaussians: Gaussians, steps: int) -> tuple[Gaussians, tuple[str, ...]]:
-    """Colours fitted to the file's own pictures from where photographs were taken, and how far they remain from those; or why not."""
-    if not steps:
+    """Colours fitted to the file's own pictures from where photographs were taken, each level of splats by itself, and
+    how far those of the finest remain from the pictures; or why they are not."""
+    if not steps or not len(gaussians):
         return gaussians, ()
-    views, why = _views(scene), ""
+    views, why = views_of(scene), ""
     if not views:
         why = "no splat was textured from a photograph"
     elif len(gaussians) > MOST_FITTED:
@@ -37,13 +39,17 @@ def in_own_colours(scene: PackedScene, gaussians: Gaussians, steps: int) -> tupl
             why = str(error)
     if why:
         return gaussians, (f"the fit of colours to the file's own pictures: {why}",)
-    made = fitted(gaussians, targets, steps)
+    level = np.searchsorted(np.cumsum(scene.header.levels or (scene.header.n_splats,)), gaussians.splat, side="right")
+    color = gaussians.color.copy()
+    for rows in (np.flatnonzero(level == found) for found in np.unique(level)):
+        made = fitted(gaussians.of(rows), targets, steps)
+        color[rows] = made.gaussians.color
     before, after = (psnr_of_error(error) for error in (made.error_before, made.error))
     told = f"likeness: pictures from {len(views)} of its cameras are {after:.1f} dB from the packed file's own"
-    return made.gaussians, (f"{told}, {before:.1f} dB before colours were fitted",)
+    return replace(gaussians, color=color), (f"{told}, {before:.1f} dB before colours were fitted",)
 
 
-def _views(scene: PackedScene) -> list[Camera]:
+def views_of(scene: PackedScene) -> list[Camera]:
     """Of the photographs that textured most splats, in the file's order."""
     if not scene.header.cameras:
         return []

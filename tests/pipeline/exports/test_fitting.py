@@ -21,7 +21,9 @@ def gaussians():
     position[-1] = [0, -50, 0]
     rotation = rng.normal(size=(N, 4))
     rotation /= np.linalg.norm(rotation, axis=1, keepdims=True)
-    return Gaussians(position, rotation, rng.uniform(0.02, 0.12, (N, 3)), rng.uniform(0, 1, (N, 3)), 0.99, ORIGIN)
+    return Gaussians(
+        position, rotation, rng.uniform(0.02, 0.12, (N, 3)), rng.uniform(0, 1, (N, 3)), 0.99, ORIGIN, np.arange(N)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +59,7 @@ def test_drawn__as_programs_of_others_draw(gaussians, views):
     for view in views:
         picture = drawn(footprints(gaussians, view), gaussians.color, view)
         assert picture.max() > 0.5
-        np.testing.assert_allclose(picture, plainly_drawn(gaussians, view), atol=0.0112)  # exp(-4.5): beyond three sigmas they draw nothing
+        np.testing.assert_allclose(picture, plainly_drawn(gaussians, view), atol=0.0112)  # exp(-4.5): three sigmas
 
 
 def targets_of(gaussians, views):

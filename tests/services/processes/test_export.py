@@ -200,18 +200,19 @@ def test_gaussians__of_textures_open_in_splat_transform(packed, scene, tmp_path)
     np.testing.assert_allclose(np.exp(read["scale_0"])[discs], SIGMA_IN_RADII * SAMPLE_RADIUS[4] * 0.1, rtol=1e-4)
 
 
-def test_gaussians__of_contrast_are_four_a_splat_in_their_colours(tmp_path):
-    """Colours are fitted to the file's own pictures, from cameras that textured splats; the loss is told in dB."""
+def test_gaussians__of_contrast_are_four_a_splat_in_their_colours(tmp_path, monkeypatch):
+    """Another lies behind each. Colours are fitted to the file's own pictures, from cameras that textured splats; the
+    loss is told in dB. A file that would have too many has one a splat, and says so."""
     rng = np.random.default_rng(9)
     cameras = [camera_looking((x, -2.0, 0.3), (0.0, 0.0, 0.0), (96, 72), name=str(x)) for x in (0.4, -0.4, 9.0)]
     splats = sheet(rng, 300, tilt=0.1, camera=np.arange(300) % 2, **coded(rng, 300, 20))
     scene = build_scene(splats, Settings(radius=0.08, cameras=tuple(cameras)), random_dictionary(rng))
     path = write_arrays(scene.header, scene.arrays, tmp_path / "a.splatpress")
-    cloud = sampled(scene, cloud_of(scene), GAUSSIANS, AUTO)
+    cloud = sampled(scene, cloud_of(scene), GAUSSIANS, AUTO, fit=0)[0]
     counts = np.unique(np.round(cloud.radius / cloud.radius.max(), 6), return_counts=True)[1]
     assert counts[1] + counts[0] // 4 == 300 and counts[0] % 4 == 0 and min(counts) > 20
     made = [export(path, "3dgs-ply", tmp_path / f"{fit}.ply", fit=fit) for fit in (0, 3)]
-    assert made[0].n_elements == made[1].n_elements == len(cloud)
+    assert made[0].n_elements == len(cloud) and made[1].n_elements == len(cloud) + 300
     assert "cameras are" not in " ".join(made[0].lost)
     after, before = re.search(
         "from 2 of its cameras .* ([0-9.]+) dB .* ([0-9.]+) dB before", str(made[1].lost)
@@ -219,6 +220,10 @@ def test_gaussians__of_contrast_are_four_a_splat_in_their_colours(tmp_path):
     assert float(after) > float(before) + 1
     again = export(path, "3dgs-ply", tmp_path / "again.ply")
     assert again.path.read_bytes() == made[1].path.read_bytes() != made[0].path.read_bytes()
+    assert export(path, "3dtiles", tmp_path / "a.zip").n_elements == len(cloud) + 300
+    monkeypatch.setattr("services.processes.export.MOST_FITTED", len(cloud) + 299)
+    few = export(path, "3dgs-ply", tmp_path / "few.ply")
+    assert few.n_elements == 300 and f"{len(cloud) + 300:,} would be more than" in " ".join(few.lost)
 
 
 def test_glb__passes_the_validator_and_opens_in_pygltflib(packed, scene, tmp_path):
@@ -260,8 +265,10 @@ def test_glb__has_what_the_extension_asks_for(packed, tmp_path):
 def test_export__refuses_what_it_cannot(packed, tmp_path):
     with pytest.raises(UnsupportedScan, match="obj.*ply, las"):
         export(packed, "obj", tmp_path / "a.obj")
-    for format in ("3dtiles", "html"):
-        with pytest.raises(UnsupportedScan, match=f"{format} with textures.*ply, las, laz, 3dgs-ply, spz, sog, glb"):
+    for format in ("html",):
+        with pytest.raises(
+            UnsupportedScan, match=f"{format} with textures.*ply, las, laz, 3dgs-ply, spz, sog, glb, 3dtiles"
+        ):
             export(packed, format, tmp_path / "a", samples="12")
     assert not list(tmp_path.iterdir())
 
