@@ -317,7 +317,9 @@ def test_whole__the_report_counts_what_was_met(tmp_path, renderer):
 
 
 def test_whole__the_report_says_when_sums_are_wide(tmp_path, renderer):
-    position = np.concatenate([np.random.default_rng(0).uniform(-1, 1, (200, 3)) * [1, 1, 0], np.zeros((400, 3))])
+    position = np.concatenate(
+        [np.random.default_rng(0).uniform(-1, 1, (200, 3)) * [1, 1, 0], np.full((400, 3), [0.25, 0.25, 0])]
+    )
     normal = np.tile(np.float32([0, 0, 1]), (600, 1))
     report, _ = compressed(write_points(tmp_path / "scan.ply", position, normal), tmp_path / "out", render=True)
     assert report["numerics"]["accumulation"] == "RGBA32F"
