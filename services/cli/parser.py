@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from importlib import import_module
 
 from services.cli.commands import COMMANDS
@@ -35,10 +35,12 @@ class Parser(argparse.ArgumentParser):
         """As argparse."""
         return self._remembered(super().add_argument(*names, **how))
 
-    def one_of(self) -> Callable[..., argparse.Action]:
-        """As `add_argument`, for arguments of which exactly one is to be given."""
-        group = self.add_mutually_exclusive_group(required=True)
-        return lambda *names, **how: self._remembered(group.add_argument(*names, **how))
+    def add_mutually_exclusive_group(self, **how):
+        """As argparse."""
+        group = super().add_mutually_exclusive_group(**how)
+        add = group.add_argument
+        group.add_argument = lambda *names, **options: self._remembered(add(*names, **options))  # type: ignore[method-assign]
+        return group
 
     def refuse_unknown(self, given: list[str]) -> None:
         """Ends where an option does not exist; argparse alone would tell missing arguments first."""

@@ -27,7 +27,7 @@ from storage.whole import whole
 
 SAMPLED = (POINTS, GAUSSIANS, TILES)  # kinds that may have more than one for a splat
 LEAST_CONTRAST = 4 / 255  # by which samples of a splat differ from their mean in a channel where it is four Gaussians
-LIGHTER = "; --samples 1 --fit 0 writes one each, in less time, and loses up to 3 dB on photographs"
+LIGHTER = "; --samples 1 --fit 0 writes one each, in less time and less like the file"
 METRES = {"metre": 1.0, "foot": 0.3048, "US survey foot": 1200 / 3937}
 
 

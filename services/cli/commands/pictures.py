@@ -17,7 +17,7 @@ def add_render(commands) -> None:
     """The verb `render`."""
     render = commands.add_parser("render")
     render.add_argument("packed", metavar="PACKED")
-    add_view = render.one_of()
+    add_view = render.add_mutually_exclusive_group(required=True).add_argument
     add_view("--camera", metavar="NAME", help="one of the scan's cameras")
     add_view("--orbit", metavar="N", type=count, help="N pictures around the scan")
     add_view("--turntable", metavar="N", type=count, help="N pictures around the scan, and turntable.webp of them")

@@ -1,11 +1,13 @@
 """Completion as the shell sees it."""
 
+import re
 import shutil
 import subprocess
 
 import pytest
 
 from services.cli.main import main
+from services.cli.parser import Commands
 
 BASH = """
 source /dev/stdin
@@ -34,3 +36,10 @@ def test_completion__other_shells_take_their_script(capsys, shell):
     assert "compress" in text and "executor" in text
     if shutil.which(shell):
         assert subprocess.run([shell, "-n"], input=text, text=True).returncode == 0
+
+
+@pytest.mark.parametrize("name", list(Commands()))
+def test_completion__every_option_that_help_names_is_one_that_is_taken(name):
+    parser = Commands()[name]
+    taken = {option for action in parser.added for option in action.option_strings} | {"--help"}
+    assert set(re.findall(r"(?<![\w-])--[a-z0-9-]+", parser.format_usage())) <= taken
