@@ -25,7 +25,7 @@ CALLS = [
     ("compress {scan} --out {tmp}/o --radius -1", 1, "radius"),
     ("compress {scan} --out {tmp}/o --effects glow=on", 1, "glow"),
     ("compress {scan} --out {tmp}/o --workers none", 1, "--workers"),
-    ("compress {scan} --out {tmp}/o --executor gpu", 1, "'dask', 'serial'"),
+    ("compress {scan} --out {tmp}/o --executor gpu", 1, "invalid choice: 'gpu' (choose from "),
     ("compress {scan} {points} --out {tmp}/o", 1, "unrecognized arguments"),
     ("compress {tmp}/nothing.ply --out {tmp}/o", 2, "nothing.ply"),
     ("compress {scan} --out {full}", 1, "--overwrite"),
