@@ -75,9 +75,7 @@ def export(packed: Path, format: str, out: Path, samples: str = AUTO, fit: int =
     lost = _lost_by_all(scene, splats, cloud, chosen.kind) + too_many
     elements: Cloud | Gaussians = cloud
     if chosen.kind != POINTS:
-        elements = gaussians_of(cloud)
-    if isinstance(elements, Gaussians):
-        elements, blending = in_own_colours(scene, elements, fit)
+        elements, blending = in_own_colours(scene, gaussians_of(cloud), fit)
         lost += blending
     out.parent.mkdir(parents=True, exist_ok=True)
     with whole(out, suffix=chosen.suffix) as partial:
