@@ -1,10 +1,10 @@
-"""Large LAZ and E57 files read by all workers: wall and processor seconds of the stage `ingest`, with one worker and
-more, and of each worker and of the process that parses for it: how many processors were busy, and how many there are.
+"""Large LAZ, PLY and E57 files read and put in order by all workers: wall seconds of `ingest`, `grid-counts`, `leaves`
+and `partition`, with one worker and more, in pairs one after the other, and how many processors were busy in each.
 
-    python -m benchmarks.ingest SCAN.laz FOLDER [--points 50000000] [--workers 1 2] [--formats laz e57]
+    python -m benchmarks.ingest SCAN.laz FOLDER [--points 20000000] [--workers 1 2] [--formats laz ply e57] [--pairs 1]
 
-SCAN's points are taken again and again, moved and jittered, until there are so many; FOLDER takes the files (about 6
-and 27 bytes a point), which go at the end, and the stage's arrays.
+SCAN's points are taken again and again, moved and jittered, until there are so many; FOLDER takes the files (about 6,
+15 and 27 bytes a point), which go at the end, and the stages' arrays.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import shutil
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from itertools import product
 from pathlib import Path
 
 import laspy
@@ -24,8 +25,11 @@ import pye57
 from pye57 import libe57
 
 from pipeline.execution.executors import DaskExecutor
-from pipeline.execution.stage import StageRecord, run_stage
+from pipeline.execution.stage import Stage, StageRecord, run_stage
+from pipeline.stages.points.grid_counts import GridCounts
 from pipeline.stages.points.ingest import Ingest
+from pipeline.stages.points.leaves import DealtLeaves
+from pipeline.stages.points.partition import Partition
 from storage.work import work
 
 AT_ONCE = 1 << 21
@@ -86,6 +90,26 @@ def write_e57(scan: Path, path: Path, n_points: int) -> None:
     file.close()
 
 
+def write_ply(scan: Path, path: Path, n_points: int) -> None:
+    row = np.dtype([*((axis, "<f4") for axis in "xyz"), *((name, "u1") for name in ("red", "green", "blue"))])
+    types = {"<f4": "float", "|u1": "uchar"}
+    properties = "".join(f"property {types[row[name].str]} {name}\n" for name in row.names)
+    with path.open("wb") as file:
+        file.write(
+            f"ply\nformat binary_little_endian 1.0\nelement vertex {n_points}\n{properties}end_header\n".encode()
+        )
+        first = None
+        for position, color in copies(scan, n_points):
+            first = position[0] if first is None else first
+            rows = np.empty(len(position), row)
+            for name, column in zip(row.names, [*(position - first).T, *(color >> 8).T], strict=True):
+                rows[name] = column
+            rows.tofile(file)
+
+
+WRITERS = {"laz": write_laz, "ply": write_ply, "e57": write_e57}
+
+
 class Silent:
     """Hears how a stage comes on, and says nothing."""
 
@@ -96,57 +120,65 @@ class Silent:
     def end(self, record: StageRecord) -> None: ...
 
 
-def used_by_process() -> list[tuple[float, float]]:
-    """Processor seconds so far of each worker of this process, and of all that it started: what parses for it."""
-    found = []
+def used_by_workers() -> float:
+    """Processor seconds so far of the workers of this process, and of all that they started: what parses for them."""
+    used = 0.0
     for process in psutil.Process().children(recursive=True):
         with suppress(psutil.Error):
-            command = " ".join(process.cmdline())
-            if "spawn_main" in command or "forkserver" in command:
-                parsers = [p.cpu_times() for p in process.children(recursive=True)]
-                own = process.cpu_times()
-                found.append((own.user + own.system, sum(t.user + t.system for t in parsers)))
-    return found
+            times = process.cpu_times()
+            used += times.user + times.system
+    return used
+
+
+def in_order(scan: Path, folder: Path, n_workers: int) -> tuple[dict[str, float], float, int]:
+    """Wall seconds of each stage; processors busy; and of the workers the most memory, bytes."""
+    with DaskExecutor(n_workers) as executor:
+        seconds, peak = {}, 0
+
+        def done(stage: Stage) -> Path:
+            nonlocal peak
+            start = time.perf_counter()
+            run_stage(stage, folder, executor, Silent())
+            seconds[stage.name] = time.perf_counter() - start
+            tasks = work.finished_tasks(made := work.stage_folder(folder, stage)).values()
+            peak = max(peak, *(task.peak_rss_bytes for task in tasks))
+            return made
+
+        before = used_by_workers()
+        ingest = done(Ingest(str(scan), str(n_workers)))
+        counts = done(GridCounts(ingest))
+        done(Partition(ingest, None, counts, done(DealtLeaves(ingest, counts))))
+        used = used_by_workers() - before
+    shutil.rmtree(folder)
+    return seconds, used / sum(seconds.values()), peak
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scan", type=Path)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--points", type=int, default=50_000_000)
+    parser.add_argument("--points", type=int, default=20_000_000)
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
-    parser.add_argument("--formats", nargs="+", choices=("laz", "e57"), default=["laz", "e57"])
+    parser.add_argument("--formats", nargs="+", choices=tuple(WRITERS), default=list(WRITERS))
+    parser.add_argument("--pairs", type=int, default=1)
     args = parser.parse_args()
     args.folder.mkdir(parents=True, exist_ok=True)
     for kind in args.formats:
         path = args.folder / f"large.{kind}"
-        {"laz": write_laz, "e57": write_e57}[kind](args.scan, path, args.points)
+        WRITERS[kind](args.scan, path, args.points)
         print(f"{kind}: {args.points:,} points, {path.stat().st_size / 1e6:,.0f} MB", flush=True)
-        for n_workers in args.workers:
-            folder = args.folder / f"work-{n_workers}"
-            with DaskExecutor(n_workers) as executor:
-                before = used_by_process()
-                start = time.perf_counter()
-                stage = Ingest(str(path), str(n_workers))
-                run_stage(stage, folder, executor, Silent())
-                wall = time.perf_counter() - start
-                after = used_by_process()
-            tasks = work.finished_tasks(work.stage_folder(folder, stage)).values()
-            used = sum(task.processor_seconds for task in tasks)
-            peak = max(task.peak_rss_bytes for task in tasks) >> 20
-            rate = f"{args.points / wall / 1e6:.2f} million points/s, {len(tasks)} tasks, a worker at most {peak} MiB"
-            print(
-                f"  {n_workers} workers: {wall:.1f} s, {used:.1f} s of tasks (without the processes that parse); {rate}",
-                flush=True,
-            )
-            took = np.subtract(after, [*before, *[(0.0, 0.0)] * (len(after) - len(before))])
-            each = ", ".join(f"{own:.1f} + {parsing:.1f} s" for own, parsing in took)
-            print(
-                f"    each worker + its parser: {each}; {took.sum():.1f} s, {took.sum() / wall:.2f} processors busy of "
-                f"{len(os.sched_getaffinity(0))}",
-                flush=True,
-            )
-            shutil.rmtree(folder)
+        totals = np.empty((args.pairs, len(args.workers)))
+        for pair, (column, n_workers) in product(range(args.pairs), enumerate(args.workers)):
+            seconds, busy, peak = in_order(path, args.folder / "work", n_workers)
+            totals[pair, column] = total = sum(seconds.values())
+            each = ", ".join(f"{name} {s:.1f} s" for name, s in seconds.items())
+            rest = f"{busy:.2f} of {len(os.sched_getaffinity(0))} processors busy, a worker at most {peak >> 20} MiB"
+            print(f"  {n_workers} workers: {total:.1f} s ({each}); {rest}", flush=True)
+        faster = np.median(totals[:, :1] / totals, axis=0)
+        print(
+            f"  as fast as {args.workers[0]}: "
+            + ", ".join(f"{n} workers {x:.2f}" for n, x in zip(args.workers, faster, strict=True))
+        )
         path.unlink()
 
 
