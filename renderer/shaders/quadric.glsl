@@ -103,16 +103,14 @@ uint read_splat(uint splat, out ivec2 normal) {
     return cell;
 }
 
-// Against a place that is the sum of two floats, part by part.
-vec3 position_against(vec3 place_high, vec3 place_low, uint splat, uint code) {
-    uint box = splat / CHUNK * BOX_WORDS;
+// From the origin of its chunk's frame, along the file's axes.
+vec3 place_in_frame(uint box, uint code) {
     uvec2 cells = cells_of(box);
     uvec3 cell = digits_of(code, cells);
     vec2 across = vec2(2u * cell.xy + 1u) - vec2(cells);
     vec3 curve = vec3(bytes_of(boxes[box + 5u]).xyz) / float(1u << (bit_length(max(cells.x, cells.y)) + 7u));
     float height = curve.x * across.x * across.x + curve.y * across.x * across.y + curve.z * across.y * across.y;
     vec3 along = (vec3(cell) + vec3(0.5, 0.5, 0.5 + height)) * uintBitsToFloat(boxes[box + 4u] << 16);
-    vec3 origin = uintBitsToFloat(uvec3(boxes[box], boxes[box + 1u], boxes[box + 2u]));
     vec4 turn = normalize(vec4(bytes_of(boxes[box + 3u]).xyz, 117));
-    return against(place_high, place_low, origin) + turned_by(turn, along);
+    return turned_by(turn, along);
 }

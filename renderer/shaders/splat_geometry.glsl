@@ -83,7 +83,18 @@ struct Disc {
 };
 
 #ifdef QUADRICS
+#ifdef DECODED
+#include "decoded_quadric.glsl"
+#else
 #include "quadric.glsl"
+#endif
+
+// Against a place that is the sum of two floats, part by part.
+vec3 position_against(vec3 place_high, vec3 place_low, uint splat, uint code) {
+    uint box = splat / CHUNK * BOX_WORDS;
+    vec3 origin = uintBitsToFloat(uvec3(boxes[box], boxes[box + 1u], boxes[box + 2u]));
+    return against(place_high, place_low, origin) + place_in_frame(box, code);
+}
 #elif !defined(RUNS)
 // Against a place that is the sum of two floats, part by part.
 vec3 position_against(vec3 place_high, vec3 place_low, uint splat, uint code) {

@@ -19,8 +19,10 @@ from renderer.effects import shader_parts
 from renderer.splats.glsl import with_includes
 
 PASSES = ("visibility", "attribute", "resolve")
-# The viewer draws no page files, both sides of discs, and all splats of maps by one program.
-NOT_DRAWN = ("pages.vert.glsl", "pages.frag.glsl", "front.vert.glsl", "unmapped.glsl", "unmapped.vert.glsl")
+# The viewer draws no page files, both sides of discs, and all splats of maps by one program; it has no compute shaders.
+NOT_DRAWN = (
+    "pages.vert.glsl", "pages.frag.glsl", "front.vert.glsl", "unmapped.glsl", "unmapped.vert.glsl", "decoded_quadric.glsl"
+)  # fmt: skip
 VERSION = "#version 300 es"
 LINE_BITS = 11  # textures are 2048 texels wide, which every WebGL 2 has
 _HEAD = f"""precision highp float;

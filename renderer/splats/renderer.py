@@ -26,7 +26,7 @@ from renderer.splats.programs import Programs, set_uniforms
 from renderer.splats.projection import checked_view, view_block
 from renderer.splats.scene import DRAWS, GpuScene
 from renderer.splats.targets import NARROW, WIDE, Targets, make_targets
-from storage.packed.schema import MAX_ATOMS, Camera
+from storage.packed.schema import GROUP, MAX_ATOMS, Camera
 
 _INVOCATIONS = 64  # local size of cull.comp.glsl
 _VIEW_BYTES = 7 * 16
@@ -172,28 +172,32 @@ class Renderer:
         frame.targets.visibility.clear(depth=0.0)
         self.context.enable_only(moderngl.DEPTH_TEST)
         self.context.depth_func = ">"
+        for window in self._windows(frame, gpu_scene):
+            self._draw_depth_of(frame, gpu_scene, window)
+
+    def _draw_depth_of(self, frame: _Frame, gpu_scene: GpuScene, window: range) -> None:
         batches, n_leading = gpu_scene.scene.header.batches, gpu_scene.n_leading
         if n_leading:  # atoms do not matter here: all at once
             for look in gpu_scene.looks:
                 name, drawing = self._programs.drawing(
-                    "visibility", LEADING=int(n_leading < len(batches)), **gpu_scene.defines, **look
+                    "visibility", LEADING=int(n_leading < len(batches)), **_defines_drawn(gpu_scene), **look
                 )
                 set_uniforms(drawing, n_leading=n_leading)
-                self._draw_groups(gpu_scene, drawing, len(batches))
+                self._draw_groups(gpu_scene, drawing, len(batches), window)
                 frame.programs.append(name)
         for batch in range(n_leading, len(batches)):
-            self._draw_batch(
-                frame,
-                gpu_scene,
-                batch,
-                "visibility",
-                **defines_of("visibility", gpu_scene.drawn, batches[batch]),
-                **gpu_scene.defines,
-            )
+            defines = defines_of("visibility", gpu_scene.drawn, batches[batch])
+            self._draw_batch(frame, gpu_scene, batch, window, "visibility", **defines, **_defines_drawn(gpu_scene))
 
     def _draw_attributes(self, frame: _Frame, gpu_scene: GpuScene, max_atoms: int, part: int | None = None) -> None:
         """All batches; the `part`-th time of several that add up to a picture, or once."""
         self._begin_attributes(frame, clears=not part)
+        for window in self._windows(frame, gpu_scene):
+            self._draw_attributes_of(frame, gpu_scene, max_atoms, part, window)
+
+    def _draw_attributes_of(
+        self, frame: _Frame, gpu_scene: GpuScene, max_atoms: int, part: int | None, window: range
+    ) -> None:
         for batch, kind in enumerate(gpu_scene.scene.header.batches):
             n_atoms = min(kind.n_atoms, max_atoms)
             turned = int(gpu_scene.scene.header.n_turns > 1 and n_atoms > 0)
@@ -202,6 +206,7 @@ class Renderer:
                 frame,
                 gpu_scene,
                 batch,
+                window,
                 "attribute",
                 N_ATOMS=n_atoms,
                 **defines_of("attribute", of_atoms, kind),
@@ -209,7 +214,7 @@ class Renderer:
                 PAGES=int(gpu_scene.pages is not None),
                 BY_PART=int(part is not None),
                 ASKS=int(gpu_scene.pages is not None and gpu_scene.pages.asks and part is None),
-                **gpu_scene.defines,
+                **_defines_drawn(gpu_scene),
             )
 
     def _begin_attributes(self, frame: _Frame, clears: bool = True) -> None:
@@ -245,7 +250,18 @@ class Renderer:
 
     # --- helpers -----------------------------------------------------------------------------------------------------
 
-    def _draw_batch(self, frame: _Frame, gpu_scene: GpuScene, batch: int, name: str, **defines: int) -> None:
+    def _windows(self, frame: _Frame, gpu_scene: GpuScene) -> Iterator[range]:
+        """The groups to draw, window by window where they are decoded for that."""
+        if gpu_scene.decoded is None:
+            yield range(gpu_scene.scene.header.n_groups)
+            return
+        name, program = self._programs.compute("decode_quadrics", **gpu_scene.defines)
+        frame.programs.append(name)
+        yield from gpu_scene.decoded.windows(program, gpu_scene.is_chosen)
+
+    def _draw_batch(
+        self, frame: _Frame, gpu_scene: GpuScene, batch: int, window: range, name: str, **defines: int
+    ) -> None:
         batches = gpu_scene.scene.header.batches
         # So no splat needs to be looked for; where the group has other batches too, its rows are not those of codes.
         leads = batch == 0 and gpu_scene.n_leading == 1 and (len(batches) == 1 or not batches[0].n_atoms)
@@ -256,13 +272,14 @@ class Renderer:
             set_uniforms(drawing, batch=batch, n_leading=1, atoms_stored=batches[batch].n_atoms, **_lamp_of(frame))
             if gpu_scene.pages is not None:
                 set_uniforms(drawing, **gpu_scene.pages.uniforms)
-            self._draw_groups(gpu_scene, drawing, len(batches) if leads else batch)
+            self._draw_groups(gpu_scene, drawing, len(batches) if leads else batch, window)
             frame.programs.append(program)
 
     @staticmethod
-    def _draw_groups(gpu_scene: GpuScene, drawing: moderngl.VertexArray, row: int) -> None:
-        n_groups = gpu_scene.scene.header.n_groups
-        drawing.render_indirect(gpu_scene.buffers[DRAWS], moderngl.TRIANGLES, n_groups, row * n_groups)
+    def _draw_groups(gpu_scene: GpuScene, drawing: moderngl.VertexArray, row: int, window: range) -> None:
+        set_uniforms(drawing, first_decoded=window.start * GROUP)
+        first = row * gpu_scene.scene.header.n_groups + window.start
+        drawing.render_indirect(gpu_scene.buffers[DRAWS], moderngl.TRIANGLES, len(window), first)
 
     @contextmanager
     def _pass(self, frame: _Frame, name: str) -> Iterator[None]:
@@ -280,6 +297,11 @@ class Renderer:
                 self._targets = None
             self._targets = make_targets(self.context, size, accumulation, smooth)
         return self._targets
+
+
+def _defines_drawn(gpu_scene: GpuScene) -> dict[str, int]:
+    """What the programs that draw splats are compiled with."""
+    return {**gpu_scene.defines, "DECODED": int(gpu_scene.decoded is not None)}
 
 
 def _lamp_of(frame: _Frame) -> dict:

@@ -34,13 +34,14 @@ from storage.packed.schema import BOXES as IN_BOXES
 from storage.packed.schema import MIP_SIZES, QUADRICS, RUNS, Camera, Header
 
 if TYPE_CHECKING:
+    from renderer.splats.upload.quadrics import DecodedSplats
     from renderer.splats.upload.runs import GpuRuns
 
 # Bindings of the shader storage blocks; the shaders say the same numbers.
 SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS, ELLIPSOIDS, COLORS, SHARES = (
     range(12)
 )
-SPLAT_MAPS, MAP_FRAMES = 12, 13
+SPLAT_MAPS, MAP_FRAMES, DECODED = 12, 13, 14
 DRAW_BYTES = 20
 
 
@@ -52,7 +53,8 @@ class GpuScene:
     """The buffers and the texture of one packed scene, in one context.
 
     `bytes_by_part` counts what they take under the names of the report's size table: geometry, codes, colors,
-    dictionary, maps. Commands and targets of a frame are not counted.
+    dictionary, maps. Commands, targets and decoded splats of a frame
+    are not counted.
     """
 
     scene: PackedScene
@@ -61,6 +63,7 @@ class GpuScene:
     uniforms: moderngl.Buffer | None = None
     atlas: moderngl.Texture | None = None
     runs: GpuRuns | None = None  # of a scene whose geometry is runs
+    decoded: DecodedSplats | None = None  # of one over quadrics: what a frame decodes once
     bytes_by_part: dict[str, int] = field(default_factory=dict)
     accumulation: str = NARROW  # of its colours: wide where splats are copies, and once the renderer finds overdraw
     watched: bool = True  # whether the renderer looks for overdraw, and may widen: not where the job asked for 16 bits
@@ -69,6 +72,9 @@ class GpuScene:
     looks_up: bool = True  # whether the next passes look splats up in them
     tree: GroupTree | None = None  # of a scene with levels
     pages: GpuPages | None = None  # of its photographs, where they are drawn
+    is_chosen: np.ndarray | None = (
+        None  # (n_groups,) bool, of a scene with levels: groups that were chosen last, in view or not
+    )
     n_chosen: int = 0  # splats of the groups that were chosen last, in view or not
     front_only: bool = False  # discs that show their backs are left out, as of closed surfaces nobody sees them
     drawn: frozenset[str] = frozenset()  # effects whose shader parts its programs have
@@ -158,7 +164,8 @@ class GpuScene:
             shares = shares_of(self.tree, view, self.scene.header, detail)
             with self.context:
                 self.buffers[SHARES].write(shares.tobytes())
-            self.n_chosen = int(self.tree.n_splats[shares > 0].sum())
+            self.is_chosen = shares > 0
+            self.n_chosen = int(self.tree.n_splats[self.is_chosen].sum())
 
     @property
     def n_leading(self) -> int:
@@ -171,6 +178,8 @@ class GpuScene:
         self.uniforms.bind_to_uniform_block(1)
         for binding, buffer in self.buffers.items():
             buffer.bind_to_storage_buffer(binding)
+        if self.decoded is not None:
+            self.decoded.begin_frame()
         if self.atlas is not None:
             self.atlas.use(0)
         if self.maps is not None:
@@ -183,7 +192,7 @@ class GpuScene:
         for resource in (*self.buffers.values(), self.uniforms, self.atlas, self.runs, self.maps):
             if resource is not None:
                 resource.release()
-        self.buffers, self.uniforms, self.atlas, self.runs, self.maps = {}, None, None, None, None
+        self.buffers, self.uniforms, self.atlas, self.runs, self.decoded, self.maps = {}, None, None, None, None, None
 
     def _upload_splats(self, header: Header, arrays: dict[str, np.ndarray]) -> None:
         boxes, spare = box_words(arrays), np.zeros(1, np.uint32)
@@ -201,6 +210,11 @@ class GpuScene:
             splats = splat_words(arrays)
             boxed = header.color_step and header.geometry == IN_BOXES
             self._upload(SPLATS, "geometry", with_spare(splats) if boxed else splats, "geometry")
+        if header.geometry == QUADRICS:
+            from renderer.splats.upload.quadrics import room_for  # for quadrics alone
+
+            self.decoded = room_for(self.context, header)
+            self.buffers[DECODED] = self.decoded.buffer
         self._upload(BOXES, "geometry", boxes, "chunk boxes")
 
     def _decode_runs(self) -> None:

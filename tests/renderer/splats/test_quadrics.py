@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from renderer.splats.scene import GpuScene
+from renderer.splats.scene import DECODED, GpuScene
 from renderer.splats.stacks import has_stacks
+from renderer.splats.upload import quadrics
 from storage.packed.scene import check_tables
+from storage.packed.schema import GROUP
 from tests.renderer.splats.test_renderer import assert_agrees
 from tests.scenes import Settings, build_scene, camera_looking, coded, random_dictionary, sheet
 
@@ -33,6 +35,26 @@ def test_quadrics__are_drawn_as_the_twin_does(renderer):
     scene = mixed(112)
     check_tables(scene)
     assert_agrees(renderer, scene, VIEW)
+
+
+def test_quadrics__are_drawn_alike_by_windows_of_any_size(renderer, monkeypatch):
+    rng = np.random.default_rng(11)
+    n = 2 * GROUP + 500
+    splats = sheet(rng, n, **coded(rng, n, max_atoms=2))
+    scene = build_scene(splats, Settings(radius=0.02, quadric_error=1 / 30), random_dictionary(rng))
+    views = [VIEW, camera_looking((0.1, 0.9, 0.2), (0.4, 0.3, 0))]
+    pictures, sizes = [], []
+    for window in (quadrics.WINDOW, 1, 2):
+        monkeypatch.setattr(quadrics, "WINDOW", window)
+        gpu_scene = GpuScene(scene, renderer.context)
+        pictures.append([renderer.render(gpu_scene, view).rgb for view in views])
+        sizes.append(gpu_scene.buffers[DECODED].size)
+        gpu_scene.release()
+    assert pictures[0][0].any() and (pictures[0][0] != pictures[0][1]).any()
+    for found in pictures[1:]:
+        for one, other in zip(found, pictures[0], strict=True):
+            assert np.abs(one.astype(int) - other).max() <= 1  # sums of colours in another order
+    assert sizes == [3 * GROUP * quadrics.SPLAT_BYTES, GROUP * quadrics.SPLAT_BYTES, 2 * GROUP * quadrics.SPLAT_BYTES]
 
 
 def test_quadrics__take_fewer_bytes_of_a_gpu_than_boxes(renderer):

@@ -1,0 +1,21 @@
+// Splats over quadrics decoded once for all passes and corners: a chunk a workgroup, a splat an invocation.
+
+layout(local_size_x = 128) in;
+
+#include "view.glsl"
+#include "splat_geometry.glsl"
+
+struct Draw { uint n_indices, n_instances, first_index, base_vertex, base_instance; };
+layout(std430, binding = 8) readonly buffer Draws { Draw draws[]; };  // of cull.comp.glsl
+layout(std430, binding = 14) writeonly buffer DecodedSplats { uvec4 decoded_splats[]; };  // from the chunk's origin, three floats; octahedral a, then b
+uniform uint first_group;
+uniform bool drawn_alone;  // of groups that are not, nothing is written
+
+void main() {
+    uint chunk = first_group * CHUNKS_PER_GROUP + gl_WorkGroupID.x, splat = chunk * CHUNK + gl_LocalInvocationID.x;
+    if (drawn_alone && draws[scene.n_batches * scene.n_groups + chunk / CHUNKS_PER_GROUP].n_indices == 0u) return;
+    if (splat >= scene.n_splats) return;
+    ivec2 normal;
+    vec3 from_origin = place_in_frame(chunk * BOX_WORDS, read_splat(splat, normal));
+    decoded_splats[gl_GlobalInvocationID.x] = uvec4(floatBitsToUint(from_origin), uint(normal.x & 255) | uint(normal.y & 255) << 8);
+}
