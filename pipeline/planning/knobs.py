@@ -328,7 +328,7 @@ KNOBS = (
         "how positions and normals are coded: in boxes of 128; over a quadric that is fitted to each 128; as runs of cells in a hexagonal close "
         "packed grid; auto: boxes, or what takes fewer bytes at the error that is asked for, with `cell` runs, with `geometry_error` quadrics",
         "quadrics: 27 to 29.4 bits a splat for 42; runs: 9.5 to 15, and 1.6 points a splat",
-        "quadrics: positions 1/30 of a radius off on average for 1/50 to 1/70, normals are the same, frames a fifth longer without a graphics card; runs: positions at most cell / sqrt(2) off, "
+        "quadrics: positions 1/30 of a radius off on average for 1/50 to 1/70, normals are the same; runs: positions at most cell / sqrt(2) off, "
         "normals by 2 to 4 degrees; no ellipsoids and no levels",
         "run-grid",
         choices=("auto", "boxes", "quadrics", "runs"),
