@@ -198,24 +198,15 @@ class Renderer:
     def _draw_attributes_of(
         self, frame: _Frame, gpu_scene: GpuScene, max_atoms: int, part: int | None, window: range
     ) -> None:
+        paged, by_part = gpu_scene.pages is not None, part is not None
+        asks = paged and gpu_scene.pages.asks and not by_part
+        of_pages = {"PAGES": int(paged), "BY_PART": int(by_part), "ASKS": int(asks)}
         for batch, kind in enumerate(gpu_scene.scene.header.batches):
             n_atoms = min(kind.n_atoms, max_atoms)
             turned = int(gpu_scene.scene.header.n_turns > 1 and n_atoms > 0)
             of_atoms = gpu_scene.drawn if n_atoms else gpu_scene.drawn - {"mip_levels", "level_blending"}
-            self._draw_batch(
-                frame,
-                gpu_scene,
-                batch,
-                window,
-                "attribute",
-                N_ATOMS=n_atoms,
-                **defines_of("attribute", of_atoms, kind),
-                TURNED=turned,
-                PAGES=int(gpu_scene.pages is not None),
-                BY_PART=int(part is not None),
-                ASKS=int(gpu_scene.pages is not None and gpu_scene.pages.asks and part is None),
-                **_defines_drawn(gpu_scene),
-            )
+            defines = {"N_ATOMS": n_atoms, **defines_of("attribute", of_atoms, kind), "TURNED": turned, **of_pages}
+            self._draw_batch(frame, gpu_scene, batch, window, "attribute", **defines, **_defines_drawn(gpu_scene))
 
     def _begin_attributes(self, frame: _Frame, clears: bool = True) -> None:
         frame.targets.attribute.use()
