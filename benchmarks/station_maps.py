@@ -2,12 +2,14 @@
 a splat and with the maps in the file, against pictures of all points; and how long frames take.
 
     python -m benchmarks.station_maps SCAN [--station x,y,z] [--shares 0.1 0.01] [--preset balanced] [--json]
+        [--keep DIR]             # of packed files and work, for the next run
         [--target-psnr-db 80]    # of maps: from about 45 on without loss, the bound of what maps show at a share
 
 Views: two near the first station, 2 and 20 % of the distance that it looks off it, in the directions in which all
 points cover most; and each of them away, 50 degrees to the left and right about what it looks at; one far, where all
-points are 200 px large. PSNR and SSIM where both cover. Spill: pixels covered that all points leave open, of those that
-these cover. Missing: the other way round. Frames, the seconds of their passes, are timed in turns with those of all
+points are 200 px large. Textures: one radius for all splats, as before they had sizes, and one colour a splat; one colour
+a splat; maps. PSNR and SSIM where both cover. Spill: pixels covered that all points leave open, of those that these
+cover. Missing: the other way round. Frames, the seconds of their passes, are timed in turns with those of all
 points; the ratio is the median over the rounds.
 
 Where photographs are known that the scan took no colours from, each is compared with its view of the files, on what all
@@ -22,6 +24,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -35,6 +38,7 @@ from renderer.splats.views import bulk_of
 from storage.packed.packed import PackedFile, PackedScene
 from storage.packed.schema import Camera
 
+ONE_RADIUS = "one radius"
 SIZE, FIELD_DEGREES, TURN_DEGREES, FAR_PX, ROUNDS = (640, 480), 60.0, 50.0, 200, 5
 
 
@@ -90,28 +94,27 @@ class Asked:
     preset: str
     station: str | None
     target_psnr_db: float | None = None
+    keep: Path | None = None  # where packed files and work stay, None for a folder that goes
+
+
+def folder_of(asked: Asked) -> AbstractContextManager:
+    """Of packed files and work."""
+    return tempfile.TemporaryDirectory() if asked.keep is None else nullcontext(asked.keep)
 
 
 def packed(asked: Asked, folder: Path, share: float, texture: str) -> tuple[PackedScene, int]:
     out, work = folder / f"{share} {texture}", folder / "work"
     command = [sys.executable, "-m", "services.cli.main", "compress", str(asked.scan), "--out", str(out)]
+    command += ["--preset", asked.preset, "--no-render", "--executor", "serial", "--work", str(work)]
     command += [
-        "--preset",
-        asked.preset,
-        "--no-render",
-        "--texture",
-        texture,
-        "--executor",
-        "serial",
-        "--work",
-        str(work),
-    ]
-    command += [
+        *("--texture", "map" if texture == "map" else "color"),
+        *(("--effect", "sizes=off") if texture == ONE_RADIUS else ()),
         *(["--density", str(share)] if share < 1 else []),
         *([f"--station={asked.station}"] if asked.station else []),
         *(["--target-psnr-db", str(asked.target_psnr_db)] if asked.target_psnr_db and texture == "map" else []),
     ]
-    subprocess.run(command, check=True, capture_output=True)
+    if not out.exists():
+        subprocess.run(command, check=True, capture_output=True)
     (file,) = out.glob("*.splatpress")
     with PackedFile(file) as opened:
         return opened.load(), file.stat().st_size
@@ -138,8 +141,9 @@ class Found:
 
 def measured(asked: Asked) -> Found:
     renderer = Renderer()
-    with tempfile.TemporaryDirectory() as name:
-        kinds = [(1.0, "color"), *((share, texture) for share in asked.shares for texture in ("color", "map"))]
+    with folder_of(asked) as name:
+        of_share = (ONE_RADIUS, "color", "map")
+        kinds = [(1.0, "color"), *((share, texture) for share in asked.shares for texture in of_share)]
         made = {kind: packed(asked, Path(name), *kind) for kind in kinds}
         others = [] if asked.station else other_stations(asked.scan, Path(name) / "work")
     scenes, sizes = ({kind: pair[i] for kind, pair in made.items()} for i in (0, 1))
@@ -182,19 +186,21 @@ def main() -> None:
     parser.add_argument("--shares", type=float, nargs="+", default=[0.1, 0.01])
     parser.add_argument("--preset", default="balanced")
     parser.add_argument("--target-psnr-db", type=float)
+    parser.add_argument("--keep", type=Path)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    found = measured(Asked(options.scan, options.shares, options.preset, options.station, options.target_psnr_db))
+    of_scan = options.scan, options.shares, options.preset, options.station
+    found = measured(Asked(*of_scan, options.target_psnr_db, options.keep))
     if options.json:
         print(json.dumps(asdict(found)))
         return
     print(
-        f"{'view':15} {'share':>6} {'texture':8} {'file kB':>8} {'PSNR dB':>8} {'SSIM':>6} {'spill':>7} {'missing':>8} {'as fast':>8}"
+        f"{'view':15} {'share':>6} {'texture':10} {'file kB':>8} {'PSNR dB':>8} {'SSIM':>6} {'spill':>7} {'missing':>8} {'as fast':>8}"
     )
     for r in found.views:
         print(f"{_figures(r)} {r['spill']:7.2%} {r['missing']:8.2%} {r['times_as_fast']:7.1f}x")
     if found.photographs:
-        print(f"{'photograph':15} {'share':>6} {'texture':8} {'file kB':>8} {'PSNR dB':>8} {'SSIM':>6} {'covers':>7}")
+        print(f"{'photograph':15} {'share':>6} {'texture':10} {'file kB':>8} {'PSNR dB':>8} {'SSIM':>6} {'covers':>7}")
         for r in found.photographs:
             print(f"{_figures(r)} {r['covers']:7.2%}")
     for other in found.other_stations:
@@ -206,7 +212,7 @@ def main() -> None:
 
 def _figures(r: dict) -> str:
     psnr, alike = (f"{r[k]:.{n}f}" if r[k] is not None else "-" for k, n in (("psnr_db", 2), ("ssim", 3)))
-    return f"{r['view']:15} {r['share']:6g} {r['texture']:8} {r['file_bytes'] / 1e3:8.0f} {psnr:>8} {alike:>6}"
+    return f"{r['view']:15} {r['share']:6g} {r['texture']:10} {r['file_bytes'] / 1e3:8.0f} {psnr:>8} {alike:>6}"
 
 
 if __name__ == "__main__":

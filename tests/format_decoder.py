@@ -394,7 +394,13 @@ def render(packed: Packed, view: View) -> tuple[np.ndarray, np.ndarray]:
     """The picture (h, w, 3) in [0, 1], sRGB, and where it is covered (h, w)."""
     splats = [packed.splat(i) for i in range(len(packed))]
     drawn = [
-        fragments(splat, view, NEAR_IN_RADII * packed.header["radius"], packed.header["margin_radii"])
+        fragments(
+            splat,
+            view,
+            NEAR_IN_RADII * packed.header["radius"],
+            packed.header["margin_radii"],
+            1 - share_looked_up(packed, view, splat) if packed.header.get("maps") else 0.0,
+        )
         for splat in splats
     ]
     tiers, colors = zip(*(map_tiers(packed, view, *pair) for pair in zip(splats, drawn, strict=True)), strict=True)
@@ -413,6 +419,17 @@ def render(packed: Packed, view: View) -> tuple[np.ndarray, np.ndarray]:
     return picture.reshape(view.height_px, view.width_px, 3), covered.reshape(view.height_px, view.width_px)
 
 
+def share_looked_up(packed: Packed, view: View, splat: Decoded) -> float:
+    if splat.station < 0:
+        return 0.0
+    seen, z = packed.map(splat.station), (view.rotation @ (splat.position - view.centre))[2]
+    if z <= 0:
+        return 1.0
+    n_px = splat.radius * max(view.fx_px, view.fy_px) / z
+    n_texels = splat.radius / np.linalg.norm(splat.position - seen.centre) * seen.height * 2 / np.pi
+    return float(np.clip((n_px / np.clip(n_texels / 2, 2.5, 16) - 1) / 0.25, 0, 1))
+
+
 SECOND = 2.0**40  # what depths of the second tier are times, to lie behind all of the first
 
 
@@ -421,8 +438,8 @@ def map_tiers(packed: Packed, view: View, splat: Decoded, found: Fragments) -> t
     light."""
     color = packed.patch_color(splat, found.place, found.area_px)
     tier = np.ones(len(color))
-    z = (view.rotation @ (splat.position - view.centre))[2]
-    if splat.station < 0 or (z > 0 and splat.radius * max(view.fx_px, view.fy_px) < 2.5 * z):
+    share = share_looked_up(packed, view, splat)
+    if share == 0:
         return tier, color
     seen = packed.map(splat.station)
     middle = splat.position - seen.centre
@@ -443,20 +460,21 @@ def map_tiers(packed: Packed, view: View, splat: Decoded, found: Fragments) -> t
         if what == "shown" and level == 0 and moves:
             f = seen.moved(f, fit, view.centre - seen.centre, across / np.linalg.norm(across))
             what, fit = seen.shown(f, slack, level)
-        tier[i] = {"shown": 1.0, "hidden": SECOND if found.d2[i] < 0.25 else np.inf, "free": np.inf}[what]
+        trimmed = found.d2[i] >= 1 - share * {"shown": 0.0, "hidden": 0.75, "free": 1.0}[what]
+        tier[i] = np.inf if trimmed else SECOND if what == "hidden" and found.d2[i] >= 1 - share else 1.0
         if what == "shown":
-            color[i] = to_linear(seen.look_up(f, fit, level) / 255)
+            color[i] = to_linear((share * seen.look_up(f, fit, level) + (1 - share) * 255 * to_srgb(color[i])) / 255)
     return tier, color
 
 
-def fragments(splat: Decoded, view: View, near: float, margin_radii: float) -> Fragments:
+def fragments(splat: Decoded, view: View, near: float, margin_radii: float, clipped_from: float) -> Fragments:
     radius, middle = splat.radius, view.rotation @ (splat.position - view.centre)
     if splat.axes is None:
         return _of_disc(
             middle,
             radius * splat.frame[:2] @ view.rotation.T,
             radius,
-            splat.clipline,
+            (splat.clipline, clipped_from),
             view,
             near,
             (margin_radii, radius),
@@ -472,7 +490,7 @@ def fragments(splat: Decoded, view: View, near: float, margin_radii: float) -> F
     across = np.array([x, np.cross(e, x)])
     half_axes = np.sqrt((distance - 1) / (distance + 1)) * across @ axes
     found = _of_disc(
-        middle + e @ axes, half_axes, np.sqrt((half_axes**2).sum()), None, view, near, (margin_radii, radius)
+        middle + e @ axes, half_axes, np.sqrt((half_axes**2).sum()), (None, 0.0), view, near, (margin_radii, radius)
     )
     on_rim = found.place / np.maximum(1, np.linalg.norm(found.place, axis=1, keepdims=True))
     k = np.sqrt((1 - (on_rim**2).sum(axis=1)).clip(0))
@@ -483,9 +501,10 @@ def fragments(splat: Decoded, view: View, near: float, margin_radii: float) -> F
     )
 
 
-def _of_disc(middle, axes, radius, line, view: View, near: float, margin: tuple[float, float]) -> Fragments:
-    """Of the disc around `middle` (3,) with the half axes (2, 3), in the view's axes; `margin` in radii, and of what
-    radius."""
+def _of_disc(middle, axes, radius, clipped, view: View, near: float, margin: tuple[float, float]) -> Fragments:
+    """Of the disc around `middle` (3,) with the half axes (2, 3), in the view's axes; `clipped` by a line from a squared
+    distance on; `margin` in radii, and of what radius."""
+    line, clipped_from = clipped
     column, row = np.meshgrid(np.arange(view.width_px) + 0.5, np.arange(view.height_px) + 0.5)
     px, focal, principal = (
         np.column_stack([column.ravel(), row.ravel()]),
@@ -510,7 +529,7 @@ def _of_disc(middle, axes, radius, line, view: View, near: float, margin: tuple[
         in_radii, in_px = (place**2).sum(axis=1), np.full(len(px), np.inf)
     with np.errstate(invalid="ignore"):
         d2, hides = np.minimum(in_radii, in_px), (in_radii < 0.7) | (in_px < 0.25)
-        kept = (d2 < 1) & (z >= near) & (line is None or place @ line[:2] + line[2] >= 0)
+        kept = (d2 < 1) & (z >= near) & (line is None or (d2 < clipped_from) | (place @ line[:2] + line[2] >= 0))
     pushed_by = margin[0] * max(margin[1], middle[2] / min(view.fx_px, view.fy_px))
     pushed_z = z * (1 + pushed_by / np.linalg.norm(middle) + NUDGE)
     return Fragments(np.flatnonzero(kept), place[kept], d2[kept], z[kept], pushed_z[kept], hides[kept], area_px)

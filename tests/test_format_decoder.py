@@ -108,8 +108,12 @@ def scene_of(name):
     if name == "ellipsoids":
         return build_scene(sheet(rng, 100, axes=thin_axes(rng, 100), **coded(rng, 100)), Settings(radius=0.1), plain)
     if name == "maps":
-        scene = build_scene(sheet(rng, 80, axes=thin_axes(rng, 80), tilt=0.1), Settings(radius=0.15))
-        return with_maps(scene, wall_map(), wall_map(STATION + [0.5, 0.2, 0.1], 112), station=rng.integers(-1, 2, 80))
+        line = np.tile([0.8, 0.6, 0.1], (80, 1))
+        axes = thin_axes(rng, 80)
+        line[(rng.random(80) < 0.5) | np.isfinite(axes[:, 0, 0])] = np.nan
+        scene = build_scene(sheet(rng, 80, axes=axes, tilt=0.1, clipline=line), Settings(radius=0.15))
+        maps = wall_map(height=320), wall_map(STATION + [0.5, 0.2, 0.1], 112)
+        return with_maps(scene, *maps, station=rng.integers(-1, 2, 80))
     scene = build_scene(sheet(rng, 100, **coded(rng, 100)), Settings(radius=0.15), plain)
     return replace(scene, header=replace(scene.header, effects={"level_blending": {}})) if name == "blended" else scene
 
@@ -119,7 +123,9 @@ def scene_of(name):
 def test_format_decoder__draws_what_the_product_does(renderer, name, distance, tmp_path):
     scene = scene_of(name)
     packed = Packed(write_arrays(scene.header, scene.arrays, tmp_path / "a.splatpress"))
-    camera = camera_looking((0.2 * distance, -distance, 0.3), (0, 0, 0), (48, 40), (45 * distance**0.5,) * 2)
+    # of maps: looked up at the finest level; at a coarser one, and some in part; those of the second map alone
+    focal = (135 if name == "maps" else 45) * distance**0.5
+    camera = camera_looking((0.2 * distance, -distance, 0.3), (0, 0, 0), (48, 40), (focal, focal))
     gpu_scene = GpuScene(scene, renderer.context)
     picture = renderer.render(gpu_scene, camera)
     gpu_scene.release()

@@ -57,8 +57,8 @@ void main() {
     if (map_place.x >= 0) {
         MapLookup found = look_up_depth();
         if (is_no_fragment(found.what, d2)) discard;
-        if (found.what == SHOWN) color = look_up_color(found);
-        else gl_FragDepth *= BEHIND_ALL;
+        if (found.what == SHOWN) color = mix(average, look_up_color(found), map_share);
+        if (is_second_tier(found.what, d2)) gl_FragDepth *= BEHIND_ALL;
     }
     color = to_linear(color);
 #else

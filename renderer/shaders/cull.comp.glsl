@@ -9,7 +9,10 @@ layout(local_size_x = 64) in;
 
 struct Draw { uint n_indices, n_instances, first_index, base_vertex, base_instance; };
 layout(std430, binding = 7) readonly buffer GroupBoxes { float group_boxes[]; };  // low, high; grown by the radius; with FRONT axis and cosine of a cone
-layout(std430, binding = 8) writeonly buffer Draws { Draw draws[]; };             // batch by batch, then whole groups
+layout(std430, binding = 8) writeonly buffer Draws { Draw draws[]; };             // batch by batch, then whole groups; then the same of groups looked up
+#ifdef LOOKED_UP
+layout(std430, binding = 18) readonly buffer LookedUp { uint looked_up[]; };      // of each group, 1 where any splat of it may be, see upload/maps.py
+#endif
 
 const float SPARE_PX = 1.0;  // what the low-pass filter reaches beyond a disc
 
@@ -53,6 +56,12 @@ void main() {
     uint chunk = last_chunk(group);
     for (uint batch = 0u; batch <= scene.n_batches; ++batch) {
         uint n_splats = batch < scene.n_batches ? counted_of(chunk, batch) : counted(chunk, scene.n_batches);
-        draws[batch * scene.n_groups + group] = Draw(visible ? 3u * n_splats : 0u, 1u, 0u, group * 4u * GROUP, 0u);
+        Draw draw = Draw(visible ? 3u * n_splats : 0u, 1u, 0u, group * 4u * GROUP, 0u);
+#ifdef LOOKED_UP
+        Draw none = Draw(0u, 1u, 0u, group * 4u * GROUP, 0u);
+        draws[(scene.n_batches + 1u + batch) * scene.n_groups + group] = looked_up[group] == 1u ? draw : none;
+        if (looked_up[group] == 1u) draw = none;
+#endif
+        draws[batch * scene.n_groups + group] = draw;
     }
 }

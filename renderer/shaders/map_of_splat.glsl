@@ -2,8 +2,6 @@
 
 #include "looked_up.glsl"
 
-layout(std430, binding = 13) readonly buffer MapFrames { float map_frames[]; };  // MAP_WORDS a map, see renderer/splats/maps.py
-const uint MAP_WORDS = 9u;
 const float SHARE_OF_DISTANCE = 0.005, SHARE_OF_RADIUS = 0.5, STEEPEST_SLOPE = 10.0, MOVED_TEXELS = 0.5;  // of pipeline/maps/sample.py
 
 flat out vec3 from_station;  // the middle of the splat's square
@@ -14,6 +12,7 @@ flat out vec3 map_w;         // the third half axis
 flat out vec4 map_depth;     // how far off its own a distance may lie; 1 / nearest, codes an e-fold, mip level
 flat out vec4 map_eye;       // the eye; whether fragments move, by more than MOVED_TEXELS
 flat out ivec2 map_place;    // layer, -1 where no map shows the splat, and height
+flat out float map_share;    // of its colour and outline that is looked up
 
 vec3 camera_to_world(vec3 v) { return v.x * view.camera_x.xyz + v.y * view.camera_y.xyz + v.z * view.camera_z.xyz; }
 
@@ -21,7 +20,8 @@ vec3 camera_to_world(vec3 v) { return v.x * view.camera_x.xyz + v.y * view.camer
 void set_map(uint splat, vec3 u, vec3 v, vec3 middle) {
     uint map;
     map_place = ivec2(-1, 1);
-    if (!is_looked_up(splat, middle.z, map)) return;
+    map_share = share_looked_up(splat, middle, map);
+    if (map_share == 0.0) return;
     uint at = map * MAP_WORDS;
     vec3 high = vec3(map_frames[at], map_frames[at + 1u], map_frames[at + 2u]);
     vec3 low = vec3(map_frames[at + 3u], map_frames[at + 4u], map_frames[at + 5u]);

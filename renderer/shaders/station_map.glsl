@@ -32,7 +32,13 @@ const uint SHOWN = 0u, HIDDEN = 1u, FREE = 2u;  // what a map shows of a fragmen
 // to 7.0 and 5.0 % without this, 4.4 and 5.7 % with 0.5, 3.9 and 5.9 % with 0.25.
 const float HIDDEN_WITHIN = 0.25;
 
-bool is_no_fragment(uint what, float d2) { return what == FREE || (what == HIDDEN && d2 >= HIDDEN_WITHIN); }
+// A splat that is looked up in part is trimmed from its rim inwards.
+bool is_no_fragment(uint what, float d2) {
+    float trimmed = what == FREE ? 1.0 : what == HIDDEN ? 1.0 - HIDDEN_WITHIN : 0.0;
+    return d2 >= 1.0 - map_share * trimmed;
+}
+
+bool is_second_tier(uint what, float d2) { return what == HIDDEN && d2 >= 1.0 - map_share; }
 
 // Where a texel of the chart lies in the layer. Column and row may be one beyond the chart's ends: the band goes round, caps end there.
 ivec2 texel_at(ivec2 at, uint chart, int height) {

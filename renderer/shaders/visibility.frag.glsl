@@ -28,7 +28,7 @@ void main() {
     if (map_place.x >= 0) {
         uint what = look_up_depth().what;
         if (is_no_fragment(what, d2)) discard;
-        if (what == HIDDEN) gl_FragDepth *= BEHIND_ALL;
+        if (is_second_tier(what, d2)) gl_FragDepth *= BEHIND_ALL;
     }
 #endif
 }

@@ -160,7 +160,9 @@ class Renderer:
         gpu_scene.bind()
         with self._pass(frame, "cull"):
             name, program = self._programs.compute(
-                "cull", **{name: gpu_scene.defines[name] for name in ("DETAIL", "FRONT")}
+                "cull",
+                **{name: gpu_scene.defines[name] for name in ("DETAIL", "FRONT")},
+                LOOKED_UP=int(len(gpu_scene.looks) > 1),
             )
             frame.programs.append(name)
             program.run(-(-gpu_scene.scene.header.n_groups // _INVOCATIONS))
@@ -180,10 +182,10 @@ class Renderer:
         if n_leading:  # atoms do not matter here: all at once
             for look in gpu_scene.looks:
                 name, drawing = self._programs.drawing(
-                    "visibility", LEADING=int(n_leading < len(batches)), **_defines_drawn(gpu_scene), **look
+                    "visibility", LEADING=int(n_leading < len(batches)), **(_defines_drawn(gpu_scene) | look.defines)
                 )
                 set_uniforms(drawing, n_leading=n_leading)
-                self._draw_groups(gpu_scene, drawing, len(batches), window)
+                self._draw_groups(gpu_scene, drawing, look.first_row + len(batches), window)
                 frame.programs.append(name)
         for batch in range(n_leading, len(batches)):
             defines = defines_of("visibility", gpu_scene.drawn, batches[batch])
@@ -258,12 +260,13 @@ class Renderer:
         leads = batch == 0 and gpu_scene.n_leading == 1 and (len(batches) == 1 or not batches[0].n_atoms)
         for look in gpu_scene.looks:
             program, drawing = self._programs.drawing(
-                name, **defines, **look, BY_BATCH=int(not leads), LEADING=int(leads and len(batches) > 1)
+                name, **(defines | look.defines), BY_BATCH=int(not leads), LEADING=int(leads and len(batches) > 1)
             )
             set_uniforms(drawing, batch=batch, n_leading=1, atoms_stored=batches[batch].n_atoms, **_lamp_of(frame))
             if gpu_scene.pages is not None:
                 set_uniforms(drawing, **gpu_scene.pages.uniforms)
-            self._draw_groups(gpu_scene, drawing, len(batches) if leads else batch, window)
+            row = look.first_row + (len(batches) if leads else batch)
+            self._draw_groups(gpu_scene, drawing, row, window)
             frame.programs.append(program)
 
     @staticmethod

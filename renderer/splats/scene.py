@@ -41,8 +41,16 @@ if TYPE_CHECKING:
 SPLATS, BOXES, RUNNING_COUNTS, GROUPS, CODES, CLIPLINES, WEIGHTS, GROUP_BOXES, DRAWS, ELLIPSOIDS, COLORS, SHARES = (
     range(12)
 )
-SPLAT_MAPS, MAP_FRAMES, DECODED = 12, 13, 14
+SPLAT_MAPS, MAP_FRAMES, DECODED, LOOKED_UP = 12, 13, 14, 18
 DRAW_BYTES = 20
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the programs of some groups are compiled with besides, and the first row of their draws."""
+
+    defines: dict[str, int] = field(default_factory=dict)
+    first_row: int = 0
 
 
 # --- upload ----------------------------------------------------------------------------------------------------------
@@ -69,7 +77,7 @@ class GpuScene:
     watched: bool = True  # whether the renderer looks for overdraw, and may widen: not where the job asked for 16 bits
     maps: GpuMaps | None = None  # of a scene that is textured from stations
     in_view: MapsInView | None = None  # of such a scene
-    looks_up: bool = True  # whether the next passes look splats up in them
+    looks_up: bool = True  # whether the next passes look splats up in them: of those groups that LOOKED_UP names
     tree: GroupTree | None = None  # of a scene with levels
     pages: GpuPages | None = None  # of its photographs, where they are drawn
     is_chosen: np.ndarray | None = (
@@ -115,10 +123,12 @@ class GpuScene:
                 self._upload(MAP_FRAMES, "maps", map_frames(header), "frames of maps")
                 self.maps, self.in_view = upload_maps(self.context, self.scene), maps_in_view(self.scene)
                 self.bytes_by_part["maps"] += self.maps.n_bytes
+                self.buffers[LOOKED_UP] = self.context.buffer(np.ones(header.n_groups, np.uint32))
             if header.levels:
                 self.tree = group_tree(self.scene)
                 self.buffers[SHARES] = self.context.buffer(reserve=4 * header.n_groups)
-            self.buffers[DRAWS] = self.context.buffer(reserve=header.n_groups * (len(header.batches) + 1) * DRAW_BYTES)
+            n_draws = header.n_groups * (len(header.batches) + 1) * (2 if header.maps else 1)
+            self.buffers[DRAWS] = self.context.buffer(reserve=n_draws * DRAW_BYTES)
             self.uniforms = self.context.buffer(self._uniform_block())
         with_geometry = (
             16 * header.n_chunks if header.color_step else 0 if header.geometry != IN_BOXES else 3 * header.n_splats
@@ -148,18 +158,25 @@ class GpuScene:
         return {**of_boxes, "SIZE_BITS": header.size_bits, **sources}
 
     @property
-    def looks(self) -> tuple[dict[str, int], ...]:
-        """What splats are drawn by programs of their own, one after the other: those that are not looked up in maps,
-        those at coarser levels, those at the finest, and those whose fragments move there. Processors that draw run all
-        of a shader's branches, so each has what its splats need."""
-        if not (self.scene.header.maps and self.looks_up):
-            return ({},)
-        return {"UNMAPPED": 1}, *({"MAPPED": 1, "LOOKED_UP": kind} for kind in (1, 2, 3))
+    def looks(self) -> tuple[Look, ...]:
+        """What splats are drawn by programs of their own, one after the other: groups of which none is looked up in
+        maps; of others the splats that are not, those at coarser levels, those at the finest, and those whose fragments
+        move there. Processors that draw run all of a shader's branches, so each has what its splats need."""
+        if not self.scene.header.maps:
+            return (Look(),)
+        plain = {"CLIPLINE": 0}  # of maps: these trim what is looked up, and nothing that is small
+        if not self.looks_up:
+            return (Look(plain),)
+        kinds = ({"UNMAPPED": 1, **plain}, *({"MAPPED": 1, "LOOKED_UP": kind} for kind in (1, 2, 3)))
+        return Look(plain), *(Look(kind, len(self.scene.header.batches) + 1) for kind in kinds)
 
     def show(self, view: Camera, detail: Detail) -> None:
         """Choose the groups that the next passes draw of it, and whether they look any splat up in its map."""
         if self.in_view is not None:
-            self.looks_up = self.in_view.any_looked_up(view, self.scene.header.origin)
+            looked_up = self.in_view.looked_up(view, self.scene.header.origin)
+            self.looks_up = bool(looked_up.any())
+            with self.context:
+                self.buffers[LOOKED_UP].write(looked_up.astype(np.uint32))
         if self.tree is not None:
             shares = shares_of(self.tree, view, self.scene.header, detail)
             with self.context:

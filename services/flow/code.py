@@ -17,7 +17,7 @@ from services.flow.maps import Mapped, map_pictures, map_textures
 from services.flow.pack import pack, packed_gpu_bytes, texels_of_levels
 from services.flow.prepare import Prepared, wants_texture
 from services.flow.run import Run
-from services.flow.textures import Coded, code_patches
+from services.flow.textures import Coded, code_patches, color_step
 from storage.maps import MOST_MAPS
 
 # What atoms take in the file beyond one colour a splat, at 36 dB (draft, a tenth of the points): 1.7 of pump_e57 over
@@ -70,7 +70,7 @@ def texture(run: Run, prepared: Prepared, settings: Settings) -> Texture:
     pictures, choice = chosen_maps(run, prepared, settings)
     if pictures is None:
         return Texture(code(run, prepared, settings), choice=choice)
-    return Texture(mapped=mapped_by(run, prepared, pictures), choice=choice)
+    return Texture(mapped=mapped_by(run, prepared, settings, pictures), choice=choice)
 
 
 def chosen_maps(run: Run, prepared: Prepared, settings: Settings) -> tuple[StageRecord[PicturesMade] | None, str]:
@@ -89,10 +89,10 @@ def chosen_maps(run: Run, prepared: Prepared, settings: Settings) -> tuple[Stage
     return pictures, f"map: {words}" + ("" if settings.texture == "auto" else "; asked for")
 
 
-def mapped_by(run: Run, prepared: Prepared, pictures: StageRecord[PicturesMade]) -> Mapped:
+def mapped_by(run: Run, prepared: Prepared, settings: Settings, pictures: StageRecord[PicturesMade]) -> Mapped:
     """The splats, which have maps, with these as their texture."""
     assert prepared.maps is not None
-    return map_textures(run, prepared.maps, prepared.on_maps(prepared.maps.folder), pictures)
+    return map_textures(run, prepared.maps, prepared.on_maps(prepared.maps.folder), pictures, color_step(settings))
 
 
 def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:

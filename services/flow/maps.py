@@ -12,7 +12,8 @@ from pipeline.stages.maps.mapped_splats import StationOfSplats, StationsChosen
 from pipeline.stages.maps.panoramas import Panoramas
 from pipeline.stages.maps.resample_maps import MappedSplats
 from pipeline.stages.maps.station_light import StationGains, StationLight
-from pipeline.summaries import MapsDrawn
+from pipeline.stages.texture.colors import Colors
+from pipeline.summaries import AverageColors, MapsDrawn
 from services.flow.fingerprint import fingerprint
 from services.flow.run import Run
 from storage.errors import InvalidScan
@@ -34,6 +35,7 @@ class Mapped:
 
     pictures: StageRecord[PicturesMade]
     stations: StageRecord[StationsChosen]
+    colors: StageRecord[AverageColors]  # mean colours of splats, as the file has them
 
     @property
     def texture_psnr_db(self) -> float | None:
@@ -68,11 +70,14 @@ def map_pictures(run: Run, maps: StationMaps, target_psnr_db: float) -> StageRec
     return run.do(MapPictures(maps.folder, maps.log_gain, target_psnr_db))
 
 
-def map_textures(run: Run, maps: StationMaps, splats: MappedSplats, pictures: StageRecord[PicturesMade]) -> Mapped:
-    """The maps themselves as texture.
+def map_textures(
+    run: Run, maps: StationMaps, splats: MappedSplats, pictures: StageRecord[PicturesMade], color_step: int
+) -> Mapped:
+    """The maps themselves as texture; mean colours in boxes of cells of this code.
 
     Raises: InvalidScan for more stations than a packed file has numbers for.
     """
     if len(maps.log_gain) > MOST_MAPS:
         raise InvalidScan("texture", f"maps of {len(maps.log_gain)} stations", f"at most {MOST_MAPS}", "take atoms")
-    return Mapped(pictures, run.do(StationOfSplats(splats, maps.log_gain)))
+    stations = run.do(StationOfSplats(splats, maps.log_gain))
+    return Mapped(pictures, stations, run.do(Colors(stations.folder, color_step)))

@@ -85,7 +85,7 @@ def pack(
         batches=batches,
         effects=prepared.effects.outcomes,
         n_ranks=max([1, *(batch.n_atoms for batch in batches)]),
-        color_step=color_step(settings) if coded else 0,
+        color_step=color_step(settings) if coded or mapped else 0,
         maps=stored_maps(mapped.pictures.folder)[1] if mapped else (),
         geometry=RUNS if prepared.runs else BOXES if prepared.quadric_error is None else QUADRICS,
         runs=_run_grid(prepared.runs) if prepared.runs else None,
@@ -97,7 +97,7 @@ def pack(
         Pack(
             header,
             prepared.splats.folder,
-            coded.colors.folder if coded else mapped.stations.folder if mapped else None,
+            coded.colors.folder if coded else mapped.colors.folder if mapped else None,
             coded.codes.folder if coded else None,
             coded.quantised.folder if coded and coded.quantised else None,
             extras,

@@ -137,7 +137,7 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
     if textured := wants_texture(prepared, settings.texture):
         pictures, _ = chosen_maps(run, prepared, settings)  # of all points, whatever the sample
     if pictures:
-        mapped = mapped_by(pilot, sampled, pictures)
+        mapped = mapped_by(pilot, sampled, settings, pictures)
     elif textured:
         patches = resample(pilot, sampled)
         own = _affordable(settings, patches, prepared)

@@ -38,7 +38,7 @@ class StationsBlock:
 @dataclass(frozen=True)
 class StationOfSplats:
     """A task a block. Arrays: station (n,) uint8, numbers of stations with maps in their order, NO_MAP where no map
-    shows the splat; average (n, 3) uint8."""
+    shows the splat; as `Colors` takes them average (n, 3) float32, and energy (n,) float32, 0: nothing is coded."""
 
     of: MappedSplats
     log_gain: Gains
@@ -47,13 +47,14 @@ class StationOfSplats:
     def init(self, folder: Path) -> int:
         n = self.of.n_splats
         arrays.create(folder, "station", (n,), "uint8")
-        arrays.create(folder, "average", (n, 3), "uint8")
+        arrays.create(folder, "average", (n, 3), "float32")
+        arrays.create(folder, "energy", (n,), "float32")
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> StationsBlock:
         start, stop = arrays.block_range(index, self.of.n_splats)
         splats = self.of.block(start, stop)
-        average = arrays.read(self.of.splats, "color", start, stop).astype(np.uint8)
+        average = arrays.read(self.of.splats, "color", start, stop).astype(np.float32)
         station = np.full(stop - start, NO_MAP, np.uint8)
         has_map = [frame is not None for frame in work.summary(self.of.maps, MapsDrawn).frames]
         best = splats.best_stations()
@@ -68,6 +69,7 @@ class StationOfSplats:
                 average[some[seen]] = _means(patches[seen])
         arrays.write(folder, "station", start, station)
         arrays.write(folder, "average", start, average)
+        arrays.write(folder, "energy", start, np.zeros(stop - start, np.float32))
         return StationsBlock(n_splats=stop - start, n_blind=int((station == NO_MAP).sum()))
 
     def finalise(self, folder: Path, results: list[StationsBlock]) -> StationsChosen:
@@ -75,7 +77,7 @@ class StationOfSplats:
 
 
 def _means(patches: np.ndarray) -> np.ndarray:
-    """Mean colours (n, 3) uint8 of patches (n, s, s, 3) over their discs."""
+    """Mean colours (n, 3) float32 of patches (n, s, s, 3) over their discs."""
     weight = disc_weights().reshape(-1, 3)[:, 0]
     rows = patches.reshape(len(patches), PATCH_DIM // 3, 3).astype(np.float64)
-    return np.rint(np.einsum("nkc,k->nc", rows, weight) / weight.sum()).astype(np.uint8)
+    return (np.einsum("nkc,k->nc", rows, weight) / weight.sum()).astype(np.float32)

@@ -14,41 +14,55 @@ from dataclasses import dataclass
 import moderngl
 import numpy as np
 
+from pipeline.geometry.ellipsoids import LONGEST_RADII
 from pipeline.maps.stored import VOID, decode_codes, decode_colors, halved
-from pipeline.splats.decoded import scene_radii
-from renderer.splats.upload.tables import group_boxes
+from pipeline.splats.decoded import scene_bounds, scene_positions, scene_radii
 from storage.errors import ResourceExhausted
+from storage.packed.batches import CHUNKS_PER_GROUP
 from storage.packed.packed import PackedScene
-from storage.packed.schema import GROUP, Camera, Header
+from storage.packed.schema import CHUNK, Camera, Header
 
 MIP_LEVELS = 5  # of colours, as MAP_ROWS lets heights be halved
 COLORS_UNIT, DEPTHS_UNIT = 1, 2  # station_map.glsl says the same
-LOOKED_UP_FROM_PX = 2.5  # map_of_splat.glsl says the same
+# From which radius on the screen a splat is looked up; shaders/looked_up.glsl says the same, and why.
+TEXELS_A_PX, SMALLEST_LOOKED_UP_PX, ALWAYS_LOOKED_UP_PX = 2.0, 2.5, 16.0
+ROUNDING = 1e-3  # of float32: so much farther off a splat is taken to be looked up
 
 
 @dataclass(frozen=True)
 class MapsInView:
-    """Tells which views look any splat up in its map: most of those that show a scan from afar do not, and programs
-    without maps draw them several times as fast."""
+    """Tells which groups have splats that a view looks up in their maps: those that show a scan from afar have few, and
+    programs without maps draw the others several times as fast."""
 
-    low: np.ndarray  # (n_groups, 3) corners of groups against the origin, whole splats in them
+    low: np.ndarray  # (c, 3) corners of chunks against the origin, centres of splats in them
     high: np.ndarray
-    radius: np.ndarray  # (n_groups,) of the largest splat
+    radius: np.ndarray  # (c,) of the largest splat
+    farthest: np.ndarray  # (c,) focal lengths of a pixel off, from which on none of its splats is looked up
 
-    def any_looked_up(self, view: Camera, origin: Sequence[float]) -> bool:
-        """Whether a splat before the view's plane may be LOOKED_UP_FROM_PX wide."""
+    def looked_up(self, view: Camera, origin: Sequence[float]) -> np.ndarray:
+        """(n_groups,) bool: a splat that reaches before the view's plane may be."""
         ahead = np.array(view.rotation[2])
         eye = (np.array(view.centre) - origin) @ ahead
         nearest = (np.where(ahead > 0, self.low, self.high) * ahead).sum(axis=1) - eye
-        farthest = (np.where(ahead > 0, self.high, self.low) * ahead).sum(axis=1) - eye
-        large = self.radius * max(view.fx_px, view.fy_px) >= LOOKED_UP_FROM_PX * nearest
-        return bool((large & (farthest > 0)).any())
+        deepest = (np.where(ahead > 0, self.high, self.low) * ahead).sum(axis=1) - eye
+        focal = max(view.fx_px, view.fy_px)
+        some = (self.farthest > 0) & (self.farthest * focal > nearest) & (deepest > -LONGEST_RADII * self.radius)
+        return np.logical_or.reduceat(some, np.arange(0, len(some), CHUNKS_PER_GROUP))
 
 
 def maps_in_view(scene: PackedScene) -> MapsInView:
     """Of a scene with maps."""
-    boxes, radius = group_boxes(scene).astype(np.float64), scene_radii(scene)
-    return MapsInView(boxes[:, :3], boxes[:, 3:], np.maximum.reduceat(radius, np.arange(0, len(radius), GROUP)))
+    header, station, position = scene.header, scene.arrays["station"], scene_positions(scene)
+    radius, farthest = scene_radii(scene), np.zeros(header.n_splats)
+    for i, stored in enumerate(header.maps):
+        its = np.flatnonzero(station == i)
+        away = np.linalg.norm(position[its] - np.subtract(stored.centre, header.origin), axis=1)
+        texels = radius[its] / np.maximum(away, 1e-30) * stored.height_px * 2 / np.pi
+        from_px = np.clip(texels / TEXELS_A_PX, SMALLEST_LOOKED_UP_PX, ALWAYS_LOOKED_UP_PX)
+        farthest[its] = (1 + ROUNDING) * radius[its] / from_px
+    starts = np.arange(0, header.n_splats, CHUNK)
+    largest = (np.maximum.reduceat(of, starts) for of in (radius, farthest))
+    return MapsInView(*scene_bounds(scene), *largest)
 
 
 @dataclass

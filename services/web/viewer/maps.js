@@ -2,6 +2,13 @@
 
 const MIP_LEVELS = 5;
 const FRAME_WORDS = 9;
+const SMALLEST_LOOKED_UP_PX = 2.5, GROWTH = 2; // shaders/looked_up.glsl; and detail.glsl, of splats that stand in for finer ones
+
+/** Whether a view may look any splat of a group up in its map, by the group's box and largest splat. */
+export function isLookedUp({ groupBoxes, largest }, group, { rotation: [, , ahead], eye, fx, fy }) {
+  const at = 6 * group, nearest = ahead.reduce((sum, x, i) => sum + x * (groupBoxes[at + (x > 0 ? i : 3 + i)] - eye[i]), 0);
+  return largest[2 * group + 1] * GROWTH * Math.max(fx, fy) >= SMALLEST_LOOKED_UP_PX * nearest;
+}
 
 /** For each map: its station against the origin as two floats, height, 1 / nearest, codes an e-fold. */
 export function mapFrames({ maps, origin }) {

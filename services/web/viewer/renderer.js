@@ -1,6 +1,7 @@
 // The passes of renderer/splats/renderer.py on WebGL 2: depth pushed back by the margin, weighted colours within it, division. Shaders are
 // those of the product, as GLSL ES (renderer/splats/gles.py).
 
+import { isLookedUp } from "./maps.js";
 import { GROUP } from "./packed.js";
 import { radiusAt } from "./tables.js";
 import { NEAR_IN_RADII, viewBlock, visibleGroups } from "./view.js";
@@ -87,8 +88,8 @@ export class Renderer {
     gl.depthMask(true);
     gl.depthFunc(gl.GREATER);
     if (scene.nLeading) {
-      const program = this.program("visibility", { LEADING: scene.nLeading < batches.length, ...scene.defines });
-      this.drawGroups(scene, program, groups, null, { n_leading: scene.nLeading });
+      for (const [some, look] of this.byMaps(groups))
+        this.drawGroups(scene, this.program("visibility", { LEADING: scene.nLeading < batches.length, ...scene.defines, ...look }), some, null, { n_leading: scene.nLeading });
     }
     for (let batch = scene.nLeading; batch < batches.length; ++batch)
       this.drawBatch(scene, groups, batch, "visibility", this.definesOf("visibility", drawn, batches[batch]), {});
@@ -113,8 +114,18 @@ export class Renderer {
 
   drawBatch(scene, groups, batch, pass, defines, light) {
     const { batches } = scene.header, leads = !batch && scene.nLeading === 1 && !(batches[1] && batches[0].n_atoms);
-    const program = this.program(pass, { ...defines, ...scene.defines, BY_BATCH: !leads, LEADING: leads && batches.length > 1 });
-    this.drawGroups(scene, program, groups, leads ? null : batch, { batch, n_leading: 1, atoms_stored: batches[batch].n_atoms }, light);
+    for (const [some, look] of this.byMaps(groups)) {
+      const program = this.program(pass, { ...defines, ...scene.defines, ...look, BY_BATCH: !leads, LEADING: leads && batches.length > 1 });
+      this.drawGroups(scene, program, some, leads ? null : batch, { batch, n_leading: 1, atoms_stored: batches[batch].n_atoms }, light);
+    }
+  }
+
+  // Groups without a splat that is looked up in its map have programs without maps, which are faster.
+  byMaps(groups) {
+    const { scene, view } = this.begun;
+    if (!scene.defines.MAPPED) return [[groups, {}]];
+    const isNear = (group) => isLookedUp(scene, group, view);
+    return [[groups.filter((group) => !isNear(group)), { MAPPED: 0, CLIPLINE: 0 }], [groups.filter(isNear), {}]].filter(([some]) => some.length);
   }
 
   // Three vertices a splat: those of one batch of each group, or of all (`batch` null).

@@ -163,6 +163,7 @@ export class Scene {
     this.rows = tables.group_rows;
     this.seals = new Seals(tables.group_seal, packed.ofGroups);
     this.groupBoxes = groupBoxes(packed, tables);
+    this.largest = tables.group_radius;
     this.counts = [];
     if (header.levels) this.tree = groupTree(packed, tables);
     this.findStreams();

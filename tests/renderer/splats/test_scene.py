@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from renderer.splats.atlas import atlas_layout, atlas_picture
-from renderer.splats.scene import DRAWS, GpuScene, storage_buffer
+from renderer.splats.scene import DRAWS, LOOKED_UP, GpuScene, Look, storage_buffer
 from renderer.splats.upload.tables import group_boxes, group_table, running_counts, splat_words
 from storage.errors import ResourceExhausted
 from storage.packed.schema import CHUNK, GROUP, MIP_SIZES
@@ -104,12 +104,13 @@ def test_storage_buffer__refuses_more_than_the_driver_takes_and_names_the_sizes(
 def test_gpu_scene__from_afar_takes_programs_without_maps_and_draws_the_same(renderer):
     scene = build_scene(sheet(np.random.default_rng(2), 80), Settings(radius=0.15))
     gpu_scene = GpuScene(with_maps(scene, wall_map()), renderer.context)
-    near, far = (camera_looking((0, -away, 0), (0, 0, 0), (48, 40), (60, 60)) for away in (2.0, 8.0))
+    near, far = (camera_looking((0, -away, 0), (0, 0, 0), (48, 40), (60, 60)) for away in (0.8, 8.0))
     renderer.render(gpu_scene, near)
     assert len(gpu_scene.looks) > 1
     picture = renderer.render(gpu_scene, far)
-    assert gpu_scene.looks == ({},)
+    assert gpu_scene.looks == (Look({"CLIPLINE": 0}),)
     gpu_scene.in_view, gpu_scene.looks_up = None, True
+    gpu_scene.buffers[LOOKED_UP].write(np.ones(1, np.uint32))
     in_full = renderer.render(gpu_scene, far)
     gpu_scene.release()
     assert picture.coverage.any() and (picture.coverage == in_full.coverage).all()
