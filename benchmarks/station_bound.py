@@ -33,7 +33,7 @@ def surface(renderer: Renderer, scene: GpuScene, view: Camera) -> tuple[Picture,
     """A picture, and the points (h, w, 3) that its pixels show, half a radius behind them as depth is drawn."""
     picture = renderer.render(scene, view)
     with renderer.context:
-        depth = np.frombuffer(renderer._targets.visibility.read(attachment=-1, dtype="f4"), np.float32)
+        depth = np.frombuffer(renderer._targets.visibility.read(components=1, attachment=-1, dtype="f4"), np.float32)
     depth = depth.reshape(view.height_px, view.width_px).astype(np.float64)
     z = NEAR_IN_RADII * scene.scene.header.radius / np.maximum(depth, 1e-30)
     column, row = np.meshgrid(np.arange(view.width_px) + 0.5, np.arange(view.height_px) + 0.5)
