@@ -159,11 +159,8 @@ class Renderer:
         self._view.bind_to_uniform_block(0)
         gpu_scene.bind()
         with self._pass(frame, "cull"):
-            name, program = self._programs.compute(
-                "cull",
-                **{name: gpu_scene.defines[name] for name in ("DETAIL", "FRONT")},
-                LOOKED_UP=int(len(gpu_scene.looks) > 1),
-            )
+            defines = {name: gpu_scene.defines[name] for name in ("DETAIL", "FRONT")}
+            name, program = self._programs.compute("cull", **defines, LOOKED_UP=int(len(gpu_scene.looks) > 1))
             frame.programs.append(name)
             program.run(-(-gpu_scene.scene.header.n_groups // _INVOCATIONS))
             self.context.memory_barrier(moderngl.Context.COMMAND_BARRIER_BIT)
@@ -265,8 +262,7 @@ class Renderer:
             set_uniforms(drawing, batch=batch, n_leading=1, atoms_stored=batches[batch].n_atoms, **_lamp_of(frame))
             if gpu_scene.pages is not None:
                 set_uniforms(drawing, **gpu_scene.pages.uniforms)
-            row = look.first_row + (len(batches) if leads else batch)
-            self._draw_groups(gpu_scene, drawing, row, window)
+            self._draw_groups(gpu_scene, drawing, look.first_row + (len(batches) if leads else batch), window)
             frame.programs.append(program)
 
     @staticmethod
