@@ -3,13 +3,15 @@ seen.
 
     python -m benchmarks.scaling SCAN --splats 100000 400000 1000000 4000000 --workers 1 --out rows.jsonl
     python -m benchmarks.scaling SCAN --splats 200000 --workers 1 --dictionary-bits 8 --out rows.jsonl
-    python -m benchmarks.fit_costs rows.jsonl --write           # pipeline/costs/costs.json
+    python -m benchmarks.alone SCAN FOLDER --out alone.jsonl
+    python -m benchmarks.fit_costs rows.jsonl --alone alone.jsonl --write           # pipeline/costs/costs.json
     python -m benchmarks.fit_costs others.jsonl --check [--json]
 
 Rows are measured with `--pursuit omp`; what a beam adds is measured by `benchmarks/beam.py`, and kept. Rows with
 different numbers of indices tell what each costs. Tasks cost the processor seconds they took: a busy machine
-leaves those almost as they are. What a stage does besides is what its seconds exceed those of its tasks by, kernels
-that each worker loads once among it, and means something only where the machine was quiet.
+leaves those almost as they are. What one process does besides is what its seconds exceed those of its tasks by, kernels
+that each worker loads once among it; where `benchmarks/alone.py` has measured it alone, that counts, and rows may be
+none ("-": only what is alone is fitted).
 """
 
 from __future__ import annotations
@@ -21,19 +23,19 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.fit_alone import fit_alone
 from pipeline.catalogue import Task
 from pipeline.costs.costs import (
     BY_ATOMS,
     COSTS,
     SAMPLED,
     TASKS,
-    Job,
-    StageCost,
     kilos_of,
     known_costs,
     known_probe_s,
     plan_job,
 )
+from pipeline.costs.job import Job, StageCost
 from storage.work.arrays import BLOCK
 
 PHOTOGRAPHS = {
@@ -196,9 +198,31 @@ def checked(rows: list[dict]) -> list[dict]:
     return result
 
 
+def write_costs(rows: list[dict], alone: list[dict]) -> None:
+    """pipeline/costs/costs.json anew; what there are no rows of stays, as of maps, volumes and runs."""
+    told = json.loads(COSTS.read_text())
+    known = known_costs()
+    found = {name: asdict(cost) | _of_beams(known.get(name)) for name, cost in fitted(rows).items()} if rows else {}
+    costs = {name: asdict(cost) for name, cost in known.items()} | found
+    if rows:
+        told["fitted_to"] = sorted(
+            {
+                f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers, {row['indices']:,} indices of "
+                f"{row['atom_size']}x{row['atom_size']} texels, coder {row['coder']}"
+                for row in rows
+            }
+        )
+        told["probe_s"] = float(np.median([row["probe_s"] for row in rows]))
+    if alone:
+        costs, dispatch, held = fit_alone(alone, costs)
+        told |= {"dispatch": asdict(dispatch), "alone": [asdict(one) for one in held]}
+    COSTS.write_text(json.dumps(told | {"stages": costs}, indent=1) + "\n")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rows", type=Path)
+    parser.add_argument("--alone", type=Path, help="rows of benchmarks/alone.py")
     todo = parser.add_mutually_exclusive_group(required=True)
     todo.add_argument("--write", action="store_true")
     todo.add_argument("--check", action="store_true")
@@ -207,24 +231,13 @@ def main() -> None:
     )
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    rows = [json.loads(line) for line in options.rows.read_text().splitlines()]
+    rows = [] if str(options.rows) == "-" else [json.loads(line) for line in options.rows.read_text().splitlines()]
     if options.photographs:
         PHOTOGRAPHS.update({row["scan"]: (int(options.photographs[0]), options.photographs[1]) for row in rows})
     if options.write:
-        known = known_costs()
-        found = {name: asdict(cost) | _of_beams(known.get(name)) for name, cost in fitted(rows).items()}
-        costs = {
-            name: asdict(cost) for name, cost in known.items()
-        } | found  # rows may lack stages, as those of volumes and runs
-        about = sorted(
-            {
-                f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers, {row['indices']:,} indices of "
-                f"{row['atom_size']}x{row['atom_size']} texels, coder {row['coder']}"
-                for row in rows
-            }
+        write_costs(
+            rows, [json.loads(line) for line in options.alone.read_text().splitlines()] if options.alone else []
         )
-        probe_s = float(np.median([row["probe_s"] for row in rows]))
-        COSTS.write_text(json.dumps({"fitted_to": about, "probe_s": probe_s, "stages": costs}, indent=1) + "\n")
         return
     found = checked(rows)
     if options.json:

@@ -250,6 +250,10 @@ CATALOGUE = (
         "maps of stations as a page file", ("panoramas",), when="station maps and `--pages`", beside=True,
     ),
     StageEntry(
+        "kinds", "stages/packed/kinds.py", Phase.FILE, Task.PART,
+        "which batches its splats fall into", ("splats", "encode"), when="more than 1,048,576 points",
+    ),
+    StageEntry(
         "pack", "stages/packed/pack.py", Phase.FILE, Task.GROUP, "the packed file", ("splats", "encode"),
     ),
     StageEntry(

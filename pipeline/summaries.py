@@ -118,12 +118,10 @@ class ScanRead:
 
 @dataclass(frozen=True)
 class Points:
-    """Of points in chunk order. `block_low` and `block_high` bound each block, against the origin."""
+    """Of points in chunk order; the boxes of their blocks lie beside them (pipeline/splats/boxes.py)."""
 
     n_splats: int
     origin: Vector
-    block_low: tuple[Vector, ...]
-    block_high: tuple[Vector, ...]
     levels: tuple[int, ...] = ()  # splats of each level, the coarsest first
 
 

@@ -5,6 +5,7 @@ Any bits make a valid position, normal, colour or code, so nothing here goes thr
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from base64 import b64decode
 from dataclasses import dataclass
@@ -30,7 +31,11 @@ from storage.packed.schema import (
     RunGrid,
     arrays_of,
 )
-from storage.packed.writer import begin_packed, seal_packed, write_array, write_group, write_table
+from storage.packed.seal import SEAL, SEAL_BYTES
+from storage.packed.writing.joined import lay_out, seal_packed
+from storage.packed.writing.writer import begin_packed, group_of, groups_a_piece, n_pieces, write_array, write_piece
+
+UNSEALED = SEAL + b"0" * 64  # holds the seal's place in a file that is altered
 
 LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 
@@ -164,14 +169,14 @@ def write_arrays(header: Header, arrays: dict[str, np.ndarray], path: Path) -> P
 
 
 def fill_folder(header: Header, arrays: dict[str, np.ndarray], folder: Path, edit=None) -> None:
-    """As stages do it, a group after the other; `edit` may change what the table of groups will say (a list of
+    """As stages do it, a piece after the other; `edit` may change what the table of groups will say (a list of
     WrittenGroup)."""
     begin_packed(folder, header)
     stored = [array for array in (*arrays_of(header), *DECODED) if array.name in arrays]
     for array in stored:
         if not array.in_groups and array not in DECODED:
             write_array(folder, array.name, arrays[array.name])
-    groups = []
+    groups, contents = [], []
     for group in range(header.n_groups):
         part = {}
         for array in stored:
@@ -184,8 +189,19 @@ def fill_folder(header: Header, arrays: dict[str, np.ndarray], folder: Path, edi
             part[array.name] = arrays[array.name][bounds[group] : bounds[group + 1]]
         if "run_first" in part:
             part["run_first"] = part["run_first"] - np.uint32(_bounds(header, arrays, "run_start")[group])
-        groups.append(write_group(folder, header, group, part))
-    write_table(folder, header, edit(groups) if edit else groups)
+        told, content = group_of(header, group, part)
+        groups.append(told)
+        contents.append(content)
+    made, step = list(zip(edit(groups) if edit else groups, contents, strict=True)), groups_a_piece(header)
+    for piece in range(n_pieces(header)):
+        write_piece(folder, header, piece, made[piece * step : (piece + 1) * step])
+    lay_out(folder, header)
+
+
+def seal_again(path: Path) -> None:
+    """Let a file that was altered end in the seal of what it holds now."""
+    content = path.read_bytes()[:-SEAL_BYTES]
+    path.write_bytes(content + SEAL + hashlib.sha256(content).hexdigest().encode())
 
 
 def _bounds(header: Header, arrays: dict[str, np.ndarray], name: str) -> list[int]:

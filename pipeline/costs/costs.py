@@ -1,7 +1,7 @@
 """What a job of any size costs, stage by stage, from what small ones cost: arithmetic, and a simulated scheduler.
 
 `costs.json` is measured and fitted by `benchmarks/fit_costs.py`. A stage's time is what its tasks take on the workers,
-dealt out by a scheduler that spends DISPATCH_S on each, and what it does before and after them in one process; where
+dealt out by a scheduler that spends some on each call and task, and what it does before and after them in one process; where
 atoms are searched, both grow with the number of their indices. Seconds are those of the machine that they were measured
 on, times what `pipeline/costs/probe.py` says of another. A store shared by many machines counts as fast as a local disk.
 """
@@ -9,29 +9,30 @@ on, times what `pipeline/costs/probe.py` says of another. A store shared by many
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 from pipeline.catalogue import CATALOGUE, Phase, Task
 from pipeline.coding.beam.form import Beam, beam_of
 from pipeline.coding.ksvd import BLOCK as TRAINING_BLOCK
-from pipeline.costs.makespan import DISPATCH_S, makespan
+from pipeline.costs.job import KILO, SMALLEST, Dispatch, Job, StageCost, StagePlan
+from pipeline.costs.makespan import makespan
 from pipeline.costs.of_maps import told_by_stations
 from pipeline.execution.executors import MOST_A_CALL, calls_of
 from pipeline.execution.task import CALL_S
-from pipeline.stages.packed.pack import TASK_SPLATS as PACK_BLOCK
+from pipeline.stages.packed.pack import AT_ONCE
 from pipeline.stages.points.grid_counts import IN_MEMORY as MOST_HELD  # units that any stage has in memory at once
 from pipeline.stages.points.ingest import MOST_SLICES, SLICE
 from pipeline.stages.points.kept import MOST_PARTS, PART
 from pipeline.texture.resample import PATCH_DIM
 from storage.packed.levels import FEWER
-from storage.packed.schema import ATOM_SIZES, GROUP
+from storage.packed.schema import GROUP
+from storage.packed.writing.writer import MOST_PIECES
 from storage.work.arrays import BLOCK
 
 CROWDED = 1.10  # times as long that a task takes beside another: two processes took 2.88 s for 5.26 s one by one
 SAMPLED = 16  # blocks that effects are measured on
 MEASURED = 16  # bytes a splat of what is said of a patch: average, energy
-KILO, SMALLEST = 1024, min(ATOM_SIZES)  # indices of atoms, and texels to a side of the smallest
 COSTS = Path(__file__).with_name("costs.json")
 
 PAGES = "photo-pages"
@@ -86,64 +87,6 @@ PARTLY_READ = {
 LONE_PATCH_BYTES = 13_900
 
 
-@dataclass(frozen=True)
-class StageCost:
-    """Of one stage. A unit is a splat, a training patch or a million pixels of photographs; a kilo 1,024 indices of
-    atoms of 8x8 texels, of larger ones as many fewer as they have more texels: what products with all of them take goes
-    by both."""
-
-    task_us_a_unit: float  # of a worker's time
-    once_s: float  # of one process, whatever the size: what `init` and `finalise` take
-    once_us_a_unit: float
-    written_bytes_a_unit: float
-    memory_bytes: float  # of the worker that needs most, at any size
-    memory_bytes_a_unit: float  # what comes to that with the size of the scan, up to MOST_HELD
-    task_us_a_unit_a_kilo: float = 0.0
-    once_s_a_kilo: float = 0.0
-    written_bytes_a_kilo: float = 0.0
-    # Of a beam, beside what OMP takes (`benchmarks/beam.py`): a support that is followed takes a row of products with all
-    # indices a step, a child its weights.
-    task_us_a_unit_a_node_a_kilo: float = 0.0
-    task_us_a_unit_a_child: float = 0.0
-    task_s: float = 0.0  # of each task, whatever its units
-
-
-@dataclass(frozen=True)
-class Job:
-    """What is to be done, with what."""
-
-    n_splats: int
-    n_workers: int
-    n_photographs: int = 0
-    megapixels: float = 10.0  # of a photograph
-    training_splats: int = 20_000
-    iterations: int = 12
-    n_indices: int = KILO  # of atoms in all their turns
-    atom_size: int = SMALLEST  # texels to a side
-    n_stations: int = 0  # of a laser scan that is textured from their maps
-    pursuit: str = "omp"  # a word of `pipeline.coding.beam.form`
-    keeps_patches: bool = False  # else they are made again where they are used, in the time that storing them took
-    pages: bool = False  # whether photographs are packed in pages too
-    geometry: str = "boxes"
-    n_voxels: int = 0  # of a volume, whose surfaces have `n_splats` points
-
-
-@dataclass(frozen=True)
-class StagePlan:
-    """A stage of a job."""
-
-    name: str
-    n_tasks: int
-    tasks_a_call: int  # that go to a worker at once
-    task_s: float
-    seconds: float
-    once_s: float  # of the seconds: one process works, the others wait
-    dispatch_s: float  # of the scheduler, for all tasks; part of the seconds only where it holds them up
-    read_bytes: float
-    written_bytes: float
-    worker_bytes: float
-
-
 def known_costs(path: Path = COSTS, speed: float = 1.0) -> dict[str, StageCost]:
     """The fitted costs by stage, on a machine that takes `speed` times as long."""
     costs = {name: StageCost(**row) for name, row in json.loads(path.read_text())["stages"].items()}
@@ -165,8 +108,14 @@ def known_probe_s(path: Path = COSTS) -> float:
     return json.loads(path.read_text())["probe_s"]
 
 
-def plan_job(job: Job, costs: dict[str, StageCost]) -> list[StagePlan]:
+def known_dispatch(path: Path = COSTS, speed: float = 1.0) -> Dispatch:
+    """What scheduler, client and workers take around tasks, on a machine that takes `speed` times as long."""
+    return Dispatch(**{name: speed * s for name, s in json.loads(path.read_text())["dispatch"].items()})
+
+
+def plan_job(job: Job, costs: dict[str, StageCost], dispatch: Dispatch | None = None) -> list[StagePlan]:
     """Every stage of a job, in order."""
+    dispatch = dispatch or known_dispatch()
     kilos = kilos_of(job.n_indices, job.atom_size)
     written = {
         name: cost.written_bytes_a_unit * _units(name, job) + cost.written_bytes_a_kilo * kilos
@@ -175,7 +124,7 @@ def plan_job(job: Job, costs: dict[str, StageCost]) -> list[StagePlan]:
     if not job.keeps_patches and "resample" in written:
         written["resample"] = float(MEASURED) * job.n_splats
     called_for = (name for name in TASKS if name in costs and _is_called_for(name, job))
-    return [_plan_stage(name, costs[name], job, kilos, written) for name in called_for]
+    return [_plan_stage(name, costs[name], job, kilos, written, dispatch) for name in called_for]
 
 
 def _is_called_for(name: str, job: Job) -> bool:
@@ -189,17 +138,22 @@ def _is_called_for(name: str, job: Job) -> bool:
     )
 
 
-def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dict[str, float]) -> StagePlan:
+def _plan_stage(
+    name: str, cost: StageCost, job: Job, kilos: float, written: dict[str, float], dispatch: Dispatch
+) -> StagePlan:
     passes = job.iterations if name == "ksvd-update" else 1
     units, n_tasks = _units(name, job), _n_tasks(name, job)
     task_s = 1e-6 * (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos) * units / max(1, n_tasks)
     task_s += cost.task_s + 1e-6 * _beam_us(cost, beam_of(job.pursuit), kilos) * units / max(1, n_tasks)
+    task_s += dispatch.around_s + 1e-6 * cost.task_us_a_splat * job.n_splats / max(1, n_tasks)
     task_s *= CROWDED if min(n_tasks, job.n_workers) > 1 else 1.0
-    once_s = cost.once_s + 1e-6 * cost.once_us_a_unit * units + cost.once_s_a_kilo * kilos
+    once_s = (
+        cost.once_s + 1e-6 * cost.once_us_a_unit * units + cost.once_s_a_kilo * kilos + cost.once_s_a_task * n_tasks
+    )
     calls = calls_of(n_tasks, job.n_workers)
     most = max(1, int(CALL_S / task_s)) if task_s else MOST_A_CALL  # then a call hands the others back
     n_calls = sum(-(-size // most) for size in calls)
-    dispatch_s = DISPATCH_S * n_calls / max(1, n_tasks)
+    dispatch_s = dispatch.call_s * n_calls / max(1, n_tasks) + dispatch.task_s
     busy_s = makespan(n_tasks, task_s, job.n_workers, dispatch_s)
     read = _read(name, job, written)
     return StagePlan(
@@ -209,7 +163,7 @@ def _plan_stage(name: str, cost: StageCost, job: Job, kilos: float, written: dic
         task_s,
         passes * (once_s + busy_s),
         passes * once_s,
-        passes * n_calls * DISPATCH_S,
+        passes * n_tasks * dispatch_s,
         passes * read,
         passes * written[name],
         cost.memory_bytes + cost.memory_bytes_a_unit * min(units, MOST_HELD),
@@ -268,33 +222,8 @@ def _n_tasks(name: str, job: Job) -> int:
         Task.BRICK: BRICK,
         Task.SLICES: VOXELS_A_TASK,
         Task.SAMPLE: BLOCK,
-        Task.GROUP: PACK_BLOCK,
+        Task.GROUP: AT_ONCE * max(1, -(-job.n_splats // (AT_ONCE * MOST_PIECES))),
         Task.POINTS_OF_GROUP: FEWER * GROUP,
         Task.TRAINING: TRAINING_BLOCK,
     }.get(kind)
     return 1 if rows is None else max(1, -(-int(_units(name, job)) // rows))
-
-
-def first_limit(job: Job, plans: list[StagePlan], memory_bytes: float) -> tuple[str, str]:
-    """What holds a job back first, and what to do about it: two texts."""
-    over = [p for p in plans if p.worker_bytes > memory_bytes]
-    if over:
-        worst = max(over, key=lambda p: p.worker_bytes)
-        return (
-            f"memory: {worst.name} needs {worst.worker_bytes / 2**30:.1f} GiB of a worker",
-            "split the scan into jobs of a region each: the stage holds something of every splat",
-        )
-    total = sum(p.seconds for p in plans)
-    once = sum(p.once_s for p in plans)
-    held_up = sum(
-        p.dispatch_s for p in plans if p.dispatch_s > 0.9 * (p.seconds - p.once_s) and p.n_tasks > job.n_workers
-    )
-    worst = max(plans, key=lambda p: p.once_s)
-    if held_up > total / 3:
-        return "the scheduler: calls end faster than it hands them out", f"larger calls: more than {MOST_A_CALL} tasks"
-    if once > total / 2:
-        return (
-            f"what one process does alone: {100 * once / total:.0f} % of the time, most of it {worst.name}",
-            "split the scan into jobs of a region each; more workers help little",
-        )
-    return "nothing: workers are busy most of the time", "more workers"

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import heapq
 
-DISPATCH_S = 1e-3  # of Dask's scheduler, a call: its documentation says "about 1 ms", and one process does it all
 MOST_SIMULATED = 20_000  # tasks of a stage; more go on as the last of these did
 
 
-def makespan(n_tasks: int, task_s: float, n_workers: int, dispatch_s: float = DISPATCH_S) -> float:
+def makespan(n_tasks: int, task_s: float, n_workers: int, dispatch_s: float) -> float:
     """Seconds until equal tasks are done: one scheduler hands each to the worker that is free first."""
     simulated = min(n_tasks, MOST_SIMULATED)
     free = [0.0] * min(n_workers, simulated)

@@ -15,9 +15,8 @@ import numpy as np
 
 from pipeline.effects.block import Block, Sources
 from pipeline.effects.effect import Effect, Measured, Worth
-from pipeline.summaries import Points
+from pipeline.splats.boxes import boxes_of
 from storage.packed.schema import ATOM_SIZES, MIP_SIZES, Camera
-from storage.work import work
 
 ATOM_AREA = 128.0  # texels of the square one radius wide that a pixel each is level 0: that of attribute.vert.glsl
 TO_COARSER = 0.45  # added to a level before it is rounded down, as there
@@ -116,8 +115,8 @@ def _conclude(sums: list[dict], sources: Sources) -> Measured:
 
 def _level_of_whole(sources: Sources) -> float:
     """The level that a picture of the whole scan looks its splats up at, face on."""
-    points = work.summary(sources.partition, Points)
-    box = np.max(points.block_high, axis=0) - np.min(points.block_low, axis=0)
+    low, high = boxes_of(sources.partition)
+    box = high.max(axis=0) - low.min(axis=0)
     area = (ORBIT_FOCAL_PX * sources.radius / (ORBIT_DISTANCE * max(float(np.linalg.norm(box)), sources.radius))) ** 2
     return float(np.clip(0.5 * np.log2(ATOM_AREA / max(area, LEAST_AREA_PX)), 0, DEEPEST))
 

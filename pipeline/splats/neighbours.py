@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from pipeline.execution.compiled import kernel
+from pipeline.splats.boxes import RUN, around_runs
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,17 @@ class Blocks:
     load: Callable[[int], np.ndarray]  # positions (m, 3) float64 of a block
     low: np.ndarray  # (n_blocks, 3) lowest corners of the blocks' boxes
     high: np.ndarray  # (n_blocks, 3)
+    runs: tuple[np.ndarray, np.ndarray] | None = None  # (n_runs, 3) those around runs of blocks, where they are known
+
+    def within(self, block: int, reach: float) -> tuple[np.ndarray, np.ndarray]:
+        """The blocks (m,) whose boxes lie no farther than `reach` from that of `block`, ascending, and how far (m,)."""
+        low, high = self.low[block], self.high[block]
+        of_runs = self.runs or around_runs(self.low, self.high)
+        runs = np.flatnonzero(_box_distance(low, high, *of_runs) <= reach)
+        near = (runs[:, None] * RUN + np.arange(RUN)).ravel()
+        near = near[near < len(self.low)]
+        apart = _box_distance(low, high, self.low[near], self.high[near])
+        return near[apart <= reach], apart[apart <= reach]
 
 
 @dataclass(frozen=True)
@@ -43,11 +55,12 @@ def find_neighbours(
     distance = np.full((len(points), k), np.inf)
     position = np.repeat(points[:, None], k, axis=1)
     _ask(points, np.arange(len(points)), points, distance, position)
-    apart = _box_distance(low[block], high[block], low, high)
-    for other in np.argsort(apart, kind="stable"):
+    near, apart = blocks.within(block, distance[:, -1].max())
+    for place in np.argsort(apart, kind="stable"):
+        other = int(near[place])
         if other == block:
             continue
-        if apart[other] > distance[:, -1].max():
+        if apart[place] > distance[:, -1].max():
             break
         away = _box_distance(points, points, low[other], high[other])
         needy = np.flatnonzero(away < distance[:, -1])
@@ -67,7 +80,7 @@ def points_around(
 ) -> np.ndarray:
     """The positions (m, 3) float64 of other blocks that lie within `reach` of the block's box, in order of blocks."""
     low, high = blocks.low[block], blocks.high[block]
-    near = np.flatnonzero(_box_distance(low, high, blocks.low, blocks.high) <= reach)
+    near, _ = blocks.within(block, reach)
     there = [blocks.load(int(other)) for other in near if other != block]
     return np.concatenate([np.empty((0, 3)), *(p[_box_distance(p, p, low, high) <= reach] for p in there)])
 

@@ -57,7 +57,7 @@ measured on; `plan` scales seconds by that, this page and `--as-measured` do not
   as large as the dictionary, lie in its principal components (64 to 1,024 values an atom, not 3,072), and are merged
   4,096 atoms at a time, so that 65,536 atoms learn within 4 GiB.
 - **Learning does not grow with the scan**: its training set is a number, not a share, and only its rows are read.
-- **The scheduler is kept ahead** by calls of up to 8 tasks where a stage has many (`pipeline/execution/executors.py`).
+- **The scheduler is kept ahead** by calls of up to 32 tasks where a stage has many (`pipeline/execution/executors.py`).
   Nothing is scattered: a task opens what it reads; a process keeps the dictionary that it read last.
 - **What one process does alone** is what ends scaling first: results are gathered, and stages begun and ended, by one.
   The tables probably say too much of it: it is fitted to runs of one worker, where what lies between two tasks counts

@@ -13,7 +13,9 @@ from pipeline.geometry.frame import directions_of
 from pipeline.geometry.sizes import BITS
 from pipeline.planning.settings import Settings
 from pipeline.stages.maps.map_pictures import stored_maps
-from pipeline.stages.packed.pack import Pack, batches_of, write_packed
+from pipeline.stages.packed.kinds import Kinds, batches_of
+from pipeline.stages.packed.pack import Pack, write_packed
+from pipeline.stages.points.grid_counts import IN_MEMORY
 from pipeline.summaries import Packed
 from services.flow.maps import Mapped
 from services.flow.points.runs import RunGeometry
@@ -65,7 +67,8 @@ def pack(
     flag_of = {extra.stream: extra.flag for extra in EXTRAS}  # an effect is named as its stream
     extras = tuple((flag_of[name], folder) for name, folder in prepared.built if name in flag_of)
     n_splats = prepared.splats.summary.n_splats
-    batches = batches_of(n_splats, coded.codes.folder if coded else None, extras)
+    kinds = n_splats, coded.codes.folder if coded else None, extras
+    batches = batches_of(*kinds) if n_splats <= IN_MEMORY else run.do(Kinds(*kinds)).summary.batches
     margin = prepared.effects.outcomes.get("depth_margin", {"margin_radii": LEAST_RADII})["margin_radii"]
     up, ahead = directions_of(scan.cameras)
     header = Header(

@@ -6,16 +6,9 @@ from dataclasses import asdict, replace
 
 from pipeline.catalogue import Task
 from pipeline.coding.grid import SYMMETRIES, AtomForm
-from pipeline.costs.costs import (
-    TASKS,
-    Job,
-    StageCost,
-    StagePlan,
-    first_limit,
-    known_costs,
-    known_probe_s,
-    plan_job,
-)
+from pipeline.costs.costs import TASKS, known_costs, known_dispatch, known_probe_s, plan_job
+from pipeline.costs.job import Dispatch, Job, StageCost, StagePlan
+from pipeline.costs.limits import first_limit
 from pipeline.planning.settings import Settings
 from renderer.report.report_words import duration, size
 from services.flow.textures import index_bits
@@ -54,10 +47,10 @@ def plan(
         n_voxels=n_voxels,
         n_stations=n_stations,
     )
-    costs = known_costs(speed=speed)
-    stages = plan_job(job, costs)
+    costs, dispatch = known_costs(speed=speed), known_dispatch(speed=speed)
+    stages = plan_job(job, costs, dispatch)
     limit, remedy = first_limit(job, stages, MEMORY_BYTES)
-    ladder = [_rung(replace(job, n_workers=n), costs) for n in sorted({*LADDER, n_workers})]
+    ladder = [_rung(replace(job, n_workers=n), costs, dispatch) for n in sorted({*LADDER, n_workers})]
     return {
         "job": asdict(job),
         "speed": speed,
@@ -83,8 +76,8 @@ def _likely_form(settings: Settings) -> AtomForm | None:
     return AtomForm(min(ATOM_SIZES) if settings.atom_size == "auto" else int(settings.atom_size), SYMMETRIES)
 
 
-def _rung(job: Job, costs: dict[str, StageCost]) -> dict:
-    stages = plan_job(job, costs)
+def _rung(job: Job, costs: dict[str, StageCost], dispatch: Dispatch) -> dict:
+    stages = plan_job(job, costs, dispatch)
     return {
         "workers": job.n_workers,
         "tasks_a_call": max(s.tasks_a_call for s in stages),

@@ -63,17 +63,27 @@ def n_first_groups(header: Header) -> int:
     return header.levels[0] // GROUP if header.levels else 0
 
 
+def members_before_groups(header: Header) -> Iterator[str]:
+    """What a file begins with: header and metadata, the table of groups."""
+    arrays = arrays_of(header)
+    yield ROOT_MEMBER
+    yield from (metadata_member(array) for array in arrays)
+    yield from (member for array in arrays if array.name in TABLE for member in _chunks_of(header, array))
+
+
+def members_of_all(header: Header) -> Iterator[str]:
+    """What all groups share, and stands behind those of the coarsest level: dictionary, maps."""
+    others = [array for array in arrays_of(header) if array.name not in TABLE and not array.in_groups]
+    yield from (member for array in others for member in _chunks_of(header, array))
+
+
 def members_in_order(header: Header) -> Iterator[tuple[str, int | None]]:
     """The order of a file: header and metadata, the table of groups, the coarsest level, the dictionary, all other
     groups. Members' names with None, and for the members of a group, as `group_members` has them, its number."""
-    arrays = arrays_of(header)
-    yield ROOT_MEMBER, None
-    yield from ((metadata_member(array), None) for array in arrays)
-    yield from ((member, None) for array in arrays if array.name in TABLE for member in _chunks_of(header, array))
     n_first = n_first_groups(header)
+    yield from ((member, None) for member in members_before_groups(header))
     yield from (("", index) for index in range(n_first))
-    others = [array for array in arrays if array.name not in TABLE and not array.in_groups]
-    yield from ((member, None) for array in others for member in _chunks_of(header, array))
+    yield from ((member, None) for member in members_of_all(header))
     yield from (("", index) for index in range(n_first, header.n_groups))
 
 

@@ -1,6 +1,6 @@
 """The packed file: a zarr v3 group in a zip, sealed with a digest. See storage/packed/schema.py and docs/FORMAT.md.
 
-Written by storage/packed/writer.py. Groups are units: each is read, checked and decoded without a byte of the others.
+Written by storage/packed/writing/writer.py. Groups are units: each is read, checked and decoded without a byte of the others.
 """
 
 from __future__ import annotations

@@ -8,22 +8,20 @@ from __future__ import annotations
 import hashlib
 import os
 from pathlib import Path
+from typing import BinaryIO
 
 from storage.errors import InvalidPackedFile
 
 SEAL = b"splatpress sha256 "
 SEAL_BYTES = len(SEAL) + 64
 MADE_BY = "a scan becomes one by `compress`"
-UNSEALED = SEAL + b"0" * 64  # holds the seal's place while the bytes before it are written
 
 
-def write_seal(path: Path) -> None:
-    """Replace the UNSEALED at the end of a file by its seal, and wait until the disk has it."""
-    with open(path, "r+b") as file:
-        digest = _digest(file, os.fstat(file.fileno()).st_size - SEAL_BYTES)
-        file.write(SEAL + digest.encode())
-        file.flush()
-        os.fsync(file.fileno())
+def end_with_seal(file: BinaryIO, digest: str) -> None:
+    """End a file, of whose bytes this is the SHA-256, by its seal, and wait until the disk has it."""
+    file.write(SEAL + digest.encode())
+    file.flush()
+    os.fsync(file.fileno())
 
 
 def check_seal(path: Path) -> None:

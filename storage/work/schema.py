@@ -61,6 +61,7 @@ WORK_ARRAYS = (
     WorkArray("point", "int64", ("n",), (*_ORDERED, "resample", "patch-sample"),
               "the number of a point in its file; a level in the upper bits"),
     WorkArray("point", "uint32", ("n",), ("resample-maps", "patch-sample"), "the same"),
+    WorkArray("block_box", "float64", ("m", 2, 3), (*_ORDERED, "sampled"), "corners of the box of each block's points"),
     WorkArray("sample", "float64", ("m", 3), (*_READ, "iso-surface"), "some positions, evenly among all"),
     WorkArray("kept", "bool", ("n",), ("thin",), "whether a point is one of the share that is asked for"),
     WorkArray("photo_i", "uint8", ("i", "h", "w", 3), (*_READ, "exposure", "photo-variant"),

@@ -15,8 +15,8 @@ from scipy.ndimage import distance_transform_edt
 from pipeline.effects.block import Sources
 from pipeline.effects.cliplines.eyes import cell_of, eyes_of, seen_by_eye
 from pipeline.execution.compiled import kernel
-from pipeline.summaries import Points
-from storage.work import arrays, tiles, work
+from pipeline.splats.boxes import boxes_of
+from storage.work import arrays, tiles
 
 CELLS_A_RADIUS = 3.0
 UNKNOWN = np.float32(np.nan)
@@ -55,8 +55,7 @@ class NearestPoints:
         scale = eye.scale_for(self._median_distance(index), s.radius, CELLS_A_RADIUS)
         position = np.full((*eye.shape(scale), 3), UNKNOWN, np.float32)
         distance = np.full(eye.shape(scale), np.inf)
-        points = work.summary(s.partition, Points)
-        low, high = np.array(points.block_low) + s.origin, np.array(points.block_high) + s.origin
+        low, high = (corner + s.origin for corner in boxes_of(s.partition))
         for block in (s.block(i) for i in range(arrays.n_blocks(s.n_splats)) if eye.may_see(low[i], high[i])):
             _keep_nearest(
                 position, distance, eye.numbers, eye.around, scale, block.position, s.origin, seen_by_eye(block, index)
@@ -72,8 +71,8 @@ class NearestPoints:
 
     def _median_distance(self, index: int) -> float:
         """Of the middles of the blocks that lie in the eye's picture; 1 where none does."""
-        points = work.summary(self.sources.partition, Points)
-        middle = (np.array(points.block_low) + points.block_high) / 2 + self.sources.origin
+        low, high = boxes_of(self.sources.partition)
+        middle = (low + high) / 2 + self.sources.origin
         distance = eyes_of(self.sources)[index].distances(middle)
         return float(np.nanmedian(distance)) if np.isfinite(distance).any() else 1.0
 

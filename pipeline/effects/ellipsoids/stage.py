@@ -14,6 +14,7 @@ from pipeline.effects.ellipsoids.neighbourhoods import Around
 from pipeline.effects.ellipsoids.thinned import CELL_RADII, distinct, thinned_of_distinct
 from pipeline.execution.compiled import kernel
 from pipeline.geometry.chunks import bounds
+from pipeline.splats.boxes import boxes_of
 from pipeline.splats.coarser import first_finest
 from pipeline.splats.decoded import splat_radii
 from pipeline.summaries import Points
@@ -93,7 +94,7 @@ class Ellipsoids:
     def _points_about(self, some: np.ndarray, reach: float) -> np.ndarray:
         """All points of the scan that can be neighbours of `some` (m, 3): those in their box, grown by `reach`."""
         summary = work.summary(self.partition, Points)
-        low, high = np.array(summary.block_low), np.array(summary.block_high)
+        low, high = boxes_of(self.partition)
         from_, to = bounds(some)
         from_, to = from_ - reach, to + reach
         found = []

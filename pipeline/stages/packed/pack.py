@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.stages.maps.map_pictures import NAMES, stored_maps
+from pipeline.stages.packed.kinds import KIND_DIGITS, kinds_of
 from pipeline.summaries import Packed
 from storage.packed.batches import CHUNKS_PER_GROUP, count_batches, rows_of
 from storage.packed.bits import pack_bits, pack_sizes
@@ -19,36 +21,35 @@ from storage.packed.layout import bytes_on_gpu, shape_of
 from storage.packed.quadrics import number_words, pack_numbers
 from storage.packed.runs.tables import DECODED
 from storage.packed.scene import streams_of
-from storage.packed.schema import BY_NAME, CHUNK, EXTRAS, FRAMES, GROUP, QUADRICS, Batch, Header, arrays_of, color_bits
-from storage.packed.writer import (
+from storage.packed.schema import BY_NAME, CHUNK, EXTRAS, FRAMES, GROUP, QUADRICS, Header, arrays_of, color_bits
+from storage.packed.writing.joined import lay_out, seal_packed
+from storage.packed.writing.writer import (
+    GROUPS_AT_ONCE,
     WrittenGroup,
     begin_packed,
-    seal_packed,
+    group_of,
+    groups_a_piece,
+    n_pieces,
     write_array,
-    write_group,
+    write_piece,
     write_pieces,
-    write_table,
 )
 from storage.work import arrays
 
-TASK_GROUPS = 8
-TASK_SPLATS = GROUP * TASK_GROUPS
-KIND_DIGITS = 2 ** np.arange(
-    len(EXTRAS), -1, -1
-)  # of `Batch.kind` as one number: a bit for each extra, above them the atoms
+AT_ONCE = GROUP * GROUPS_AT_ONCE  # splats
 
 
 @dataclass(frozen=True)
 class PackedGroups:
-    """What a task tells of its groups: what the table says of them."""
+    """What a task tells of its groups; what the table says of them lies beside their bytes."""
 
     n_splats: int
-    groups: list[WrittenGroup]
+    rows: list[int]  # of each array that groups have any number of rows of
 
 
 @dataclass(frozen=True)
 class Pack:
-    """A task TASK_GROUPS groups. Output: the folder packed/, sealed by `write_packed`."""
+    """A task `groups_a_piece` groups. Output: the folder packed/, sealed by `write_packed`."""
 
     header: Header
     splats: Path
@@ -65,10 +66,24 @@ class Pack:
 
     def init(self, folder: Path) -> int:
         begin_packed(folder / "packed", self.header)
-        return -(-self.header.n_splats // TASK_SPLATS)
+        return n_pieces(self.header)
 
     def run(self, folder: Path, index: int) -> PackedGroups:
-        start, stop = index * TASK_SPLATS, min((index + 1) * TASK_SPLATS, self.header.n_splats)
+        step = GROUP * groups_a_piece(self.header)
+        told: list[list[int]] = []
+        start, stop = index * step, min((index + 1) * step, self.header.n_splats)
+
+        def groups() -> Iterator[tuple[WrittenGroup, bytes]]:
+            for at in range(start, stop, AT_ONCE):
+                for group in self._groups(at, min(at + AT_ONCE, stop)):
+                    told.append(group[0].rows)
+                    yield group
+
+        write_piece(folder / "packed", self.header, index, groups())
+        return PackedGroups(n_splats=stop - start, rows=_summed(told))
+
+    def _groups(self, start: int, stop: int) -> Iterator[tuple[WrittenGroup, bytes]]:
+        """The groups of splats start..stop."""
         n_atoms = self._codes("n_atoms", start, stop)
         batch = self._batches(n_atoms, start, stop)
         order = self._order(batch, start, stop)
@@ -78,7 +93,6 @@ class Pack:
             rows["run_batch"] = batch.astype(np.uint8)
         words = self._words(start, stop, order, counts) | self._color_words(start, stop, order)
         words |= self._number_words(rows, start, stop, order, counts)
-        groups = []
         for place in range(-(-(stop - start) // GROUP)):
             chunks = slice(place * CHUNKS_PER_GROUP, (place + 1) * CHUNKS_PER_GROUP)
             splats = slice(place * GROUP, (place + 1) * GROUP)
@@ -89,8 +103,7 @@ class Pack:
                 from pipeline.stages.runs.packing import runs_of_group
 
                 part |= runs_of_group(*self.runs, at, min(at + GROUP, stop)) | {"run_codebook": self._codebook()}
-            groups.append(write_group(folder / "packed", self.header, index * TASK_GROUPS + place, part))
-        return PackedGroups(n_splats=stop - start, groups=groups)
+            yield group_of(self.header, start // GROUP + place, part)
 
     def finalise(self, folder: Path, results: list[PackedGroups]) -> Packed:
         for array in arrays_of(self.header):
@@ -103,9 +116,8 @@ class Pack:
                 write_pieces(folder / "packed", name, (arrays.read(self.maps, f"{name}_{i}").ravel() for i in stations))
         if self.runs:
             write_array(folder / "packed", "run_codebook", self._codebook())
-        groups = [group for r in results for group in r.groups]
-        write_table(folder / "packed", self.header, groups)
-        return Packed(array_bytes(self.header, groups))
+        lay_out(folder / "packed", self.header)
+        return Packed(array_bytes(self.header, _summed([r.rows for r in results])))
 
     def _codebook(self) -> np.ndarray:
         assert self.runs is not None
@@ -205,6 +217,10 @@ class Pack:
         return words
 
 
+def _summed(rows: list[list[int]]) -> list[int]:
+    return [sum(column) for column in zip(*rows)]
+
+
 def _in_rows(fields: np.ndarray, place: np.ndarray) -> np.ndarray:
     """The fields (n, k) of the splats of one group that have some, in the order of their places (n,), flat."""
     has = place >= 0
@@ -213,38 +229,9 @@ def _in_rows(fields: np.ndarray, place: np.ndarray) -> np.ndarray:
     return rows.ravel()
 
 
-def kinds_of(n_atoms: np.ndarray, extras: tuple[tuple[str, Path], ...], start: int, stop: int) -> np.ndarray:
-    """What tells the batch of each splat start..stop, `Batch.kind` as one number by KIND_DIGITS: (n,) int64."""
-    flags = dict(extras)
-    columns = [
-        arrays.read(flags[e.flag], f"has_{e.flag}", start, stop) if e.flag in flags else np.zeros(stop - start, bool)
-        for e in EXTRAS
-    ]
-    if {"clipline", "ellipsoid"} <= flags.keys():
-        clipline, ellipsoid = ([e.flag for e in EXTRAS].index(flag) for flag in ("clipline", "ellipsoid"))
-        columns[clipline] = columns[clipline] & ~columns[ellipsoid]  # the disc that would have been cut is not drawn
-    digits = zip(KIND_DIGITS, [n_atoms, *columns], strict=True)
-    return np.sum([digit * column.astype(np.int64) for digit, column in digits], axis=0)
-
-
-def batches_of(n_splats: int, codes: Path | None, extras: tuple[tuple[str, Path], ...]) -> tuple[Batch, ...]:
-    """The batches that a scan's splats make, by what they have beside atoms, then by their atoms."""
-    found = set()
-    for start in range(0, n_splats, arrays.BLOCK):
-        stop = min(start + arrays.BLOCK, n_splats)
-        n_atoms = np.zeros(stop - start, np.uint8) if codes is None else arrays.read(codes, "n_atoms", start, stop)
-        found |= {
-            (*(int(kind) // KIND_DIGITS[1:] % 2), kind // KIND_DIGITS[0])
-            for kind in np.flatnonzero(np.bincount(kinds_of(n_atoms, extras, start, stop)))
-        }
-    return tuple(
-        Batch(int(n), **{e.flag: bool(has) for e, has in zip(EXTRAS, flags, strict=True)})
-        for *flags, n in sorted(found)
-    )
-
-
-def array_bytes(header: Header, groups: list[WrittenGroup]) -> dict[str, int]:
-    """Bytes of each array as the GPU takes them: of streams the words that count, and a spare one."""
+def array_bytes(header: Header, rows: list[int]) -> dict[str, int]:
+    """Bytes of each array as the GPU takes them: of streams the words that count, and a spare one. `rows` are those of
+    all groups, of each array that they have any number of rows of."""
     found, tables = {}, {"codes": "group_word"} | {extra.stream: extra.table for extra in EXTRAS}
     for array in arrays_of(header):
         if array.name not in TABLE and not array.is_ragged:
@@ -265,7 +252,7 @@ def array_bytes(header: Header, groups: list[WrittenGroup]) -> dict[str, int]:
         if array.name == "run_codes":
             continue
         a_row = int(np.prod(shape_of(header, array)[2:])) * np.dtype(array.dtype).itemsize
-        found[array.name] = a_row * (sum(group.rows[i] for group in groups) + ("e" in array.dims))
+        found[array.name] = a_row * (rows[i] + ("e" in array.dims))
         if array.name in tables:
             found[tables[array.name]] = 4 * header.n_groups
     found |= {"color_word": 4 * header.n_chunks} if header.color_step else {}

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.splats.boxes import boxes_of
 from pipeline.splats.decoded import splat_radii
 from pipeline.splats.visibility import draw_points, empty_map, map_scale
 from pipeline.summaries import Points, ScanRead
@@ -42,6 +43,7 @@ class DepthMaps:
 
     def _median_depth(self, points: Points, camera: Camera) -> float:
         """Of the middles of the blocks in front of the camera."""
-        middle = (np.array(points.block_low) + points.block_high) / 2 + points.origin
+        low, high = boxes_of(self.partition)
+        middle = (low + high) / 2 + points.origin
         depth = (middle - camera.centre) @ np.array(camera.rotation)[2]
         return float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0

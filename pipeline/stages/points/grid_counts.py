@@ -50,9 +50,7 @@ class GridCounts:
         for name in ("cell", "begin", "leaf", "start"):
             arrays.store(folder, name, rows := getattr(leaves, name), rows.shape)
         if len(leaves.divided):
-            before = np.zeros((len(parts), len(leaves.divided)), np.int64)
-            for i, counts in enumerate(map(_read, parts[:-1])):
-                before[i + 1] = before[i] + _counts_in(counts, leaves.divided)
+            before = before_parts(parts, leaves.divided)
             arrays.store(folder, "n_before", before, (1, before.shape[1]))
         return LeavesGrown(n, leaves.n_leaves)
 
@@ -65,6 +63,14 @@ def leaves_of(counts: Path) -> Leaves:
 def n_before_part(counts: Path, leaves: Leaves, index: int) -> np.ndarray:
     """Of each divided cell the points before a part, (k,) int64."""
     return arrays.read(counts, "n_before", index, index + 1)[0] if len(leaves.divided) else np.empty(0, np.int64)
+
+
+def before_parts(parts: list[Path], cells: np.ndarray) -> np.ndarray:
+    """Of `cells` (k,) the points before each part, (n_parts, k) int64."""
+    before = np.zeros((len(parts), len(cells)), np.int64)
+    for i, counts in enumerate(map(_read, parts[:-1])):
+        before[i + 1] = before[i] + _counts_in(counts, cells)
+    return before
 
 
 def _counts_of(folder: Path, index: int) -> Path:

@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.chunks import bounds
 from pipeline.geometry.sizes import encode_sizes, fit_scales
+from pipeline.splats.boxes import store_boxes
 from pipeline.splats.coarser import coarser_splats, mean_colors, rows_of_group
 from pipeline.splats.decoded import splat_radii
 from pipeline.splats.normals import usable_normals
@@ -144,8 +145,8 @@ class Levels:
         known = replace(known, n_splats=sum(r.n_splats for r in results))
         if self.part == SIZES:
             return known
-        low, high = (tuple(tuple(getattr(r, name)) for r in results) for name in ("block_low", "block_high"))
-        return replace(known, block_low=low, block_high=high, levels=tuple(self._counts()))
+        store_boxes(folder, *(np.array([getattr(r, name) for r in results]) for name in ("block_low", "block_high")))
+        return replace(known, levels=tuple(self._counts()))
 
     @property
     def summary_type(self) -> type:

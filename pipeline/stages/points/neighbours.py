@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.numerics.limits import check_radius
+from pipeline.splats.boxes import boxes_of, runs_of_boxes
 from pipeline.splats.neighbours import Blocks, find_neighbours
 from pipeline.splats.normals import NEIGHBOURS, estimate_normals, usable_normals
 from pipeline.splats.signs import MOST_POINTS, settled_signs
@@ -36,7 +37,7 @@ def blocks_of(partition: Path) -> Blocks:
     def load(block: int) -> np.ndarray:
         return arrays.read(partition, "position", *arrays.block_range(block, points.n_splats))
 
-    return Blocks(load, np.array(points.block_low), np.array(points.block_high))
+    return Blocks(load, *boxes_of(partition), runs_of_boxes(partition))
 
 
 @dataclass(frozen=True)

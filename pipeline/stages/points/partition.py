@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.geometry.chunks import bounds, median_split
+from pipeline.splats.boxes import store_boxes
 from pipeline.stages.points.grid_counts import IN_MEMORY
 from pipeline.stages.points.kept import (
     columns_made_of,
@@ -73,11 +74,11 @@ class Partition:
         return OrderedPart(n_splats=n, block_low=low.tolist(), block_high=high.tolist())
 
     def finalise(self, folder: Path, results: list[OrderedPart]) -> Points:
-        low, high = (
-            tuple(tuple(box) for r in results for box in getattr(r, name)) for name in ("block_low", "block_high")
+        store_boxes(
+            folder, *(np.concatenate([getattr(r, name) for r in results]) for name in ("block_low", "block_high"))
         )
         n = sum(r.n_splats for r in results)
-        return Points(n, origin_of(work.summary(self.ingest, ScanRead)), low, high, (n,))
+        return Points(n, origin_of(work.summary(self.ingest, ScanRead)), (n,))
 
     def _starts(self) -> list[int]:
         """The first row of each leaf, and the end."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.splats.boxes import BLOCK_BOX, boxes_of, store_boxes
 from pipeline.summaries import Counted, Points, SplatsMade
 from storage.packed.schema import CHUNK
 from storage.work import arrays, work
@@ -34,7 +35,9 @@ class Sampled:
         chunks = chosen_chunks(n, self.n_wanted)
         rows = (chunks[:, None] * CHUNK + np.arange(CHUNK)).ravel()
         rows = rows[rows < n]
-        for array in arrays.names(self.source):
+        if arrays.exists(self.source, BLOCK_BOX):  # those of the whole scan
+            store_boxes(folder, *boxes_of(self.source))
+        for array in (name for name in arrays.names(self.source) if name != BLOCK_BOX):
             layout = arrays.layout_of(self.source, array)
             taken = {n: rows, -(-n // CHUNK): chunks}.get(layout.shape[0])
             if taken is not None:

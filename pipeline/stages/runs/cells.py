@@ -101,7 +101,7 @@ class RunCells:
         """The points whose cells are in the brick, by cell, the nearest to its centre first."""
         points, grid = work.summary(self.points, Points), work.summary(self.grid, GridFound)
         size, turn = grid.cell, grid.turn
-        blocks = np.flatnonzero(reaches(*boxes_in_grid(points, turn), brick, size))
+        blocks = np.flatnonzero(reaches(*boxes_in_grid(self.points, turn), brick, size))
         parts = [self._points_in_block(int(block), points.n_splats, brick, size, turn) for block in blocks]
         parts = parts or [_Points(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3)))]
         key, row, off, normal = (

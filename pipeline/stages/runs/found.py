@@ -54,8 +54,6 @@ class CellsAsPoints:
 
     n_splats: int
     origin: Vector
-    block_low: tuple[Vector, ...]
-    block_high: tuple[Vector, ...]
     levels: tuple[int, ...]
     median_spacing: float | None
     n_degenerate: int

@@ -14,6 +14,7 @@ from pipeline.geometry.runs.cells import MOST_HIT_RATE, Cells, fill, mean_spacin
 from pipeline.geometry.runs.codes import encode_runs, turn_across
 from pipeline.geometry.runs.starts import bits_of
 from pipeline.geometry.runs.walks import runs_of
+from pipeline.splats.boxes import boxes_of
 from pipeline.stages.runs.found import GridFound
 from pipeline.summaries import Points
 from storage.work import arrays, work
@@ -52,7 +53,7 @@ class RunGridChoice:
         turn, cells, runs = max(found, key=lambda x: x[2].mean_length)
         near = np.unique(keys_of(in_grid(position, turn), cells.size), return_index=True)[1]
         codes, _ = encode_runs(cells.key, decode_normals(code[near]), runs)
-        low, high = boxes_in_grid(points, turn)
+        low, high = boxes_in_grid(self.points, turn)
         count = np.diff([*range(0, points.n_splats, arrays.BLOCK), points.n_splats])
         arrays.store(folder, "bricks", split((low + high) / 2, count, cells.size))
         return GridFound(
@@ -81,9 +82,9 @@ def in_grid(position: np.ndarray, turn: tuple[float, ...]) -> np.ndarray:
     return position @ np.array(turn).reshape(3, 3)
 
 
-def boxes_in_grid(points: Points, turn: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Low and high corner (b, 3) in the grid's axes of what holds each block of a stage's points, by its summary."""
-    low, high = np.array(points.block_low), np.array(points.block_high)
+def boxes_in_grid(points: Path, turn: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Low and high corner (b, 3) in the grid's axes of what holds each block of a stage's points."""
+    low, high = boxes_of(points)
     matrix = np.array(turn).reshape(3, 3)
     middle, half = (low + high) / 2 @ matrix, (high - low) / 2 @ np.abs(matrix)
     return middle - half, middle + half

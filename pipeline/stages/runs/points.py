@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.geometry.chunks import bounds
 from pipeline.geometry.normals import decode_normals
+from pipeline.splats.boxes import store_boxes
 from pipeline.stages.points.kept import columns_of
 from pipeline.stages.runs.codes import brick_rows
 from pipeline.stages.runs.found import CellsAsPoints
@@ -79,11 +80,10 @@ class RunPoints:
 
     def finalise(self, folder: Path, results: list[CellsBlock]) -> CellsAsPoints:
         n = sum(r.n_splats for r in results)
+        store_boxes(folder, *(np.array([getattr(r, name) for r in results]) for name in ("block_low", "block_high")))
         return CellsAsPoints(
             n_splats=n,
             origin=work.summary(self.points, Points).origin,
-            block_low=tuple(r.block_low for r in results),
-            block_high=tuple(r.block_high for r in results),
             levels=(n,),
             median_spacing=float(
                 np.median([r.median_spacing for r in results])

@@ -26,6 +26,7 @@ from storage.packed.schema import ATOM_SIZES, PATCH_SIZE
 from storage.work import arrays, work
 
 ROWS = 1024  # patches in float32 at a time: 12 MiB
+AT_ONCE = 64 * arrays.BLOCK  # splats that a task looks at together: 40 MB, whatever the size of the scan
 SHOWN = 512  # of a task's patches, chosen by chance: what tells how much atoms of a size leave of them
 
 
@@ -45,6 +46,18 @@ class PatchesChosen:
     cutoff_error: float
     n_shown: int
     beyond: list[float]  # by size of atoms
+    settled_energy: float
+
+
+class _Looked(NamedTuple):
+    """What was found among some splats: those chosen, and sums of all."""
+
+    chosen: np.ndarray  # (m,) int64
+    draw: np.ndarray  # (m,) float64
+    luck: np.ndarray  # (m,) float64
+    average: np.ndarray  # (m, 3) float32
+    n_active: int
+    cutoff_error: float
     settled_energy: float
 
 
@@ -77,31 +90,55 @@ class TrainingSet:
         n, share = plan["n_splats"], np.array(plan["share"])
         rows = [min(n, arrays.n_blocks(n) * i // n_tasks * arrays.BLOCK) for i in (index, index + 1)]
         first = n_coarser_of(self.patches)
-        start, stop = first + rows[0], first + rows[1]
-        energy = arrays.read(self.colors, "energy", start, stop)
-        active = energy > self.tolerance
-        draw = uniform_hash(points_of(self.patches, start, stop), self.seed)
-        chosen = np.flatnonzero(active & (draw < share[octave_of(energy)]))
-        order = np.argsort(draw[chosen])
-        average, texel = average_colors(self.colors, start, stop)[chosen], texel_rows(self.patches, start + chosen)
+        looked = [
+            self._look(share, at, min(at + AT_ONCE, first + rows[1]))
+            for at in range(first + rows[0], first + rows[1], AT_ONCE)
+        ] or [self._look(share, first + rows[0], first + rows[0])]
+        chosen, draw, luck, average = (
+            np.concatenate([getattr(part, k) for part in looked]) for k in ("chosen", "draw", "luck", "average")
+        )
+        order = np.argsort(draw)
+        texel = texel_rows(self.patches, chosen)
         for name, taken in (("texel", texel), ("average", average)):
             arrays.store(folder, f"{name}_{index}", taken[order], taken.shape)
-        luck = (draw / np.maximum(share[octave_of(energy)], 1e-300))[chosen][order]
-        arrays.store(folder, f"luck_{index}", luck, luck.shape)
+        arrays.store(folder, f"luck_{index}", luck[order], luck.shape)
         shown = _patches(folder, index, slice(SHOWN))
         beyond = [
             0.0 if s == PATCH_SIZE else float((squared_norms(shown) - squared_norms(coefficients(shown, s))).sum())
             for s in ATOM_SIZES
         ]
-        cut = float(np.minimum(energy, self.cutoff).sum(dtype=np.float64))
         return PatchesChosen(
             n_splats=len(chosen),
-            n_active=int(active.sum()),
-            cutoff_error=cut,
+            n_active=sum(part.n_active for part in looked),
+            cutoff_error=sum(part.cutoff_error for part in looked),
             n_shown=len(shown),
             beyond=beyond,
+            settled_energy=sum(part.settled_energy for part in looked),
+        )
+
+    def _look(self, share: np.ndarray, start: int, stop: int) -> _Looked:
+        """Which of splats start..stop are chosen, and what there is to know of the others."""
+        energy = arrays.read(self.colors, "energy", start, stop)
+        active, octave = energy > self.tolerance, octave_of(energy)
+        draw = uniform_hash(points_of(self.patches, start, stop), self.seed)
+        chosen = np.flatnonzero(active & (draw < share[octave]))
+        return _Looked(
+            chosen=start + chosen,
+            draw=draw[chosen],
+            luck=draw[chosen] / np.maximum(share[octave[chosen]], 1e-300),
+            average=self._averages(start + chosen),
+            n_active=int(active.sum()),
+            cutoff_error=float(np.minimum(energy, self.cutoff).sum(dtype=np.float64)),
             settled_energy=float(energy[~active].sum(dtype=np.float64)),
         )
+
+    def _averages(self, rows: np.ndarray) -> np.ndarray:
+        """Average colours (m, 3) of the splats `rows` (m,), ascending."""
+        blocks, firsts = np.unique(rows // arrays.BLOCK, return_index=True)
+        found = [np.empty((0, 3), np.float32)]
+        for block, first, end in zip((blocks * arrays.BLOCK).tolist(), firsts, [*firsts[1:], len(rows)]):
+            found.append(average_colors(self.colors, block, block + arrays.BLOCK)[rows[first:end] - block])
+        return np.concatenate(found)
 
     def finalise(self, folder: Path, results: list[PatchesChosen]) -> Training:
         return Training(

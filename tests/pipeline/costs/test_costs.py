@@ -10,24 +10,28 @@ import pytest
 from pipeline.catalogue import CATALOGUE, Task
 from pipeline.costs.costs import (
     BY_ATOMS,
-    KILO,
     MOST_HELD,
     TASKS,
-    Job,
-    StageCost,
-    first_limit,
     known_costs,
     plan_job,
 )
+from pipeline.costs.job import KILO, Dispatch, Job, StageCost, StagePlan
+from pipeline.costs.limits import first_limit
 from pipeline.costs.makespan import makespan
 from pipeline.costs.probe import probe_seconds
 from pipeline.execution.executors import MOST_A_CALL, MOST_SERVED, calls_of
+from pipeline.execution.task import CALL_S
 from pipeline.planning.settings import Settings
 from services.docs.scale import PATH, document
 from services.processes.plan import as_text, plan
 from storage.work.arrays import BLOCK
 
+BARE = Dispatch(call_s=1e-3, task_s=0.0, around_s=0.0)
 FLAT = {name: StageCost(10.0, 0.0, 0.0, 100.0, 2e8, 0.0) for name in TASKS}
+
+
+def planned(job: Job, costs: dict[str, StageCost]) -> list[StagePlan]:
+    return plan_job(job, costs, BARE)
 
 
 @pytest.mark.parametrize(
@@ -47,26 +51,26 @@ def test_makespan__is_what_can_be_reckoned_by_hand(n_tasks, task_s, n_workers, d
 
 @pytest.mark.parametrize(("task_s", "n_workers"), [(0.8, 24), (0.01, 24), (0.05, 1000)])
 def test_makespan__of_many_tasks_goes_on_as_it_began(task_s, n_workers, monkeypatch):
-    whole = makespan(20_000, task_s, n_workers)
+    whole = makespan(20_000, task_s, n_workers, 1e-3)
     monkeypatch.setattr("pipeline.costs.makespan.MOST_SIMULATED", 5_000)
-    assert makespan(20_000, task_s, n_workers) == pytest.approx(whole, rel=0.02)
+    assert makespan(20_000, task_s, n_workers, 1e-3) == pytest.approx(whole, rel=0.02)
 
 
 def test_makespan__more_workers_never_take_longer():
-    taken = [makespan(500, 0.03, n) for n in (1, 2, 3, 8, 30, 31, 200, 1000)]
+    taken = [makespan(500, 0.03, n, 1e-3) for n in (1, 2, 3, 8, 30, 31, 200, 1000)]
     assert all(b <= a + 1e-9 for a, b in zip(taken, taken[1:])) and taken[-1] >= 500 * 1e-3
 
 
 def test_plan__patches_that_are_made_again_are_not_written_and_not_read():
     job = Job(71_000_000, 24, n_photographs=441, megapixels=9.0)
-    made_again, kept = (plan_job(replace(job, keeps_patches=k), known_costs()) for k in (False, True))
+    made_again, kept = (planned(replace(job, keeps_patches=k), known_costs()) for k in (False, True))
     for bytes_of in (lambda s: s.read_bytes, lambda s: s.written_bytes):
         assert sum(map(bytes_of, kept)) - sum(map(bytes_of, made_again)) > 0.85 * 3072 * job.n_splats
     assert sum(s.seconds for s in kept) == sum(s.seconds for s in made_again)
 
 
 def test_plan__splats_twice_as_many_cost_twice_where_nothing_is_fixed():
-    small, large = (plan_job(Job(n * BLOCK, 1, 1, 0.0, training_splats=1), FLAT) for n in (64, 128))
+    small, large = (planned(Job(n * BLOCK, 1, 1, 0.0, training_splats=1), FLAT) for n in (64, 128))
     by_name = {plan.name: plan for plan in large}
     block = [(a, by_name[a.name]) for a in small if TASKS[a.name] == Task.BLOCK]
     assert block and all(b.seconds == pytest.approx(2 * a.seconds, rel=0.01) for a, b in block)
@@ -74,13 +78,13 @@ def test_plan__splats_twice_as_many_cost_twice_where_nothing_is_fixed():
 
 
 def test_plan__learning_does_not_grow_with_the_scan():
-    seconds = [{p.name: p.seconds for p in plan_job(Job(n, 4, 10), FLAT)}["ksvd-update"] for n in (10**6, 10**9)]
+    seconds = [{p.name: p.seconds for p in planned(Job(n, 4, 10), FLAT)}["ksvd-update"] for n in (10**6, 10**9)]
     assert seconds[0] == seconds[1] > 0
 
 
 def test_plan__indices_cost_where_atoms_are_searched_and_nowhere_else():
     costs = {name: replace(cost, task_us_a_unit_a_kilo=3.0 if name in BY_ATOMS else 0.0) for name, cost in FLAT.items()}
-    few, many = (plan_job(Job(10**6, 1, 10, n_indices=n), costs) for n in (KILO, 11 * KILO))
+    few, many = (planned(Job(10**6, 1, 10, n_indices=n), costs) for n in (KILO, 11 * KILO))
     for a, b in zip(few, many):
         per_task = a.task_s if a.name not in BY_ATOMS else a.task_s * (10 + 33) / (10 + 3)
         assert b.task_s == pytest.approx(per_task), a.name
@@ -89,7 +93,7 @@ def test_plan__indices_cost_where_atoms_are_searched_and_nowhere_else():
 def test_plan__a_beam_costs_by_its_supports_and_its_children_and_only_where_codes_are_made():
     costs = FLAT | {"encode": replace(FLAT["encode"], task_us_a_unit_a_node_a_kilo=2.0, task_us_a_unit_a_child=0.5)}
     job = Job(10**6, 1, 10, n_indices=3 * KILO)
-    plain, two, eight = (plan_job(replace(job, pursuit=pursuit), costs) for pursuit in ("omp", "2x2", "8x4"))
+    plain, two, eight = (planned(replace(job, pursuit=pursuit), costs) for pursuit in ("omp", "2x2", "8x4"))
     for a, b, c in zip(plain, two, eight):
         added = (2 * 2.0 * 3 + 4 * 0.5, 8 * 2.0 * 3 + 32 * 0.5) if a.name == "encode" else (0.0, 0.0)
         assert b.task_s == pytest.approx(a.task_s * (10 + added[0]) / 10), a.name
@@ -138,22 +142,22 @@ def test_probe__tells_a_machine_by_a_fraction_of_a_second():
 def test_plan__says_what_breaks_first(change, workers, words):
     job = Job(100_000_000, workers, 10)
     costs = {name: replace(cost, **change) for name, cost in FLAT.items()}
-    assert first_limit(job, plan_job(job, costs), 4 << 30)[0].startswith(words)
+    assert first_limit(job, planned(job, costs), 4 << 30)[0].startswith(words)
 
 
 def test_plan__a_scan_of_stations_has_a_task_a_station_and_no_dictionary():
     costs = {name: replace(cost, task_s=2.0) if name == "map-pictures" else cost for name, cost in FLAT.items()}
-    plans = {p.name: p for p in plan_job(Job(10**9, 1, n_stations=31), costs)}
+    plans = {p.name: p for p in planned(Job(10**9, 1, n_stations=31), costs)}
     assert plans["panoramas"].n_tasks == plans["map-pictures"].n_tasks == 31
     assert plans["map-pictures"].task_s == pytest.approx(2 + 10.0 * 1e-6 * 10**9 / 31)
     assert {"mapped-splats", "station-light", "pack"} < set(plans) and not {"ksvd-update", "resample"} & set(plans)
-    of_one = {p.name for p in plan_job(Job(10**9, 1, n_stations=1), costs)}
-    assert "station-light" not in of_one and not {"panoramas"} & {p.name for p in plan_job(Job(10**9, 1), costs)}
+    of_one = {p.name for p in planned(Job(10**9, 1, n_stations=1), costs)}
+    assert "station-light" not in of_one and not {"panoramas"} & {p.name for p in planned(Job(10**9, 1), costs)}
 
 
 def test_plan__no_worker_holds_more_of_a_large_scan_than_of_one_that_fits():
     costs = {name: replace(cost, memory_bytes_a_unit=100.0) for name, cost in FLAT.items()}
-    fits, large = ({p.name: p.worker_bytes for p in plan_job(Job(n, 4, 10), costs)} for n in (2 * MOST_HELD, 10**10))
+    fits, large = ({p.name: p.worker_bytes for p in planned(Job(n, 4, 10), costs)} for n in (2 * MOST_HELD, 10**10))
     assert large == fits and large["partition"] == FLAT["partition"].memory_bytes + 100.0 * MOST_HELD
 
 
@@ -167,13 +171,13 @@ def test_plan__the_costs_that_are_known_are_of_all_stages_and_sound():
 
 def test_plan__runs_and_volumes_take_what_their_own_stages_take_and_only_they():
     def names(**of) -> set[str]:
-        return {p.name for p in plan_job(Job(10**6, 4, **of), FLAT)}
+        return {p.name for p in planned(Job(10**6, 4, **of), FLAT)}
 
     runs, volume, plain = names(geometry="runs"), names(n_voxels=10**8), names()
     assert runs - plain == {"run-grid", "run-cells", "runs", "run-points"} and plain <= runs
     assert volume - plain == {"voxels", "iso-surface"} and {"ingest", "photographs", "encode"} <= plain - volume
-    of_cells = {p.name: p.seconds for p in plan_job(Job(10**6, 1, geometry="runs"), FLAT)}
-    of_points = {p.name: p.seconds for p in plan_job(Job(10**6, 1), FLAT)}
+    of_cells = {p.name: p.seconds for p in planned(Job(10**6, 1, geometry="runs"), FLAT)}
+    of_points = {p.name: p.seconds for p in planned(Job(10**6, 1), FLAT)}
     assert of_cells["pack"] == pytest.approx(0.67 * of_points["pack"], rel=0.02)
     assert of_cells["partition"] == of_points["partition"]
     taken = {n: plan(10**6, 4, Settings(geometry="runs"), 0, 9.0, n_voxels=n)["seconds"] for n in (10**7, 10**9)}
@@ -211,18 +215,20 @@ def test_calls_of__equal_tasks_end_together(n_tasks, n_workers):
 
 
 def test_plan__points_beyond_memory_are_counted_and_dealt_out_by_tasks():
-    fits, large = ({p.name: p for p in plan_job(Job(n, 4), FLAT)} for n in (MOST_HELD, 20 * MOST_HELD))
-    assert large.keys() - fits.keys() == {"grid-counts", "leaves"}
+    fits, large = ({p.name: p for p in planned(Job(n, 4), FLAT)} for n in (MOST_HELD, 20 * MOST_HELD))
+    assert large.keys() - fits.keys() == {"grid-counts", "leaves", "kinds"}
     assert fits["partition"].n_tasks == 1 and large["partition"].n_tasks == large["leaves"].n_tasks == 20
     assert large["ingest"].n_tasks == 80
-    most = {p.name: p.n_tasks for p in plan_job(Job(10**11, 4), FLAT)}
+    most = {p.name: p.n_tasks for p in planned(Job(10**11, 4), FLAT)}
     assert most["leaves"] <= 4097 and most["ingest"] <= 8193
 
 
 def test_plan__long_tasks_go_one_a_call_and_short_ones_by_the_handful():
     slow = FLAT | {"encode": replace(FLAT["encode"], task_us_a_unit=1e4)}
     by_name = {
-        p.name: p for p in plan_job(Job(n_splats=71_000_000, n_workers=24, n_photographs=441, megapixels=9.0), slow)
+        p.name: p for p in planned(Job(n_splats=71_000_000, n_workers=24, n_photographs=441, megapixels=9.0), slow)
     }
-    assert by_name["encode"].tasks_a_call == 1 and by_name["resample"].tasks_a_call == MOST_A_CALL
+    assert by_name["encode"].tasks_a_call == 1 and by_name["resample"].tasks_a_call == int(
+        CALL_S / by_name["resample"].task_s
+    )
     assert by_name["encode"].dispatch_s == pytest.approx(1e-3 * by_name["encode"].n_tasks)

@@ -16,22 +16,26 @@ from pipeline.geometry.normals import decode_normals
 from pipeline.splats.decoded import scene_radii
 from pipeline.stages.packed.measure import decoded_colors
 from storage.errors import InternalError, InvalidPackedFile
-from storage.packed import packed, writer
+from storage.packed import packed
 from storage.packed.checks import check_frame
 from storage.packed.groups import TABLE
 from storage.packed.layout import metadata_of
 from storage.packed.packed import PackedFile, is_packed_file
 from storage.packed.scene import PackedScene
 from storage.packed.schema import ARRAYS, BY_NAME, FORMS, GROUP, QUADRICS, RUNS, Batch, Header, arrays_of
-from storage.packed.seal import SEAL_BYTES, UNSEALED, write_seal
-from storage.packed.writer import create_array, seal_packed
+from storage.packed.seal import SEAL_BYTES
+from storage.packed.writing import joined
+from storage.packed.writing.joined import lay_out, seal_packed
+from storage.packed.writing.writer import create_array
 from tests.packed_files import (
+    UNSEALED,
     Case,
     arrays_for,
     color_stream,
     fill_folder,
     header_of,
     noise,
+    seal_again,
     write_arrays,
     write_packed_file,
 )
@@ -339,27 +343,37 @@ def test_packed__the_order_of_writing_leaves_no_trace(small, tmp_path):
 
 def test_packed__leavings_of_a_killed_task_stay_out(small, tmp_path):
     fill_folder(header_of(SMALL), arrays_for(SMALL, header_of(SMALL)), tmp_path / "folder")
-    (tmp_path / "folder" / "position" / "c" / "0" / "0.7f3a.partial").write_bytes(b"half a chunk")
+    (tmp_path / "folder" / "groups" / "000000.7f3a.partial").write_bytes(b"half a piece")
     seal_packed(tmp_path / "folder", tmp_path / "a.splatpress")
     assert (tmp_path / "a.splatpress").read_bytes() == small.read_bytes()
 
 
-@pytest.mark.parametrize("lost", ["position/c/0/0", "codes/zarr.json", "codes/c/0/0", "atoms_1/c/0/0/0/0"])
-def test_packed__a_chunk_that_was_never_written_is_not_sealed(tmp_path, lost):
+@pytest.mark.parametrize("lost", ["groups/000000", "groups/000000.told", "codes/zarr.json", "atoms_1/c/0/0/0/0"])
+def test_packed__what_was_never_written_is_not_laid_out(tmp_path, lost):
     fill_folder(header_of(SMALL), arrays_for(SMALL, header_of(SMALL)), tmp_path / "folder")
     (tmp_path / "folder" / lost).unlink()
     with pytest.raises(InternalError, match=lost.split("/")[0]):
+        lay_out(tmp_path / "folder", header_of(SMALL))
+        seal_packed(tmp_path / "folder", tmp_path / "a.splatpress")
+    assert os.listdir(tmp_path) == ["folder"]
+
+
+@pytest.mark.parametrize("lost", ["before", "directory", "places.json"])
+def test_packed__what_was_never_laid_out_is_not_sealed(tmp_path, lost):
+    fill_folder(header_of(SMALL), arrays_for(SMALL, header_of(SMALL)), tmp_path / "folder")
+    (tmp_path / "folder" / lost).unlink()
+    with pytest.raises(InternalError, match="never"):
         seal_packed(tmp_path / "folder", tmp_path / "a.splatpress")
     assert os.listdir(tmp_path) == ["folder"]
 
 
 def test_packed__a_seal_that_fails_leaves_the_old_file_and_no_other(small, tmp_path, monkeypatch):
-    def full_disk(path):
+    def full_disk(*_):
         raise OSError("no space left on device")
 
     fill_folder(header_of(SMALL), arrays_for(SMALL, header_of(SMALL)), tmp_path / "folder")
     (tmp_path / "a.splatpress").write_bytes(b"old")
-    monkeypatch.setattr(writer, "write_seal", full_disk)
+    monkeypatch.setattr(joined, "end_with_seal", full_disk)
     with pytest.raises(OSError, match="no space"):
         seal_packed(tmp_path / "folder", tmp_path / "a.splatpress")
     assert sorted(os.listdir(tmp_path)) == ["a.splatpress", "folder"]
@@ -428,7 +442,7 @@ def test_packed__a_damaged_file_with_a_right_seal_is_refused_or_reads_the_same(s
     refused = 0
     for place in [*spread(0, directory, 150), *spread(directory, len(data) - SEAL_BYTES - 4, 250)]:
         path.write_bytes(data[:place] + b"\xff\xff\xff\xff" + data[place + 4 :])
-        write_seal(path)
+        seal_again(path)
         try:
             assert same_arrays(read_whole(path).arrays, small_arrays)
         except InvalidPackedFile:
@@ -475,7 +489,7 @@ def craft(source, target, edit, compress=()):
         for name, data in members.items():
             archive.writestr(name, data, zipfile.ZIP_DEFLATED if name in compress else zipfile.ZIP_STORED)
         archive.comment = UNSEALED
-    write_seal(target)
+    seal_again(target)
     return target
 
 
@@ -795,7 +809,7 @@ def test_packed__refuses_members_that_are_there_twice(small, tmp_path):
             for name in [*source.namelist(), "color/c/0/0"]:
                 archive.writestr(name, source.read(name))
         archive.comment = UNSEALED
-    write_seal(tmp_path / "a.splatpress")
+    seal_again(tmp_path / "a.splatpress")
     assert_refused(tmp_path / "a.splatpress", match="there twice")
 
 
@@ -812,7 +826,7 @@ def edit_directory_entry(path, name: str, place: int, field: bytes) -> None:
     assert data[entry : entry + 4] == b"PK\1\2"
     data[entry + place : entry + place + len(field)] = field
     path.write_bytes(data)
-    write_seal(path)
+    seal_again(path)
 
 
 @pytest.mark.parametrize(

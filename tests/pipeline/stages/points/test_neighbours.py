@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.geometry.chunks import median_split
+from pipeline.splats.boxes import store_boxes
 from pipeline.stages.points import neighbours as stage
 from pipeline.summaries import Points, Spacings
 from storage.work import arrays, work
@@ -22,8 +23,8 @@ def test_neighbours__of_a_large_scan_a_sample_that_tasks_tell_has_the_median(tmp
     arrays.store(points, "position", position)
     arrays.store(points, "normal", np.tile(np.float32([0, 0, 1]), (N, 1)))
     boxes = [position[at : at + arrays.BLOCK] for at in range(0, N, arrays.BLOCK)]
-    low, high = (tuple(tuple(getattr(b, side)(axis=0).tolist()) for b in boxes) for side in ("min", "max"))
-    work.complete(points, Points(N, (0, 0, 0), low, high, (N,)), 0.0)
+    store_boxes(points, np.array([b.min(axis=0) for b in boxes]), np.array([b.max(axis=0) for b in boxes]))
+    work.complete(points, Points(N, (0, 0, 0), (N,)), 0.0)
     whole = work.summary(done(stage.Neighbourhoods(points), tmp_path / "all"), Spacings).median_spacing
     assert whole == np.median(arrays.read(tmp_path / "all", "spacing"))
     monkeypatch.setattr(stage, "MOST_SPACINGS", N - 1)

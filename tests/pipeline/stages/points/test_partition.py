@@ -13,6 +13,7 @@ from pipeline.execution.task import run_task
 from pipeline.geometry.chunks import median_split
 from pipeline.geometry.thinning import thinned
 from pipeline.numerics.hashing import uniform_hash
+from pipeline.splats.boxes import boxes_of
 from pipeline.stages.points import grid_counts, kept, partition, split_on_disk
 from pipeline.stages.points.grid_counts import GridCounts
 from pipeline.stages.points.kept import n_kept
@@ -115,8 +116,8 @@ def test_partition__out_of_core_is_the_same_order_as_in_memory(kind, tmp_path, s
     assert not list(folder.rglob("*.partial"))
     for i in range(arrays.n_blocks(len(kept))):
         block = arrays.read(folder, "position", *arrays.block_range(i, len(kept)))
-        np.testing.assert_array_equal(summary.block_low[i], block.min(axis=0))
-        np.testing.assert_array_equal(summary.block_high[i], block.max(axis=0))
+        np.testing.assert_array_equal(boxes_of(folder)[0][i], block.min(axis=0))
+        np.testing.assert_array_equal(boxes_of(folder)[1][i], block.max(axis=0))
 
 
 @pytest.mark.parametrize("kind", clouds())
@@ -128,7 +129,7 @@ def test_partition__leaves_hold_every_point_once_with_all_that_it_has(kind, tmp_
     assert (arrays.read(folder, "point") == place).all()
     summary = work.summary(folder, Points)
     np.testing.assert_array_equal(arrays.read(folder, "position"), position[place] - summary.origin)
-    assert len(summary.block_low) == arrays.n_blocks(len(place)) == len(summary.block_high)
+    assert len(boxes_of(folder)[0]) == arrays.n_blocks(len(place))
     for start, stop in zip(starts := arrays.read(tmp_path / "counts", "start"), starts[1:]):
         inside = np.sort(place[start:stop])  # a leaf, in file order, is split as it would be alone
         expected = inside[median_split(position[inside] - summary.origin)]
