@@ -43,19 +43,26 @@ def surface(renderer: Renderer, scene: GpuScene, view: Camera) -> tuple[Picture,
 
 
 def looked_up(maps: list[StationMap], points: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-    """The colours (h, w, 3) uint8 of points in the first map that shows them, else those of a picture."""
-    found, known = otherwise.copy(), np.zeros(points.shape[:2], bool)
+    """The colours (h, w, 3) uint8 of points in the first map that shows them, bilinear among texels that do, else those
+    of a picture."""
+    found, known = otherwise.reshape(-1, 3).astype(np.float64), np.zeros(points[..., 0].size, bool)
+    flat = points.reshape(-1, 3)
     for station_map in maps:
-        projection = station_map.frame.projection
-        flat = points.reshape(-1, 3)
-        column, row = np.minimum(projection.project(flat)[0].astype(int), np.array(projection.size) - 1).T
-        code = station_map.depth[row, column]
-        away = np.linalg.norm(flat - np.asarray(station_map.frame.centre), axis=1)
-        seen = (code != NOTHING) & (np.abs(decode_distances(code, station_map.frame) - away) <= OFF * away)
-        seen = seen.reshape(known.shape) & ~known
-        found[seen] = station_map.color[row, column, :3].reshape(found.shape)[seen]
-        known |= seen
-    return found
+        projection, frame = station_map.frame.projection, station_map.frame
+        away = np.linalg.norm(flat - np.asarray(frame.centre), axis=1)
+        at = projection.project(flat)[0] - 0.5
+        corner, sums, weights = np.floor(at).astype(int), np.zeros((len(flat), 3)), np.zeros(len(flat))
+        for x, y in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            column, row = np.clip(corner + (x, y), 0, np.array(projection.size) - 1).T
+            code = station_map.depth[row, column]
+            seen = (code != NOTHING) & (np.abs(decode_distances(code, frame) - away) <= OFF * away)
+            weight = seen * np.abs(np.array([1 - x, 1 - y]) - (at - corner)).prod(axis=1)
+            sums += weight[:, None] * station_map.color[row, column, :3]
+            weights += weight
+        shown = (weights > 0) & ~known
+        found[shown] = sums[shown] / weights[shown, None]
+        known |= shown
+    return np.rint(found).astype(np.uint8).reshape(otherwise.shape)
 
 
 def main() -> None:

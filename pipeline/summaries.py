@@ -1,10 +1,9 @@
 """What stages tell those after them: their summaries, as `storage.work.work` keeps them.
 
-`finalise` of a stage returns one, and what it returns is what its folder is read as. A folder may stand for another
-stage's: coarser levels and samples for points, surfaces of a volume for an ingest, photographs in one light for those
-as taken. Whoever needs a part that all have reads that part: `Photographs`, `InParts`. What only one file reads stands in it.
+`finalise` of a stage returns one, and its folder is read as that. A folder may stand for another stage's (samples for
+points, a volume's surface for an ingest); whoever needs a part that all have reads that part: `Photographs`, `InParts`.
 
-Lengths are in the scan's unit; PSNR has a peak of 1 and is None where nothing was measured.
+Lengths are in the scan's unit; PSNR has a peak of 1, None where nothing was measured.
 """
 
 from __future__ import annotations
@@ -191,6 +190,7 @@ class PatchesMade:
     n_coarser: int = 0  # splats of coarser levels, which stand first
     n_blind: int = 0  # that no map shows
     n_other_station: int = 0  # that a map of another station shows best
+    map_texels: float | None = None  # of maps that splats span, their geometric mean; None of photographs
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from math import isfinite
 
 from storage.json_fields import numbers, typed
 
-NO_MAP, MOST_MAPS = 255, 255
+NO_MAP, MOST_MAPS = 255, 127  # of `station`: a splat without a map; with one its number below MOST_MAPS, and
+IN_PART = 128  # added where the map shows too little of the splat to be looked up from aside
 MAP_ROWS = 16  # heights of maps are whole numbers of so many rows, so that they can be halved four times
 MOST_MAP_ROWS = 2720  # six times as wide: no WebP is wider
 

@@ -422,12 +422,17 @@ def render(packed: Packed, view: View) -> tuple[np.ndarray, np.ndarray]:
 def share_looked_up(packed: Packed, view: View, splat: Decoded) -> float:
     if splat.station < 0:
         return 0.0
-    seen, z = packed.map(splat.station), (view.rotation @ (splat.position - view.centre))[2]
+    seen, to_eye = packed.map(splat.station & 127), splat.position - view.centre
+    z, share = (view.rotation @ to_eye)[2], 1.0
+    if splat.station >= 128:
+        middle = splat.position - seen.centre
+        cosine = middle @ to_eye / np.linalg.norm(middle) / np.linalg.norm(to_eye)
+        share = float(np.clip((cosine - 0.866) / 0.1, 0, 1))
     if z <= 0:
-        return 1.0
+        return share
     n_px = splat.radius * max(view.fx_px, view.fy_px) / z
     n_texels = splat.radius / np.linalg.norm(splat.position - seen.centre) * seen.height * 2 / np.pi
-    return float(np.clip((n_px / np.clip(n_texels / 2, 2.5, 16) - 1) / 0.25, 0, 1))
+    return share * float(np.clip((n_px / np.clip(n_texels / 2, 2.5, 16) - 1) / 0.25, 0, 1))
 
 
 SECOND = 2.0**40  # what depths of the second tier are times, to lie behind all of the first
@@ -441,7 +446,7 @@ def map_tiers(packed: Packed, view: View, splat: Decoded, found: Fragments) -> t
     share = share_looked_up(packed, view, splat)
     if share == 0:
         return tier, color
-    seen = packed.map(splat.station)
+    seen = packed.map(splat.station & 127)
     middle = splat.position - seen.centre
     axes = splat.radius * splat.frame[:2] if splat.axes is None else splat.axes[:2]
     across, away, texel = np.cross(*axes), np.linalg.norm(middle), np.pi / 2 / seen.height

@@ -10,6 +10,7 @@ import pytest
 from pipeline.geometry.ellipsoids import decode_ellipsoids
 from pipeline.splats.decoded import scene_normal_codes, scene_radii
 from renderer.splats.scene import GpuScene
+from storage.maps import IN_PART
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Camera
 from tests import format_decoder, format_runs
@@ -113,7 +114,9 @@ def scene_of(name):
         line[(rng.random(80) < 0.5) | np.isfinite(axes[:, 0, 0])] = np.nan
         scene = build_scene(sheet(rng, 80, axes=axes, tilt=0.1, clipline=line), Settings(radius=0.15))
         maps = wall_map(height=320), wall_map(STATION + [0.5, 0.2, 0.1], 112)
-        return with_maps(scene, *maps, station=rng.integers(-1, 2, 80))
+        station = rng.integers(-1, 2, 80)
+        station[(station >= 0) & (rng.random(80) < 0.4)] += IN_PART
+        return with_maps(scene, *maps, station=station)
     scene = build_scene(sheet(rng, 100, **coded(rng, 100)), Settings(radius=0.15), plain)
     return replace(scene, header=replace(scene.header, effects={"level_blending": {}})) if name == "blended" else scene
 

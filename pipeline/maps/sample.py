@@ -56,6 +56,11 @@ def slack(squares: Squares, step: float) -> np.ndarray:
     return SHARE_OF_DISTANCE * distance + SHARE_OF_RADIUS * squares.radius + texel
 
 
+def texels_spanned(squares: Squares, step: float) -> np.ndarray:
+    """How many texels of a map of this step lie side by side in each, (n,), seen from the station."""
+    return np.maximum(2 * squares.radius / np.maximum(np.linalg.norm(squares.centre, axis=1), 1e-30) / step, 1e-30)
+
+
 def seen_at_centre(station_map: StationMap, squares: Squares) -> np.ndarray:
     """(n,) bool: the map shows the splat's surface where its centre lies."""
     frame = station_map.frame

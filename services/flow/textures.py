@@ -37,6 +37,9 @@ DICTIONARY_BYTES_A_SPLAT = 0.5
 # `balanced` of fountain_p11 has 40.47, 40.48, 40.46 and 40.40 dB at 6.00, 5.91, 5.91 and 5.94 bytes of textures. Beyond
 # the last, flat walls show them.
 COLOR_STEP_AT_40_DB, MOST_COLOR_STEP = 2.0, 3.2
+# Of atoms of station maps, which are as small as their texels: atoms of conference_room (a tenth, `balanced`) are 0.62 dB
+# below patches that are not coded in a picture from near the station with half a byte (659 kB), 0.35 with 1.5 (758 kB).
+MAP_DICTIONARY_BYTES_A_SPLAT = 1.5
 FEWEST_INDEX_BITS, MOST_INDEX_BITS = 8, 12
 # Bytes a splat that the fewest atoms of a size may take with their mip levels, 8x8 excepted. Thinned, `balanced`, bytes
 # of the file a splat: fountain_p11 of 2,014 splats with 32x32, 16x16, 8x8 texels 90.2, 46.5, 36.7 at 27.34, 27.30,
@@ -81,6 +84,7 @@ def code_patches(
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
     stop = Stop(tolerance) if settings.coder == "paper" else Stop(0.0, WHILE_LEARNING * tolerance)
     colors = run.do(Colors(patches.folder, color_step(settings)))
+    map_texels = patches.summary.map_texels
     training = run.do(
         TrainingSet(
             patches.folder,
@@ -93,12 +97,14 @@ def code_patches(
     )
     if not (settings.max_atoms and training.summary.n_patches):
         return Coded(patches, colors, encode(run, patches.folder, colors.folder, None, settings), None, (), 0, 0)
+    if map_texels is not None:
+        most_texels = min(most_texels, min(ATOM_SIZES, key=lambda size: abs(np.log2(size / map_texels))))
     form = _form(training.summary, settings, tolerance, most_texels, n_splats or training.summary.n_splats)
     if form is None:
         space: StageRecord = run.do(Components(training.folder, tolerance * 10 ** (-settings.subspace_floor_db / 10)))
     else:
         space = run.do(Coefficients(training.folder, form.size))
-    bits = index_bits(settings, form, n_splats or training.summary.n_splats)
+    bits = index_bits(settings, form, n_splats or training.summary.n_splats, map_texels is not None)
     learned, learning = _learn(run, training, space, settings, stop, form, bits)
     quantised, n_taken_back = _quantise_best(run, space, learned, settings, stop, form)
     n_taken_back += sum(not row.accepted for row in learning)
@@ -145,13 +151,14 @@ def affordable_size(n_splats: int) -> int:
     return max([*paid, min(ATOM_SIZES)])
 
 
-def index_bits(settings: Settings, form: AtomForm | None, n_splats: int) -> int:
-    """Bits of an index: those asked for, or as many as the scan pays for."""
+def index_bits(settings: Settings, form: AtomForm | None, n_splats: int, of_maps: bool = False) -> int:
+    """Bits of an index: those asked for, or as many as the scan pays for; `of_maps` of stations, not photographs."""
     if settings.dictionary_bits != "auto":
         return int(settings.dictionary_bits)
     if form is None:
         return FEWEST_INDEX_BITS
-    affordable = n_splats * DICTIONARY_BYTES_A_SPLAT / (4 * form.size**2) * form.n_turns
+    paid = MAP_DICTIONARY_BYTES_A_SPLAT if of_maps else DICTIONARY_BYTES_A_SPLAT
+    affordable = n_splats * paid / (4 * form.size**2) * form.n_turns
     return int(np.clip(np.log2(max(1.0, affordable)), FEWEST_INDEX_BITS, MOST_INDEX_BITS))
 
 

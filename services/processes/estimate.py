@@ -185,7 +185,8 @@ def _affordable(settings: Settings, patches: StageRecord, prepared: Prepared) ->
         None if settings.coder == "paper" else AtomForm(ATOM_SIZES[-1], SYMMETRIES)
     )  # the smallest atoms are the most
     n_turns = (form or AtomForm()).n_turns
-    n_indices = 2 ** index_bits(settings, form, prepared.splats.summary.n_splats)
+    of_maps = patches.summary.map_texels is not None
+    n_indices = 2 ** index_bits(settings, form, prepared.splats.summary.n_splats, of_maps)
     n_atoms = min(n_indices // n_turns, settings.training_splats // PATCHES_AN_ATOM, MOST_ATOMS)
     n_training = min(settings.training_splats, max(3 * MOST_TRAINING // 4, n_atoms * PATCHES_AN_ATOM))
     passes = max(2, MOST_PRODUCTS // (n_training * n_atoms * n_turns))
@@ -261,7 +262,8 @@ def _learning(pilot: _Pilot, settings: Settings) -> dict:
     n_patches = min(settings.training_splats, n_active)
     found = pilot.coded.quantised.summary
     form = None if settings.coder == "paper" else AtomForm(found.atom_size, found.n_turns)
-    most = 2 ** index_bits(settings, form, pilot.n_splats) // found.n_turns
+    of_maps = pilot.coded.patches.summary.map_texels is not None
+    most = 2 ** index_bits(settings, form, pilot.n_splats, of_maps) // found.n_turns
     n_atoms = max(1, min(most, int(n_patches) // PATCHES_AN_ATOM))
     return {
         "n_wanted": settings.training_splats,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from storage.maps import NO_MAP
+from storage.maps import IN_PART, NO_MAP
 from storage.packed.batches import Rows, group_batch_counts, rows_of
 from storage.packed.bits import unpack_sizes, words_for
 from storage.packed.codes import unpack_codes
@@ -141,7 +141,7 @@ def check_tables(scene: PackedScene) -> None:
     for start in range(0, header.n_splats, GROUP):  # the codes of the whole scene would not fit beside it
         if scene.codes(start, start + GROUP)[0].max() >= max(1, header.n_indices):
             raise ValueError(f"an atom index beyond the dictionary's {header.n_indices}")
-    if header.maps and ((arrays["station"] >= len(header.maps)) & (arrays["station"] != NO_MAP)).any():
+    if header.maps and ((arrays["station"] % IN_PART >= len(header.maps)) & (arrays["station"] != NO_MAP)).any():
         raise ValueError(f"a station beyond the {len(header.maps)} maps")
     if header.cameras:
         camera = arrays["camera"]

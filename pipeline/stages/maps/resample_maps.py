@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 from pipeline.geometry.frame import Direction
 from pipeline.maps.choice import NO_STATION, best_stations
 from pipeline.maps.light import levels_with
-from pipeline.maps.sample import Squares, sample_patches
+from pipeline.maps.sample import Squares, sample_patches, texels_spanned
 from pipeline.maps.station_map import StationMap
 from pipeline.splats.decoded import decoded_squares
 from pipeline.stages.maps.panoramas import read_map
@@ -91,6 +92,7 @@ class BlockFromMaps:
     n_blind: int
     n_other_station: int
     energy: float
+    log_texels: float  # sum of logarithms of the texels that splats with a map span
 
 
 @dataclass(frozen=True)
@@ -113,12 +115,14 @@ class ResampleMaps:
         start, stop = arrays.block_range(index, self.of.n_splats)
         splats = self.of.block(start, stop)
         texel = np.empty((stop - start, PATCH_DIM), np.uint8)
-        shown = np.zeros(stop - start)
+        shown, log_texels = np.zeros(stop - start), 0.0
         best = splats.best_stations()
         for station in np.unique(best[best != NO_STATION]):
             station_map, rows = self.of.map_of(int(station)), np.flatnonzero(best == station)
             levels = levels_with(self.log_gain[station])
-            patches, shown[rows] = sample_patches(station_map, splats.squares(station_map).only(rows), levels)
+            squares = splats.squares(station_map).only(rows)
+            patches, shown[rows] = sample_patches(station_map, squares, levels)
+            log_texels += float(np.log(texels_spanned(squares, station_map.frame.projection.step)).sum())
             texel[rows] = patches.reshape(len(rows), PATCH_DIM)
         blind = shown < LEAST_SHARE
         color = arrays.read(self.of.splats, "color", start, stop)[blind]
@@ -133,8 +137,10 @@ class ResampleMaps:
             n_blind=int(blind.sum()),
             n_other_station=int(((best != splats.own) & ~blind).sum()),
             energy=float(energy.sum(dtype=np.float64)),
+            log_texels=log_texels,
         )
 
     def finalise(self, folder: Path, results: list[BlockFromMaps]) -> PatchesMade:
         sums = {k: sum(getattr(r, k) for r in results) for k in ("energy", "n_flagged", "n_blind", "n_other_station")}
-        return PatchesMade(**sums)
+        n = sum(r.n_splats for r in results) or 1
+        return PatchesMade(**sums, map_texels=math.exp(sum(r.log_texels for r in results) / n))

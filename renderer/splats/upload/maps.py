@@ -18,6 +18,7 @@ from pipeline.geometry.ellipsoids import LONGEST_RADII
 from pipeline.maps.stored import VOID, decode_codes, decode_colors, halved
 from pipeline.splats.decoded import scene_bounds, scene_positions, scene_radii
 from storage.errors import ResourceExhausted
+from storage.maps import IN_PART, NO_MAP
 from storage.packed.batches import CHUNKS_PER_GROUP
 from storage.packed.packed import PackedScene
 from storage.packed.schema import CHUNK, Camera, Header
@@ -55,7 +56,7 @@ def maps_in_view(scene: PackedScene) -> MapsInView:
     header, station, position = scene.header, scene.arrays["station"], scene_positions(scene)
     radius, farthest = scene_radii(scene), np.zeros(header.n_splats)
     for i, stored in enumerate(header.maps):
-        its = np.flatnonzero(station == i)
+        its = np.flatnonzero((station % IN_PART == i) & (station != NO_MAP))
         away = np.linalg.norm(position[its] - np.subtract(stored.centre, header.origin), axis=1)
         texels = radius[its] / np.maximum(away, 1e-30) * stored.height_px * 2 / np.pi
         from_px = np.clip(texels / TEXELS_A_PX, SMALLEST_LOOKED_UP_PX, ALWAYS_LOOKED_UP_PX)

@@ -12,6 +12,7 @@ import pytest
 from renderer.effects.relighting import AS_PHOTOGRAPHED, USUAL_LAMP, lamp
 from renderer.splats.scene import GpuScene
 from renderer.splats.views import orbit_views, up_direction
+from storage.maps import IN_PART
 from storage.packed.schema import GROUP, MAX_ATOMS
 from tests.mapped_scenes import STATION, moved, wall_map, with_maps
 from tests.packed_files import write_arrays
@@ -56,7 +57,9 @@ def scene_of(name: str, smallest: float = 0.02):
         splats = replace(splats, position=splats.position + UTM)
         maps = [moved(wall_map(STATION + off, height), UTM) for off, height in ((0, 160), ([0.5, 0.2, 0.1], 112))]
         scene = build_scene(splats, Settings(radius=0.12, origin=UTM))
-        return with_maps(scene, *maps, station=rng.integers(-1, 2, 400))
+        station = rng.integers(-1, 2, 400)
+        station[(station >= 0) & (rng.random(400) < 0.4)] += IN_PART
+        return with_maps(scene, *maps, station=station)
     axes = np.tile(np.diag([0.12, 0.06, 0.03])[[0, 2, 1]], (500, 1, 1))
     axes[rng.random(500) < 0.7] = np.nan
     line = np.tile([0.8, 0.6, 0.1], (500, 1))
