@@ -25,11 +25,16 @@ from benchmarks.patches import Silent
 from pipeline.execution.executors import DaskExecutor, SerialExecutor
 from pipeline.planning.knobs import BY_NAME
 from pipeline.planning.settings import PRESETS, Settings, settings_for
+from renderer.evaluate.close_ups import Variant
+from renderer.evaluate.picture_psnr import picture_psnrs
+from services.flow.asked import prepare_asked
+from services.flow.run import Run
 from services.processes.compress import compress
 from services.processes.estimate import estimate
+from storage.packed.packed import SUFFIX
 from storage.work import work
 
-BARS = {"seconds": 0.25, "bytes": 0.05, "psnr_db": 0.5}
+BARS = {"seconds": 0.25, "bytes": 0.05, "psnr_db": 0.5, "picture_db": 0.5}
 
 
 def compare(scan: Path, settings: Settings, n_workers: int) -> dict:
@@ -42,11 +47,16 @@ def compare(scan: Path, settings: Settings, n_workers: int) -> dict:
             found = to_builtins(estimate(scan, settings, executor, Silent(), kept))
         pilot_s, pilot_cpu_s = time.perf_counter() - begun, _processor_s() - used
         with _executor(n_workers) as executor:
-            report = compress(scan, Path(folder) / "out", settings, executor, Silent(), render=False, work=kept)
+            out = Path(folder) / "out"
+            report = compress(scan, out, settings, executor, Silent(), render=False, work=kept)
+            prepared = prepare_asked(Run(kept, executor, Silent()), scan, settings)
+            [packed] = out.glob(f"*{SUFFIX}")
+            [picture] = picture_psnrs([Variant("job", packed)], prepared.photos) if psnr_of(found) else [None]
+            file_bytes = packed.stat().st_size
         stages = _stages(found, report, kept)
     coder = [row for row in stages if not row["reused"]]
     happened = {name: figure["happened"] for name, figure in report["estimate"].items()}
-    psnr = found["texture_psnr_db"]
+    psnr, drawn = found["texture_psnr_db"], found["picture_psnr_db"]
     return {
         "scan": scan.name,
         "preset": settings.preset,
@@ -61,6 +71,8 @@ def compare(scan: Path, settings: Settings, n_workers: int) -> dict:
             "bytes": found["gpu_bytes"]["value"] / happened["gpu_bytes"],
             "memory": found["peak_memory_bytes"]["value"] / happened["peak_memory_bytes"],
         },
+        "file": [found["file_bytes"]["value"], file_bytes],
+        "picture": [drawn["value"], picture] if drawn else None,
         "psnr_off_db": psnr["value"] - happened["texture_psnr_db"] if psnr else None,
         "sizes": {
             part: [found["sizes"][part], report["sizes"][part]]
@@ -68,6 +80,11 @@ def compare(scan: Path, settings: Settings, n_workers: int) -> dict:
         },
         "stages": stages,
     }
+
+
+def psnr_of(found: dict) -> bool:
+    """Whether photographs tell what the estimate is worth."""
+    return found["picture_psnr_db"] is not None
 
 
 def _executor(n_workers: int):
@@ -109,7 +126,9 @@ def show(row: dict, stages: bool) -> None:
     print(
         f"{row['scan']:<22}{row['preset']:<10}{row['splats']:>9,}  pilot {row['pilot_seconds']:5.1f} s, cpu {row['pilot_cpu_seconds']:5.1f} s  job {row['happened']['seconds']:6.1f} s  "
         f"seconds {ratios['seconds']:.2f}  cpu {ratios['cpu']:.2f}  bytes {ratios['bytes']:.3f}  memory {ratios['memory']:.2f}  "
-        + (f"PSNR {off:+.2f} dB" if off is not None else "no photographs"),
+        + f"file {row['file'][0] / row['file'][1]:.3f}  "
+        + (f"PSNR {off:+.2f} dB" if off is not None else "no photographs")
+        + (f"  pictures {row['picture'][0]:.2f} for {row['picture'][1]:.2f} dB" if row["picture"] else ""),
         flush=True,
     )
     if stages:

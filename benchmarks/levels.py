@@ -1,6 +1,6 @@
 """How near each coarser level of a packed file comes to the finest, seen from where its splats are two pixels wide.
 
-    python -m benchmarks.levels PACKED [--views 4] [--size 640] [--bound] [--json]
+    python -m benchmarks.levels PACKED [--views 4] [--size 640] [--antialias 2] [--bound] [--json]
 
 Orbit views from as far as the median radius of a level's splats is a pixel, drawn as the renderer chooses (each group
 by its own size, two pixels wide at most: `chosen`), and that level alone, whose larger splats are then more than two
@@ -26,8 +26,10 @@ from pipeline.numerics.srgb import LINEAR_OF_LEVEL, levels_of_linear
 from pipeline.splats.decoded import scene_radii
 from renderer.evaluate.compare import psnr_of_error, ssim
 from renderer.splats.detail import Detail
+from renderer.splats.projection import larger
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import SHARES, GpuScene
+from renderer.splats.targets import USUAL
 from renderer.splats.views import bulk_of, orbit_views
 from storage.packed.packed import PackedFile
 from storage.packed.schema import GROUP, Camera
@@ -80,8 +82,7 @@ class Difference:
 
 def averaged(renderer: Renderer, gpu_scene: Levels, view: Camera) -> Shown:
     """The view as means of TIMES x TIMES pixels, of those that are covered."""
-    lens = {name: TIMES * getattr(view, name) for name in ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px")}
-    large = renderer.render(gpu_scene, replace(view, **lens))
+    large = renderer.render(gpu_scene, larger(view, TIMES))
     shape = view.height_px, TIMES, view.width_px, TIMES
     n = large.coverage.reshape(shape).sum(axis=(1, 3))
     light = (LINEAR_OF_LEVEL[large.rgb] * large.coverage[..., None]).reshape(*shape, 3).sum(axis=(1, 3))
@@ -106,11 +107,11 @@ def _stored(light: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return levels_of_linear(light / np.maximum(weight, 1e-9)[..., None])
 
 
-def measured(packed: Path, n_views: int, side_px: int, bound: bool = False) -> list[dict]:
+def measured(packed: Path, n_views: int, side_px: int, bound: bool = False, antialias: int = USUAL) -> list[dict]:
     """Two rows a coarser level, the coarsest first, with `bound` four."""
     with PackedFile(packed) as opened:
         scene = opened.load()
-    renderer = Renderer()
+    renderer = Renderer(antialias=antialias)
     gpu_scene = Levels(scene, renderer.context)
     radius, ends = scene_radii(scene), np.cumsum(scene.header.levels)
     low, high = bulk_of(scene)
@@ -142,10 +143,11 @@ def main() -> None:
     parser.add_argument("packed", type=Path)
     parser.add_argument("--views", type=int, default=4)
     parser.add_argument("--size", type=int, default=640, help="pixels to a side")
+    parser.add_argument("--antialias", type=int, default=USUAL, help="as `render` has it")
     parser.add_argument("--bound", action="store_true", help="how near any splats of a level could come")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    rows = measured(options.packed, options.views, options.size, options.bound)
+    rows = measured(options.packed, options.views, options.size, options.bound, options.antialias)
     if options.json:
         print(json.dumps(rows))
         return

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
+from pipeline.numerics.srgb import LINEAR_OF_LEVEL, levels_of_linear
 from renderer.files import write_whole
 from storage.errors import ResourceExhausted
 
@@ -26,11 +27,19 @@ def save_picture(path: Path, rgb: np.ndarray) -> None:
     write_whole(path, _encoded(rgb, "jpeg" if path.suffix == ".jpg" else "png", PHOTO_QUALITY))
 
 
-def on_background(rgb: np.ndarray, coverage: np.ndarray, background: tuple[int, int, int] | None = None) -> np.ndarray:
-    """A picture (height, width, 3) with its coverage (height, width) as alpha, 0 or 255, or opaque on a colour."""
+def on_background(rgb: np.ndarray, alpha: np.ndarray, background: tuple[int, int, int] | None = None) -> np.ndarray:
+    """A picture (height, width, 3) with its alpha (height, width), uint8 or where it is covered, or opaque on a colour,
+    mixed in linear light."""
+    if alpha.dtype == bool:
+        alpha = np.where(alpha, np.uint8(255), np.uint8(0))
     if background is None:
-        return np.dstack([rgb, np.where(coverage, 255, 0).astype(np.uint8)])
-    return np.where(coverage[..., None], rgb, np.array(background, np.uint8))
+        return np.dstack([rgb, alpha])
+    made = np.where(alpha[..., None], rgb, np.array(background, np.uint8))
+    mixed = (alpha > 0) & (alpha < 255)
+    share = alpha[mixed][:, None] / 255
+    light = share * LINEAR_OF_LEVEL[rgb[mixed]] + (1 - share) * LINEAR_OF_LEVEL[np.array(background, np.uint8)]
+    made[mixed] = levels_of_linear(light)
+    return made
 
 
 def save_animation(path: Path, frames: list[np.ndarray], frames_a_second: int = 25) -> None:

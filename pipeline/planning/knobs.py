@@ -540,6 +540,17 @@ VIEW_KNOBS = (
         choices=("auto", "16", "32"),
     ),
     Knob(
+        "antialias",
+        int,
+        "as how many times as large to a side a picture is drawn, of which each pixel is then the mean; 2 unless asked",
+        "2: silhouettes with less steps and noise, 1 to 4 dB to the same drawn 8 times as large; 4: 2 dB more",
+        "frame time and memory: see docs/PERFORMANCE.md",
+        "render",
+        low=1,
+        high=8,
+        usual=2,
+    ),
+    Knob(
         "detail",
         float,
         "of a file with levels: pixels of a splat's radius up to which a coarser level is drawn, 1 unless asked; 0 draws the finest level alone",

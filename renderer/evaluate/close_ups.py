@@ -22,6 +22,7 @@ from renderer.report.evaluation_document import CloseUp, PassTimes, PictureFigur
 from renderer.splats.baseline import PHOTO_BUDGET_BYTES, PhotoSplats
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
+from renderer.splats.targets import USUAL
 from renderer.splats.views import framed_views, view_of
 from storage.packed.packed import PackedFile
 from storage.packed.schema import NO_CAMERA, Camera
@@ -70,7 +71,7 @@ def draw_close_ups(
     views = [close_up(cameras[spot.camera], spot.centre) for spot in spots]
     pictures: list[dict[str, str]] = [{} for _ in spots]
     figures: list[dict[str, PictureFigures | None]] = [{} for _ in spots]
-    renderer = Renderer()
+    renderer = Renderer(antialias=USUAL)
     first: list[Picture] = []
     for number, variant in enumerate(variants):
         with drawn(renderer, variant) as draw:

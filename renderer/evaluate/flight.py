@@ -135,7 +135,7 @@ class Flight:
         left, top, right, bottom = margin
         inside = np.s_[top : view.height_px - bottom, left : view.width_px - right]
         shown = Picture(
-            picture.rgb[inside], picture.coverage[inside], picture.pass_seconds, picture.programs, picture.accumulation
+            picture.rgb[inside], picture.alpha[inside], picture.pass_seconds, picture.programs, picture.accumulation
         )
         return shown, FrameRecord(
             {name: 1000 * seconds for name, seconds in picture.pass_seconds.items()} | self._ms,

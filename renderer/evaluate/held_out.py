@@ -16,6 +16,7 @@ from renderer.pictures import resized, save_picture
 from renderer.report.evaluation_document import HeldOutView
 from renderer.splats.renderer import Renderer
 from renderer.splats.scene import GpuScene
+from renderer.splats.targets import USUAL
 from storage.packed.packed import PackedFile
 
 FOLDER = "held-out"
@@ -48,7 +49,7 @@ def compare_held_out(held_out: HeldOut, folder: Path) -> list[HeldOutView]:
     the photograph is no property of the scan."""
     with PackedFile(held_out.packed) as packed:
         scene = packed.load()
-    renderer = Renderer()
+    renderer = Renderer(antialias=USUAL)
     gpu_scene = GpuScene(scene, renderer.context)
     rows = []
     for i, name in zip(

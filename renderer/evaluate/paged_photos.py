@@ -63,7 +63,8 @@ class PagedPhotos:
         """The baseline's picture from `view`."""
         before, self.gpu_scene.pages = self.gpu_scene.pages, self._pages
         try:
-            self._pages.show_all(view.width_px, view.height_px)
+            times = renderer.times_of(view)
+            self._pages.show_all(times * view.width_px, times * view.height_px)
             self._pages.take_feedback()
             renderer.render(self.gpu_scene, view, 0, detail=FINEST)
             parts = self._parts(np.flatnonzero(self._pages.take_feedback()[:, 0]))

@@ -7,6 +7,7 @@ files are drawn from the same cameras, and compared with the photographs over th
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,10 @@ from renderer.evaluate.close_ups import Variant, drawn
 from renderer.evaluate.compare import psnr_of_error
 from renderer.evaluate.previews import even_choice, limited_view
 from renderer.pictures import resized
+from renderer.splats.detail import FINEST
 from renderer.splats.renderer import Renderer
+from renderer.splats.scene import GpuScene
+from renderer.splats.targets import USUAL
 from renderer.splats.views import framed_views
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Camera
@@ -25,6 +29,7 @@ from storage.work import work
 
 N_VIEWS = 4
 MAX_SIDE_PX = 1024
+FILLED = 128  # of 255 in sRGB: what of a pixel's colour is of a sample's splats
 
 
 def picture_psnrs(variants: Sequence[Variant], photos: Path | None, fullest: int = 0) -> list[float | None]:
@@ -32,7 +37,7 @@ def picture_psnrs(variants: Sequence[Variant], photos: Path | None, fullest: int
     N_VIEWS of their cameras that the variant number `fullest`, the one of most splats, covers. A pixel that a variant
     leaves bare counts as black: its holes are errors. Without photographs against the pictures of the fullest, in its
     own colours, from around the scan. None where nothing is covered."""
-    renderer = Renderer()
+    renderer = Renderer(antialias=USUAL)
     views, wanted = ([], []) if photos is None else _photographs(photos)
     with drawn(renderer, variants[fullest]) as draw:
         if photos is None:
@@ -54,6 +59,30 @@ def picture_psnrs(variants: Sequence[Variant], photos: Path | None, fullest: int
                 error += int(((shown[mask].astype(np.int64) - photo[mask]) ** 2).sum())
         found.append(psnr_of_error(error / n_values))
     return found
+
+
+def sampled_picture_error(of_all: Path, sample: Path, rows: np.ndarray, photos: Path) -> float | None:
+    """The squared error to the photographs, a pixel and channel in levels of 255, of the file that `sample` is a sample
+    of: over the pixels of the same views that its splats fill. These are told by `of_all`, a file of all splats
+    without textures, of which the sample has `rows`: so what hides what is the whole file's. None where it fills no
+    pixel."""
+    renderer = Renderer(antialias=USUAL)
+    views, wanted = _photographs(photos)
+    with PackedFile(of_all, verify=False) as packed:
+        scene = packed.load()
+    mark = np.zeros((scene.header.n_splats, 3), np.uint8)
+    mark[rows] = 255
+    marked = GpuScene(replace(scene, arrays={**scene.arrays, "color": mark}), renderer.context)
+    fills = [renderer.render(marked, view, detail=FINEST).rgb[..., 0] >= FILLED for view in views]
+    marked.release()
+    error, n_values = 0, 0
+    with drawn(renderer, Variant("sample", sample)) as draw:
+        for view, photo, filled in zip(views, wanted, fills):
+            picture = draw(view)
+            both = filled & picture.coverage
+            error += int(((picture.rgb[both].astype(np.int64) - photo[both]) ** 2).sum())
+            n_values += 3 * int(both.sum())
+    return error / n_values if n_values else None
 
 
 def _photographs(photos: Path) -> tuple[list[Camera], list[np.ndarray]]:

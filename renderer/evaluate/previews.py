@@ -21,6 +21,7 @@ from renderer.report.document import ViewMeasured
 from renderer.splats.baseline import PhotoSplats
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
+from renderer.splats.targets import USUAL
 from renderer.splats.views import framed_views, hides_backs, station_views, view_of
 from storage.packed.packed import PackedScene
 from storage.packed.schema import Camera
@@ -80,7 +81,7 @@ def make_previews(
         views = station_views(scene, inside, options.orbit_size_px)
         views, read_photo = views + framed_views(scene, options.n_orbits, options.orbit_size_px), None
     names = safe_names([view.name for view in views])
-    renderer = renderer or Renderer()
+    renderer = renderer or Renderer(antialias=USUAL)
     device = renderer.context.info["GL_RENDERER"]
     gpu_scene = GpuScene(scene, renderer.context, front_only=hides_backs(scene, views))
     photos = PhotoSplats(gpu_scene, read_photo) if read_photo else None
@@ -163,9 +164,9 @@ def _draw(
 def _save(
     folder: Path, name: str, packed: Picture, baseline: Picture | None, photo: np.ndarray | None
 ) -> dict[str, str]:
-    pictures = {"packed": (f"{FOLDER}/{name}.packed.png", on_background(packed.rgb, packed.coverage))}
+    pictures = {"packed": (f"{FOLDER}/{name}.packed.png", on_background(packed.rgb, packed.alpha))}
     if baseline is not None:
-        pictures["baseline"] = (f"{FOLDER}/{name}.baseline.png", on_background(baseline.rgb, baseline.coverage))
+        pictures["baseline"] = (f"{FOLDER}/{name}.baseline.png", on_background(baseline.rgb, baseline.alpha))
     if photo is not None:
         pictures["photo"] = (f"{FOLDER}/{name}.photo.jpg", photo)
     for path, rgb in pictures.values():

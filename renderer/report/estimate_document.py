@@ -58,7 +58,7 @@ class Pilot(Part, frozen=True):
 
 class EstimateDocument(Part, frozen=True):
     """Seconds up to the packed file, peak memory of a worker, bytes on the GPU, of the file and of its pages, texture
-    PSNR. A figure is null where the job has none."""
+    PSNR and picture PSNR, which is of pictures against the photographs. A figure is null where the job has none."""
 
     seconds: Banded
     peak_memory_bytes: Banded
@@ -74,3 +74,4 @@ class EstimateDocument(Part, frozen=True):
     learning: LearningEstimated
     preset: str
     sample: Pilot
+    picture_psnr_db: Banded | None = None

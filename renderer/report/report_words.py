@@ -166,6 +166,7 @@ ESTIMATE = (  # key, title, in words
     ("file_bytes", "Bytes of the file", size),
     ("gpu_bytes", "Bytes on the GPU", size),
     ("texture_psnr_db", "Texture PSNR", decibels),
+    ("picture_psnr_db", "Picture PSNR", decibels),
     ("pages_bytes", "Page file", size),
 )
 

@@ -18,7 +18,8 @@ class LadderScan(Part, frozen=True):
 class LadderPoint(Part, frozen=True):
     """One point of the ladder: a preset, or the chosen settings with one knob at another value. PSNR at most BEST_DB
     where nothing is lost, null where it was not measured. `seconds` count stages that an earlier point ran,
-    `run_seconds` do not; `command` are the arguments of compress that make it."""
+    `run_seconds` do not; `command` are the arguments of compress that make it; `same_as` is the key of an earlier point
+    of the same splats, whose knob changes nothing of this scan."""
 
     key: str
     preset: str | None
@@ -43,6 +44,7 @@ class LadderPoint(Part, frozen=True):
     frame_seconds: float | None = None
     device: str | None = None
     frame_px: tuple[int, int] | None = None
+    same_as: str | None = None
 
 
 class LadderStep(Part, frozen=True):

@@ -8,7 +8,7 @@ for itself. Between PIXELS and FADE times as many a group and its children share
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,6 +33,10 @@ class Detail:
 
     pixels: float = 1.0
     most_splats: int | None = None
+
+    def of_parts(self, times: int) -> Detail:
+        """The same, told in pixels of which `times` make one."""
+        return replace(self, pixels=times * self.pixels)
 
 
 FINEST = Detail(0.0)

@@ -3,6 +3,8 @@ margin."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from storage.errors import InvalidScan
@@ -19,6 +21,14 @@ def view_block(view: Camera, header: Header) -> bytes:
     rows[5] = view.fx_px, view.fy_px, view.cx_px, view.cy_px
     rows[6] = view.width_px, view.height_px, NEAR_IN_RADII * header.radius, header.margin_radii
     return rows.tobytes()[: 7 * 16]
+
+
+def larger(view: Camera, times: int) -> Camera:
+    """The same view, of `times` as many pixels to a side."""
+    if times == 1:
+        return view
+    pixels = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px")
+    return replace(view, **{name: times * getattr(view, name) for name in pixels})
 
 
 def eye_against_origin(view: Camera, header: Header) -> np.ndarray:

@@ -23,24 +23,13 @@ from renderer.splats.baseline import PhotoSplats
 from renderer.splats.context import gl_context
 from renderer.splats.detail import FINEST, Detail
 from renderer.splats.programs import Programs, set_uniforms
-from renderer.splats.projection import checked_view, view_block
+from renderer.splats.projection import checked_view, larger, view_block
 from renderer.splats.scene import DRAWS, GpuScene
-from renderer.splats.targets import NARROW, WIDE, Targets, make_targets
+from renderer.splats.targets import NARROW, WIDE, Picture, Targets, make_targets, read_alpha
 from storage.packed.schema import GROUP, MAX_ATOMS, Camera
 
 _INVOCATIONS = 64  # local size of cull.comp.glsl
 _VIEW_BYTES = 7 * 16
-
-
-@dataclass(frozen=True)
-class Picture:
-    """One rendered view, top row first."""
-
-    rgb: np.ndarray  # (height, width, 3) uint8 sRGB, black where nothing is seen
-    coverage: np.ndarray  # (height, width) bool: where splats were seen
-    pass_seconds: dict[str, float]  # by pass, in the order they ran; waits for the GPU after each
-    programs: tuple[str, ...]  # those that drew it
-    accumulation: str  # what the colours were added up in: RGBA16F, or RGBA32F where overdraw called for it
 
 
 @dataclass
@@ -57,11 +46,12 @@ class Renderer:
     Guarantees: no NaN and no Inf reaches a picture; splats behind the camera, at its plane and around the eye are
     drawn as far as they are in front of it; a splat smaller than a pixel still covers one; however many splats lie on
     top of each other, a picture is within 1/255 of exact sums, but where the job asked for `accumulation=off` (and but
-    for inputs that docs/NUMERICS.md names).
+    for inputs that docs/NUMERICS.md names). With `antialias` N each pixel is the mean of N x N (targets.py), or of
+    fewer where the driver has no textures so large.
     """
 
-    def __init__(self, context: moderngl.Context | None = None) -> None:
-        self.context = context or gl_context()
+    def __init__(self, context: moderngl.Context | None = None, antialias: int = 1) -> None:
+        self.context, self.antialias = context or gl_context(), antialias
         with self.context:
             self._programs = Programs(self.context)
             self._view = self.context.buffer(reserve=_VIEW_BYTES)
@@ -84,7 +74,8 @@ class Renderer:
 
         Raises: InvalidScan for a view that is not finite, ResourceExhausted for one too large.
         """
-        gpu_scene.show(checked_view(view), detail)
+        times = self.times_of(checked_view(view))
+        gpu_scene.show(larger(view, times), detail.of_parts(times))
         if gpu_scene.pages is not None:
             gpu_scene.pages.look(view)
         return self._drawn(
@@ -102,14 +93,14 @@ class Renderer:
             self._begin_attributes(frame)
             frame.programs += photos.draw(self._programs, view)
 
-        photos.gpu_scene.show(checked_view(view), FINEST)
+        photos.gpu_scene.show(larger(view, self.times_of(checked_view(view))), FINEST)
         return self._drawn(photos.gpu_scene, view, draw, AS_PHOTOGRAPHED)
 
     def render_by_parts(self, gpu_scene: GpuScene, view: Camera, parts: Callable[[], Iterator[int]]) -> Picture:
         """The splats of the finest level from `view`, textured from the pages of a scene with them, in as many parts as
         `parts()` yields numbers, from 0 on: before each it has its pages put and counted (`GpuPages.count`)."""
         assert gpu_scene.pages is not None
-        gpu_scene.show(checked_view(view), FINEST)
+        gpu_scene.show(larger(view, self.times_of(checked_view(view))), FINEST)
         gpu_scene.pages.look(view)
 
         def draw(frame: _Frame) -> None:
@@ -120,6 +111,12 @@ class Renderer:
                     self.context.finish()  # llvmpipe draws later, from what the pool holds by then
 
         return self._drawn(gpu_scene, view, draw, AS_PHOTOGRAPHED)
+
+    def times_of(self, view: Camera) -> int:
+        """How many times as large a view is drawn."""
+        return max(
+            1, min(self.antialias, self.context.info["GL_MAX_TEXTURE_SIZE"] // max(view.width_px, view.height_px))
+        )
 
     def flatten_feedback(self, gpu_scene: GpuScene) -> None:
         """List the pages that the last frame of a scene with pages asked for; `gpu_scene.pages.listed` has them."""
@@ -154,8 +151,9 @@ class Renderer:
     def _begin(self, gpu_scene: GpuScene, view: Camera, light: Light) -> _Frame:
         checked_view(view)
         smooth = "normal_smoothing" in gpu_scene.drawn
-        frame = _Frame(self._targets_of((view.width_px, view.height_px), gpu_scene.accumulation, smooth), light)
-        self._view.write(view_block(view, gpu_scene.scene.header))
+        size, times = (view.width_px, view.height_px), self.times_of(view)
+        frame = _Frame(self._targets_of(size, gpu_scene.accumulation, smooth, times), light)
+        self._view.write(view_block(larger(view, times), gpu_scene.scene.header))
         self._view.bind_to_uniform_block(0)
         gpu_scene.bind()
         with self._pass(frame, "cull"):
@@ -226,7 +224,10 @@ class Renderer:
                 frame.targets.normals.use(1)
             watched = gpu_scene.watched and frame.targets.accumulation == NARROW
             name, drawing = self._programs.drawing(
-                "resolve", **defines_of("resolve", gpu_scene.drawn), WATCHED=int(watched)
+                "resolve",
+                **defines_of("resolve", gpu_scene.drawn),
+                WATCHED=int(watched),
+                TIMES=frame.targets.times if frame.targets.times > 1 else 0,
             )
             set_uniforms(drawing, **_lamp_of(frame))
             drawing.render(moderngl.TRIANGLES, vertices=3)
@@ -234,9 +235,8 @@ class Renderer:
         width, height = frame.targets.size
         pixels = np.frombuffer(frame.targets.resolve.read(components=4), np.uint8).reshape(height, width, 4)
         programs = tuple(dict.fromkeys(frame.programs))
-        covered = pixels[..., 3]
-        picture = Picture(pixels[..., :3].copy(), covered > 0, frame.pass_seconds, programs, frame.targets.accumulation)
-        return picture, bool(((covered > 0) & (covered < 255)).any())
+        rgb, (alpha, overdrawn) = pixels[..., :3].copy(), read_alpha(pixels[..., 3], watched)
+        return Picture(rgb, alpha, frame.pass_seconds, programs, frame.targets.accumulation), overdrawn
 
     # --- helpers -----------------------------------------------------------------------------------------------------
 
@@ -278,14 +278,14 @@ class Renderer:
         self.context.finish()
         frame.pass_seconds[name] = perf_counter() - started
 
-    def _targets_of(self, size: tuple[int, int], accumulation: str, smooth: bool) -> Targets:
-        kept = self._targets
-        if kept is None or (kept.size, kept.accumulation, kept.normals is not None) != (size, accumulation, smooth):
+    def _targets_of(self, size: tuple[int, int], accumulation: str, smooth: bool, times: int) -> Targets:
+        kept, wanted = self._targets, (size, times, accumulation, smooth)
+        if kept is None or (kept.size, kept.times, kept.accumulation, kept.normals is not None) != wanted:
             if self._targets is not None:
                 self._none.use()
                 self._targets.release()
                 self._targets = None
-            self._targets = make_targets(self.context, size, accumulation, smooth)
+            self._targets = make_targets(self.context, size, accumulation, smooth, times)
         return self._targets
 
 

@@ -19,8 +19,9 @@ import numpy as np
 
 from pipeline.coding.grid import SYMMETRIES, AtomForm
 from pipeline.execution.stage import Executor, Progress, Stage, StageRecord
+from pipeline.numerics.accuracy import squared_error_at
 from pipeline.planning.settings import Settings
-from pipeline.stages.points.sampled import Sampled
+from pipeline.stages.points.sampled import Sampled, chosen_rows
 from pipeline.stages.texture.contrast_octaves import shares
 from pipeline.stages.texture.dictionary import KsvdUpdate
 from pipeline.stages.texture.encode import Encode
@@ -28,6 +29,8 @@ from pipeline.stages.texture.multipliers import Multipliers, least_multiplier, m
 from pipeline.stages.texture.resample import Resample
 from pipeline.stages.texture.training import TrainingSet, membership
 from pipeline.summaries import AverageColors
+from renderer.evaluate.compare import psnr_of_error
+from renderer.evaluate.picture_psnr import sampled_picture_error
 from renderer.report.document import Sizes
 from renderer.report.estimate_document import EstimateDocument
 from renderer.report.report import sizes_of
@@ -41,6 +44,7 @@ from services.flow.run import Run
 from services.flow.textures import PATCHES_AN_ATOM, Coded, index_bits
 from services.processes.estimate_gaps import Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
 from services.processes.estimate_pages import PagesEstimated, estimate_pages
+from storage.errors import ResourceExhausted
 from storage.packed.packed import SUFFIX, PackedFile
 from storage.packed.schema import ATOM_SIZES, EXTRAS
 from storage.work import arrays, work
@@ -55,6 +59,7 @@ BANDS = {
     "gpu_bytes": 0.05,
     "file_bytes": 0.05,
     "texture_psnr_db": 0.5,
+    "picture_psnr_db": 0.5,
     "peak_memory_bytes": 0.25,
     "pages_bytes": 0.15,
 }
@@ -75,6 +80,7 @@ class _Pilot:
     n_workers: int
     mapped: Mapped | None = None
     pages: PagesEstimated | None = None
+    picture_error: float | None = None  # squared, to the photographs, a channel in levels of 255
 
     @property
     def n_splats(self) -> int:
@@ -89,7 +95,7 @@ def estimate(
     scan: Path, settings: Settings, executor: Executor, progress: Progress, work_folder: Path | None = None
 ) -> EstimateDocument:
     """Seconds up to the packed file (previews not among them), peak memory of a worker, bytes on the GPU and of the
-    file, and texture PSNR, each with a band, those of a page file beside it, and what each stage adds to the seconds.
+    file, texture and picture PSNR, each with a band, those of a page file beside it, and what each stage adds to the seconds.
 
     With `work_folder` the full part stays there, and so does the estimate, for the report of the job that follows.
 
@@ -160,7 +166,21 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
         run.executor.n_workers,
         mapped,
         estimate_pages(run, prepared, settings, scratch / "pages"),
+        _picture_error(run, prepared, settings, path, scratch) if coded else None,
     )
+
+
+def _picture_error(run: Run, prepared: Prepared, settings: Settings, sample: Path, scratch: Path) -> float | None:
+    """That of pictures of a sample's file to the photographs, where all splats of the scan hide what lies behind them;
+    None where nothing can be drawn."""
+    apart, of_all = Run(scratch / "all", run.executor, run.progress), scratch / f"all{SUFFIX}"
+    apart.work.mkdir(parents=True, exist_ok=True)
+    pack(apart, prepared, None, settings, "all", of_all)
+    rows = chosen_rows(prepared.splats.summary.n_splats, SAMPLE)
+    try:
+        return run.paint(sampled_picture_error, of_all, sample, rows, prepared.photos)
+    except ResourceExhausted:
+        return None
 
 
 def _sampled(pilot: Run, prepared: Prepared) -> Prepared:
@@ -211,6 +231,7 @@ def _scaled(pilot: _Pilot, settings: Settings) -> dict:
         "gpu_bytes": sizes["gpu_bytes"],
         "file_bytes": _file_bytes(pilot, sizes),
         "texture_psnr_db": _psnr_db(pilot, loss),
+        "picture_psnr_db": _picture_psnr_db(pilot, loss),
         "pages_bytes": pages.bytes if pages else None,
     }
     return {name: _banded(name, value) for name, value in figures.items()} | {
@@ -249,7 +270,7 @@ def _banded(name: str, value: float | None) -> dict | None:
     """A figure from `low` to `high`."""
     if value is None:
         return None
-    off = BANDS[name] if name == "texture_psnr_db" else BANDS[name] * value
+    off = BANDS[name] if name.endswith("_db") else BANDS[name] * value
     return {"value": value, "low": value - off, "high": value + off}
 
 
@@ -373,6 +394,15 @@ def _psnr_db(pilot: _Pilot, loss: float) -> float | None:
         return pilot.mapped.texture_psnr_db
     found = pilot.coded.codes.summary.texture_psnr_db if pilot.coded else None
     return None if found is None or not loss else found - 10 * math.log10(loss)
+
+
+def _picture_psnr_db(pilot: _Pilot, loss: float) -> float | None:
+    """Pictures lose what textures lose more in the job than in the pilot."""
+    if pilot.picture_error is None:
+        return None
+    textures = pilot.coded.codes.summary.texture_psnr_db if pilot.coded else None
+    more = 0.0 if textures is None else (loss - 1) * squared_error_at(textures, 1)
+    return psnr_of_error(max(0.0, pilot.picture_error + more))
 
 
 def _job_for_pilot(pilot: _Pilot, settings: Settings, learning: dict) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from renderer.residency.pooled import PooledFile
 from renderer.splats.detail import Detail
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
-from renderer.splats.targets import NARROW, WIDE
+from renderer.splats.targets import NARROW, USUAL, WIDE
 from renderer.splats.views import framed_views, hides_backs, orbit_views, view_of
 from storage.errors import InvalidScan
 from storage.packed.packed import PackedFile, PackedScene
@@ -36,6 +36,7 @@ def render_views(
     size: tuple[int, int] | None = None,
     max_atoms: int = MAX_ATOMS,
     precision: str = "auto",
+    antialias: int = USUAL,
     light: Light | None = None,
     background: tuple[int, int, int] | None = None,
     animated: bool = False,
@@ -46,12 +47,12 @@ def render_views(
 ) -> list[Path]:
     """Render one camera's view or `n_orbit` views around the scan into PNGs in `out`, with their coverage as alpha or
     on a `background`, and where `animated` into turntable.webp beside them; returns their paths. `precision`
-    is that of pipeline.planning.knobs.VIEW_KNOBS. With a `light`
+    and `antialias` are those of pipeline.planning.knobs.VIEW_KNOBS. With a `light`
     it is lit, whether or not the file asks for it; with smoothed normals, unless it was planned without. `up` is
     what is up around the scan, where the file does not know; `detail` which of its levels are drawn, with `pool_mib`
     from no more than so many MiB of its splats in memory. With `front_only`, or where they are hidden
     anyway, discs that show their backs are left out."""
-    renderer = Renderer()
+    renderer = Renderer(antialias=antialias)
 
     def prepare(gpu_scene: GpuScene) -> None:
         if precision != "auto":
@@ -73,7 +74,7 @@ def render_views(
             paths.append(out / f"{name}.png")
             paths[-1].parent.mkdir(parents=True, exist_ok=True)
             picture = draw(view, max_atoms, light, detail)
-            frames.append(on_background(picture.rgb, picture.coverage, background))
+            frames.append(on_background(picture.rgb, picture.alpha, background))
             save_picture(paths[-1], frames[-1])
             frames = frames if animated else []
     if animated:
@@ -128,7 +129,7 @@ def coverage_of(packed: Path, up: tuple[float, float, float] | None = None, pict
     painted."""
     with PackedFile(packed) as opened:
         scene = opened.load()
-    renderer = Renderer()
+    renderer = Renderer(antialias=USUAL)
     views = framed_views(scene, OUTLINE_VIEWS, SIZE_PX, up)
     outline, points = [], scanned_points(scene)
     for view, drawn in zip(views, _pictures(renderer, scene, views)):

@@ -16,6 +16,7 @@ from pipeline.execution.stage import Executor, Progress, StageRecord
 from pipeline.numerics.accuracy import BEST_DB
 from pipeline.planning.knobs import BY_NAME, KNOBS
 from pipeline.planning.settings import PRESETS, Settings
+from pipeline.stages.packed.pack import Pack
 from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluate.compare import not_measured
 from renderer.evaluate.picture_psnr import picture_psnrs
@@ -33,14 +34,8 @@ from storage.packed.packed import SUFFIX, PackedFile
 from storage.packed.schema import RUNS
 from storage.whole import placed_whole
 
-OF_POINTS = {
-    "density",
-    "levels",
-    "radius",
-    "effects",
-    "geometry",
-    "cell",
-}  # knobs that change a scan without photographs
+# Knobs that change a scan without photographs.
+OF_POINTS = {"density", "levels", "radius", "effects", "geometry", "cell"}
 DENSITIES = (1.0, 0.5, 0.25, 0.1)
 SPOTS = slice(1, None, 2)  # of `choose_spots`: a good one, a middling one, the worst
 
@@ -158,6 +153,7 @@ def measure_ladder(
     points: list[LadderPoint] = []
     packed: list[Path] = []
     skipped: list[LadderStep] = []
+    made: dict[tuple, str] = {}
     last, photos = 0.0, None
     tried: Mapping[str, Sequence] = default_knobs() if knobs is None else knobs
     steps = ladder(settings, tried)
@@ -168,7 +164,8 @@ def measure_ladder(
             skipped.append(LadderStep(step.key, step.command))
             continue
         run.round(i, len(steps) + 1)  # the pictures are one more
-        point, photos, last = _point(run, scan, step, path := folder / f"{step.key.replace('/', '-')}{SUFFIX}", render)
+        path = folder / f"{step.key.replace('/', '-')}{SUFFIX}"
+        point, photos, last = _point(run, scan, step, path, render, made)
         points.append(point)
         packed.append(path)
         if i == 0 and photos is None:  # the loop goes on with these
@@ -176,9 +173,7 @@ def measure_ladder(
             more = ladder(settings, {"density": DENSITIES if knobs is None else DENSITIES[:1]})
             steps[1:1] = [step for step in more if step.knob and asdict_key(step.settings) not in known]
     run.round(len(steps), len(steps) + 1)
-    close_ups: tuple[CloseUp, ...] = ()
-    if render:
-        points, close_ups = _pictures(run, points, packed, photos, out)
+    points, close_ups = _pictures(run, points, packed, photos, out) if render else (points, ())
     from renderer.report.tradeoff_page import summarised, write_tradeoff  # bokeh takes half a second to import
 
     found = summarised(points)
@@ -202,9 +197,11 @@ def measure_ladder(
     return document
 
 
-def _point(run: Run, scan: Path, step: Step, path: Path, render: bool) -> tuple[LadderPoint, Path | None, float]:
-    """A point of the ladder, packed to `path`; the folder of the photographs that textured it, if any; and its seconds without what
-    most other points reuse."""
+def _point(
+    run: Run, scan: Path, step: Step, path: Path, render: bool, known: dict[tuple, str]
+) -> tuple[LadderPoint, Path | None, float]:
+    """A point of the ladder, packed to `path`; the folder of the photographs that textured it, if any; and its seconds
+    without what most other points reuse. `known` are the stages and bytes of earlier points, with their keys."""
     first = len(run.records)
     prepared = prepare_asked(run, scan, step.settings)
     textured = has_photographs(prepared)
@@ -221,6 +218,7 @@ def _point(run: Run, scan: Path, step: Step, path: Path, render: bool) -> tuple[
     with PackedFile(path) as packed:
         sizes = sizes_of(packed.load(), path.stat().st_size)
     records, quality = run.records[first:], coded.codes.summary if coded else None
+    made = frozenset(r.folder for r in records if r.name != Pack.name), sizes.gpu_bytes
     point = LadderPoint(
         key=step.key,
         preset=step.preset,
@@ -242,7 +240,9 @@ def _point(run: Run, scan: Path, step: Step, path: Path, render: bool) -> tuple[
         reused=tuple(r.name for r in records if r.reused),
         settings=asdict(step.settings),
         n_cameras=len(prepared.scan.summary.cameras),
+        same_as=known.get(made),
     )
+    known.setdefault(made, step.key)
     return point, prepared.photos if textured else None, sum(r.seconds for r in records[n_shared:])
 
 

@@ -76,7 +76,8 @@ const submit = (process) => guard(async () => {
 });
 
 const FIGURES = [["seconds", "time", seconds], ["peak_memory_bytes", "memory", bytes], ["gpu_bytes", "packed", bytes],
-  ["texture_psnr_db", "texture PSNR", (db) => db.toFixed(1) + " dB"]];
+  ["texture_psnr_db", "texture PSNR", (db) => db.toFixed(1) + " dB"],
+  ["picture_psnr_db", "picture PSNR", (db) => db.toFixed(1) + " dB"]];
 
 const estimate = guard(async () => {
   $("estimate").disabled = true;

@@ -32,9 +32,7 @@ class Sampled:
 
     def run(self, folder: Path, index: int) -> Counted:
         n = work.summary(self.partition, Points).n_splats
-        chunks = chosen_chunks(n, self.n_wanted)
-        rows = (chunks[:, None] * CHUNK + np.arange(CHUNK)).ravel()
-        rows = rows[rows < n]
+        chunks, rows = chosen_chunks(n, self.n_wanted), chosen_rows(n, self.n_wanted)
         if arrays.exists(self.source, BLOCK_BOX):  # those of the whole scan
             store_boxes(folder, *boxes_of(self.source))
         for array in (name for name in arrays.names(self.source) if name != BLOCK_BOX):
@@ -56,6 +54,12 @@ class Sampled:
         if arrays.exists(self.source, "position"):
             return Points
         return SplatsMade if arrays.exists(self.source, "normal_code") else Counted
+
+
+def chosen_rows(n: int, n_wanted: int) -> np.ndarray:
+    """Which splats: those of the chosen chunks, ascending."""
+    rows = (chosen_chunks(n, n_wanted)[:, None] * CHUNK + np.arange(CHUNK)).ravel()
+    return rows[rows < n]
 
 
 def chosen_chunks(n: int, n_wanted: int) -> np.ndarray:

@@ -22,6 +22,7 @@ from renderer.pictures import on_background, resized, save_picture
 from renderer.report.document import StationShown, StationView
 from renderer.splats.renderer import Picture, Renderer
 from renderer.splats.scene import GpuScene
+from renderer.splats.targets import USUAL
 from renderer.splats.views import station_views
 from storage.packed.packed import PackedFile, PackedScene
 from storage.packed.schema import Camera
@@ -49,7 +50,7 @@ def draw_stations(packed: Path, maps: Path, log_gain: Gains, folder: Path) -> li
     if not seen:
         return []
     points, colors = (np.concatenate(parts) for parts in zip(*seen, strict=True))
-    renderer = Renderer()
+    renderer = Renderer(antialias=USUAL)
     textured, flat = GpuScene(scene, renderer.context), GpuScene(without_maps(scene), renderer.context)
     viewed, found = set(even_choice(n, MOST_VIEWED)), []
     for i in even_choice(n, MOST_SHOWN):
@@ -112,7 +113,7 @@ def _compared(
     db = {kind: seen.psnr_db(picture.rgb, colors, both) for kind, picture in pictures.items()}
     paths = {kind: f"{FOLDER}/{view.name.replace(', ', '.').replace(' ', '_')}.{kind}.png" for kind in pictures}
     for kind, picture in pictures.items():
-        save_picture(folder / paths[kind], on_background(picture.rgb, picture.coverage))
+        save_picture(folder / paths[kind], on_background(picture.rgb, picture.alpha))
     return StationView(
         camera=view.name,
         flat_db=db["flat"][0],

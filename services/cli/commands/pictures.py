@@ -71,6 +71,7 @@ def _render(options: argparse.Namespace) -> int:
         size=options.size,
         max_atoms=options.atoms,
         precision=options.precision,
+        antialias=options.antialias,
         light=lamp(*options.light) if options.light else None,
         up=options.up,
         detail=Detail(options.detail, options.most_splats),

@@ -160,6 +160,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
             print(
                 f"{p.key:<28}{psnrs}{p.splats:13,}{p.file_bytes:13,} B"
                 f"{p.seconds:9.1f}  {'yes' if p.key in front else ''}".rstrip()
+                + (f"  changes nothing here: the splats of {p.same_as}" if p.same_as else "")
             )
         print(f"page  {out / 'tradeoff.html'}")
     return OK

@@ -112,7 +112,7 @@ def warnings_of(file: PageFile, header: Header) -> list[str]:
 
 def _frame(flight: Flight, walk: Path90, i: int, every: int, out: Path) -> FrameRecord:
     picture, record = flight.frame(walk.poses[i], motion_at(walk.poses, i, FRAMES_PER_SECOND / every))
-    save_picture(out / f"frame_{i:04d}.png", on_background(picture.rgb, picture.coverage, (0, 0, 0)))
+    save_picture(out / f"frame_{i:04d}.png", on_background(picture.rgb, picture.alpha, (0, 0, 0)))
     return record
 
 

@@ -16,7 +16,10 @@ from pipeline.execution.stage import StageRecord
 from pipeline.planning.settings import settings_for
 from pipeline.stages.points.sampled import Sampled
 from pipeline.summaries import Counted, Points
+from renderer.evaluate.close_ups import Variant
+from renderer.evaluate.picture_psnr import picture_psnrs
 from services.cli.main import main
+from services.flow.asked import prepare_asked
 from services.flow.estimate_cache import against, known_estimate
 from services.flow.prepare import splats_of
 from services.flow.run import Run
@@ -46,6 +49,13 @@ def estimated(scan, tmp_path_factory):
         patch.setattr(module, "SAMPLE", SAMPLE)
         found = to_builtins(estimate(scan, SETTINGS, SerialExecutor(), Heard(), work))
     return found, compress(scan, out, SETTINGS, SerialExecutor(), Heard(), render=False, work=work), work, out
+
+
+def test_estimate__pictures_are_near_those_of_the_job(estimated, scan, renderer):
+    found, _, folder, out = estimated
+    prepared = prepare_asked(Run(folder, SerialExecutor(), Heard()), scan, SETTINGS)
+    [happened] = picture_psnrs([Variant("job", next(out.glob("*.splatpress")))], prepared.photos)
+    assert found["picture_psnr_db"]["value"] == pytest.approx(happened, abs=0.5)
 
 
 def test_estimate__bytes_and_psnr_are_near_what_happens(estimated):

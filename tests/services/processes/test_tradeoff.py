@@ -249,6 +249,8 @@ def test_tradeoff__a_scan_without_photographs_is_compared_with_all_of_its_points
         "density=0.25",
         "levels=0",
     ]  # no preset, no passes: nothing is learned
+    assert [p.same_as for p in found.points] == [None, None, None, "chosen"]
+    assert "changes nothing here: the splats of chosen" in (tmp_path / "out" / "tradeoff.html").read_text()
     assert points["density=1.0"].picture_psnr_db == BEST_DB and not found.advice
     assert points["density=0.25"].picture_psnr_db < points["chosen"].picture_psnr_db < 60
     assert list(found.fronts["file_bytes"]) == [
