@@ -553,7 +553,7 @@ VIEW_KNOBS = (
     Knob(
         "detail",
         float,
-        "of a file with levels: pixels of a splat's radius up to which a coarser level is drawn, 1 unless asked; 0 draws the finest level alone",
+        "of a file with levels: pixels of a splat's radius about which a coarser level takes the place of the next finer one, 1 unless asked; 0 draws the finest level alone",
         "small: pictures of the finest level; large: fewer splats, and frame time goes with them",
         "large: blur, and silhouettes wider by as much",
         "render",

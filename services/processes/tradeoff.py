@@ -16,7 +16,6 @@ from pipeline.execution.stage import Executor, Progress, StageRecord
 from pipeline.numerics.accuracy import BEST_DB
 from pipeline.planning.knobs import BY_NAME, KNOBS
 from pipeline.planning.settings import PRESETS, Settings
-from pipeline.stages.packed.pack import Pack
 from renderer.evaluate.close_ups import Variant, draw_close_ups, time_passes
 from renderer.evaluate.compare import not_measured
 from renderer.evaluate.picture_psnr import picture_psnrs
@@ -218,7 +217,7 @@ def _point(
     with PackedFile(path) as packed:
         sizes = sizes_of(packed.load(), path.stat().st_size)
     records, quality = run.records[first:], coded.codes.summary if coded else None
-    made = frozenset(r.folder for r in records if r.name != Pack.name), sizes.gpu_bytes
+    made = prepared.splats.folder, prepared.built, coded and coded.codes.folder, sizes.gpu_bytes
     point = LadderPoint(
         key=step.key,
         preset=step.preset,

@@ -47,7 +47,7 @@ class GroupTable:
     low: np.ndarray  # (g, 3) float32: lowest corner of their boxes against the origin, unit
     high: np.ndarray  # (g, 3) float32
     cone: np.ndarray  # (g, 4) int8: axis of a cone of their normals, cosine of its half angle, both in 127ths
-    radius: np.ndarray  # (g, 2) float32: mean and largest radius, unit
+    radius: np.ndarray  # (g, 2) float32: mean radius by area and largest radius, unit
     rows: np.ndarray  # (g, v) uint32: of each array of `ragged_in`
     start: np.ndarray  # (g,) uint64: where their members begin in the file
     bytes: np.ndarray  # (g,) uint64
@@ -127,8 +127,15 @@ def outline_of(header: Header, arrays: dict[str, np.ndarray]) -> dict[str, np.nd
             high.astype(np.float32) < high, np.nextafter(high.astype(np.float32), np.float32(np.inf)), high
         ),
         "cone": _cone(arrays["normal"]) if header.geometry == BOXES else ANY_NORMAL,
-        "radius": np.array([radius.mean(), radius.max()]),
+        "radius": np.array([mean_by_area(radius, np.zeros(1, np.int64))[0], radius.max()]),
     }
+
+
+def mean_by_area(radius: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """The mean radius (g,) float64 of groups of splats that begin at `first`, each splat weighing as its area does: how
+    large the splat is that a place of the surface belongs to."""
+    radius = np.asarray(radius, np.float64)
+    return np.add.reduceat(radius**3, first) / np.add.reduceat(radius**2, first)
 
 
 def _bounds(header: Header, arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -268,7 +268,7 @@ ARRAYS = (
     Array("group_low", ("g", "3"), "float32", "geometry", "lowest corner of what each group lies in, from the origin"),
     Array("group_high", ("g", "3"), "float32", "geometry", "its highest corner"),
     Array("group_cone", ("g", "4"), "int8", "geometry", "axis of a cone of its normals, cosine of its half angle"),
-    Array("group_radius", ("g", "2"), "float32", "geometry", "mean and largest radius of its splats, unit"),
+    Array("group_radius", ("g", "2"), "float32", "geometry", "mean radius of its splats by area and largest, unit"),
     Array("group_rows", ("g", "v"), "uint32", "geometry", "rows that count of each array of which it has any number"),
     Array("group_start", ("g",), "uint64", "provenance", "where its members begin in the file"),
     Array("group_bytes", ("g",), "uint64", "provenance", "bytes of its members, their headers in the zip with them"),

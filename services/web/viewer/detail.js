@@ -5,7 +5,7 @@ import { GROUP } from "./packed.js";
 
 const FEWER = 4;
 const STANDS_IN = 2; // added to the share of a group that is drawn for want of its children, see shaders/detail.glsl
-const FADE = 1.5, COARSER = 2 ** 0.25, MOST_STEPS = 64;
+const COMES = 1.5 ** -0.5, GONE = 1.5 ** 0.5, COARSER = 2 ** 0.25, MOST_STEPS = 64;
 
 /** The groups of all levels, the coarsest first: boxes and sizes that hold those of their children, parents, children; by the table of groups. */
 export function groupTree({ header, nGroups }, { group_low: groupLow, group_high: groupHigh, group_radius: radius }) {
@@ -59,7 +59,7 @@ function cut({ parent, children, firstLeaf }, look, wanted, isHere, isSeen) {
   const refined = new Float32Array(look.length), shares = new Float32Array(look.length);
   for (let group = 0; group < look.length; ++group) { // parents come first
     const above = parent[group] < 0 ? 1 : refined[parent[group]];
-    const share = wanted > 0 ? Math.min(1, Math.max(0, (look[group] / wanted - 1) / (FADE - 1))) : 1;
+    const share = wanted > 0 ? Math.min(1, Math.max(0, (look[group] / wanted - COMES) / (GONE - COMES))) : 1;
     const splits = group < firstLeaf && above > 0 && children[group].length > 0;
     const may = splits && (!isHere || children[group].every((child) => isHere(child) || !isSeen(child)));
     refined[group] = may ? share : 0;

@@ -118,7 +118,7 @@ def test_detail__a_level_seen_where_its_splats_are_two_pixels_wide_is_like_the_f
     renderer, scene = drawn
     tree = scene.tree
     size = float(tree.size[[slice(0, 1), slice(1, 5)][level]].max())
-    view = view_from(200.0 * size * 1.02 + 0.02, scenes[2].header)
+    view = view_from(200.0 * size * 1.02 * FADE**0.5 + 0.02, scenes[2].header)  # from where on it is alone
     coarse, fine = renderer.render(scene, view, detail=Detail(1.0)), renderer.render(scene, view, detail=FINEST)
     renderer.render(scene, view, detail=Detail(1.0))
     assert scene.n_chosen <= [GROUP, 4 * GROUP][level]
@@ -133,8 +133,8 @@ def test_detail__a_flight_has_no_pops(scenes, drawn):
     header, frames, chosen = scenes[2].header, [], []
     sizes = scene.tree.size[1:5]
     near, far = (
-        200 * sizes.min() / FADE - 0.02,
-        200 * sizes.max() + 0.03,
+        200 * sizes.min() / FADE**0.5 - 0.02,
+        200 * sizes.max() * FADE**0.5 + 0.03,
     )  # over which the middle level takes the finest's place
     for distance in np.linspace(near, far, 12):
         frames.append(renderer.render(scene, view_from(distance, header)).rgb.astype(float))

@@ -297,7 +297,9 @@ def test_cli__pictures_are_transparent_unless_a_background_is_asked_for(compress
     size = ["--size", "80x60"]
     assert run(capsys, "render", str(file), "--orbit", "1", *size, "--out", str(tmp_path / "clear"))[0] == 0
     with Image.open(next((tmp_path / "clear").glob("*.png"))) as picture:
-        assert picture.mode == "RGBA" and set(np.unique(np.asarray(picture)[..., 3])) == {0, 255}
+        assert picture.mode == "RGBA"
+        alpha = np.asarray(picture)[..., 3]
+        assert (alpha == 0).any() and (alpha == 255).any() and ((alpha > 0) & (alpha < 255)).any()  # soft rims
     turned = ["--turntable", "3", "--background", "#ffffff", *size, "--out", str(tmp_path / "turned")]
     assert run(capsys, "render", str(file), *turned)[0] == 0
     assert len(list((tmp_path / "turned").glob("*.png"))) == 3
