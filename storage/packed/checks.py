@@ -47,6 +47,7 @@ from storage.packed.schema import (
 )
 from storage.packed.seal import SEAL, SEAL_BYTES
 
+MOST_MODELS = 1 << 18  # above what any header calls for
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 ZSTD_HEADER_BYTES = 18  # of a frame, at most
 
@@ -113,6 +114,7 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
             "a cell above 0, a turn of -1..1, no more runs than splats",
         ),
         ("levels", h.levels, not (h.levels and h.runs), "none, with runs"),
+        ("archive", h.archive, h.archive is None or _archive_is_sound(h), f"0 bytes or more, models {MOST_MODELS} or fewer, no runs"),
         ("size_bits", h.size_bits, h.size_bits in SIZE_BITS, f"one of {SIZE_BITS}"),
         ("dictionary_bits", h.dictionary_bits, 0 <= h.dictionary_bits <= 16, "0..16"),
         ("weight_bits", h.weight_bits, 1 <= h.weight_bits <= 8, "1..8"),
@@ -172,6 +174,13 @@ def _grid_is_sound(header: Header) -> bool:
     assert grid is not None
     counts = header.n_groups <= grid.n_sections <= grid.n_runs <= header.n_splats
     return counts and 0 < grid.cell < float("inf") and all(abs(x) <= 1 for x in grid.turn)
+
+
+def _archive_is_sound(header: Header) -> bool:
+    form = header.archive
+    assert form is not None
+    has_atoms = form.dictionary_bytes == 0 or header.n_dictionary > 0
+    return form.dictionary_bytes >= 0 and 0 <= form.n_models <= MOST_MODELS and has_atoms and not header.runs
 
 
 def check_layout(archive: ZipFile, header: Header) -> None:

@@ -7,7 +7,8 @@ checks it alone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+import math
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from storage.packed.quadrics import frame_boxes, number_words
 from storage.packed.runs.tables import DECODED, most_bytes, run_bounds
 from storage.packed.schema import (
     BOXES,
+    BY_NAME,
     CHUNK,
     EXTRAS,
     GROUP,
@@ -30,6 +32,7 @@ from storage.packed.schema import (
     Header,
     arrays_of,
     color_bits,
+    dimensions_of,
 )
 
 PREFIX = "group_"  # of the table's arrays; what follows is a field of GroupTable
@@ -68,7 +71,10 @@ TABLE = tuple(PREFIX + field.name for field in fields(GroupTable))
 
 
 def ragged_in(header: Header) -> tuple[Array, ...]:
-    """The arrays of which groups have any number of rows, in the order of `rows`."""
+    """The arrays of which groups have any number of rows, in the order of `rows`. A file in archive form has those of
+    its plain form, which it holds in the last one."""
+    if header.archive:
+        return (*ragged_in(replace(header, archive=None)), BY_NAME["archive"])
     return tuple(array for array in arrays_of(header) if array.is_ragged)
 
 
@@ -76,11 +82,25 @@ def most_rows(header: Header, array: Array) -> int:
     """What a group has no more rows of: of words and bytes by the bits that a splat may take. All have so many in the
     file."""
     n = min(GROUP, header.n_splats)
+    if array.name == "archive":
+        return most_archive_bytes(replace(header, archive=None))
     if "u" in array.dims:
         return most_bytes(n)
     bits = {"codes": header.n_ranks * header.entry_bits, "colors": MOST_COLOR_BITS, "splats": MOST_NUMBER_BITS}
     bits |= {extra.stream: extra.bits * extra.n_fields for extra in EXTRAS}
     return -(-n // CHUNK) * CHUNK * bits[array.name] // 32
+
+
+def most_archive_bytes(header: Header) -> int:
+    """Bytes of a group's arrays as they stand in plain form, with all rows that streams may have, and one byte more."""
+    rows, sizes = {"n": min(GROUP, header.n_splats), "c": min(GROUP // CHUNK, header.n_chunks)}, dimensions_of(header)
+    total = 1
+    for array in arrays_of(header):
+        if array.in_groups:
+            n = most_rows(header, array) if array.is_ragged else rows[array.dims[0]]
+            width = math.prod(sizes[dim] for dim in array.dims[1:] if dim not in "eu")
+            total += n * width * np.dtype(array.dtype).itemsize
+    return total
 
 
 def rows_told(header: Header, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -15,9 +15,10 @@ from storage.packed.schema import GROUP, Array, Header, arrays_of, dimensions_of
 
 TABLE_ROWS_PER_ZARR_CHUNK = 4096
 ATOMS_PER_ZARR_CHUNK = 256
-MAP_BYTES_PER_ZARR_CHUNK = 1 << 20
+BYTES_PER_ZARR_CHUNK = 1 << 20
 ZSTD_LEVEL = 9
 ROOT_MEMBER = "zarr.json"
+MODELS = "archive_models"  # what groups are decoded with, so it stands before them
 LOCAL_HEADER_BYTES = 30  # of a member of a zip, beside its name
 
 
@@ -34,7 +35,7 @@ def chunk_shape(array: Array, shape: tuple[int, ...]) -> tuple[int, ...]:
     if array.is_ragged:
         return 1, *(max(1, n) for n in shape[1:])
     rows = {"n": GROUP, "c": CHUNKS_PER_GROUP, "g": TABLE_ROWS_PER_ZARR_CHUNK, "k": ATOMS_PER_ZARR_CHUNK}
-    rows |= dict.fromkeys("xy", MAP_BYTES_PER_ZARR_CHUNK)
+    rows |= dict.fromkeys("xyz", BYTES_PER_ZARR_CHUNK)
     return tuple(max(1, c) for c in (min(rows.get(array.dims[0], shape[0]), shape[0]), *shape[1:]))
 
 
@@ -64,22 +65,23 @@ def n_first_groups(header: Header) -> int:
 
 
 def members_before_groups(header: Header) -> Iterator[str]:
-    """What a file begins with: header and metadata, the table of groups."""
+    """What a file begins with: header and metadata, the table of groups, the models that groups begin with."""
     arrays = arrays_of(header)
     yield ROOT_MEMBER
     yield from (metadata_member(array) for array in arrays)
-    yield from (member for array in arrays if array.name in TABLE for member in _chunks_of(header, array))
+    for names in (TABLE, (MODELS,)):
+        yield from (member for array in arrays if array.name in names for member in _chunks_of(header, array))
 
 
 def members_of_all(header: Header) -> Iterator[str]:
     """What all groups share, and stands behind those of the coarsest level: dictionary, maps."""
-    others = [array for array in arrays_of(header) if array.name not in TABLE and not array.in_groups]
+    others = [array for array in arrays_of(header) if array.name not in (*TABLE, MODELS) and not array.in_groups]
     yield from (member for array in others for member in _chunks_of(header, array))
 
 
 def members_in_order(header: Header) -> Iterator[tuple[str, int | None]]:
-    """The order of a file: header and metadata, the table of groups, the coarsest level, the dictionary, all other
-    groups. Members' names with None, and for the members of a group, as `group_members` has them, its number."""
+    """The order of a file: header and metadata, the table of groups, the models that groups begin with, the coarsest
+    level, the dictionary, all other groups. Members' names with None, and for the members of a group, as `group_members` has them, its number."""
     n_first = n_first_groups(header)
     yield from ((member, None) for member in members_before_groups(header))
     yield from (("", index) for index in range(n_first))

@@ -6,8 +6,10 @@ Written by storage/packed/writing/writer.py. Groups are units: each is read, che
 from __future__ import annotations
 
 import hashlib
+import os
 import zipfile
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +21,7 @@ from storage import place
 from storage.errors import InvalidPackedFile
 from storage.packed.checks import ZSTD_HEADER_BYTES, check_frame, check_layout, check_members, check_table, read_header
 from storage.packed.groups import TABLE, GroupTable, check_outline, first_words, ragged_in, rows_told
-from storage.packed.layout import chunk_bytes, chunk_member, chunk_shape, group_members, shape_of
+from storage.packed.layout import MODELS, chunk_bytes, chunk_member, chunk_shape, group_members, shape_of
 from storage.packed.runs.tables import DECODED, joined_tables
 from storage.packed.scene import PackedScene, check_tables
 from storage.packed.schema import BY_NAME, GROUP, Array, Header, arrays_of
@@ -46,12 +48,16 @@ class PackedFile:
         with _damage_is_an_error(self.path), ExitStack() as stack:
             self._archive = stack.enter_context(zipfile.ZipFile(self.path))
             check_members(self._archive, self.n_bytes)
-            self.header = read_header(self._archive)
-            check_layout(self._archive, self.header)
+            self._stored = read_header(self._archive)  # of what the file holds; `header` is that of its plain form
+            check_layout(self._archive, self._stored)
+            self.header = replace(self._stored, archive=None)
             self._names = {array.name for array in arrays_of(self.header)}
-            table = {name: self.read(name) for name in TABLE if name in self._names}
-            self.groups = _table(self.header.n_groups, table)
-            check_table(self._archive, self.header, self.groups)
+            table = {array.name: self._rows(array) for array in arrays_of(self._stored) if array.name in TABLE}
+            stored = _table(self.header.n_groups, table)
+            check_table(self._archive, self._stored, stored)
+            self.groups = replace(stored, rows=stored.rows[:, : len(ragged_in(self.header))])
+            self._archive_bytes = stored.rows[:, -1] if self.is_archive else None
+            self._priors = self._models()
             self._handles = stack.pop_all()
 
     def __enter__(self) -> PackedFile:
@@ -63,12 +69,38 @@ class PackedFile:
     def close(self) -> None:
         self._handles.close()
 
+    @property
+    def is_archive(self) -> bool:
+        """Whether the file is in archive form; what is read is that of its plain form either way."""
+        return self._stored.archive is not None
+
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
-        """Rows start..stop of one array as it is stored."""
+        """Rows start..stop of one array as it is stored, in the plain form."""
         if name not in self._names:
             raise KeyError(name)
         array = BY_NAME[name]
+        if array in arrays_of(self._stored):
+            return self._rows(array, start, stop)
+        if not array.in_groups:
+            return self.of_all()[name][start:stop]
+        return self._rows_of_groups(array, start, stop)
+
+    def _rows_of_groups(self, array: Array, start: int, stop: int | None) -> np.ndarray:
+        """Of an array that a file in archive form holds group by group."""
         shape = shape_of(self.header, array)
+        rows = range(shape[0])[start:stop]
+        if not rows:
+            return np.empty((0, *shape[1:]), array.dtype)
+        step = chunk_shape(array, shape)[0]
+        parts = [self._group_arrays(group)[array.name] for group in range(rows[0] // step, rows[-1] // step + 1)]
+        if array.is_ragged:
+            parts = [np.pad(part, (0, shape[1] - len(part)))[None] for part in parts]
+        first = rows[0] // step * step
+        return np.concatenate(parts)[rows[0] - first : rows[-1] + 1 - first]
+
+    def _rows(self, array: Array, start: int = 0, stop: int | None = None) -> np.ndarray:
+        """Of an array that the file holds."""
+        shape = shape_of(self._stored, array)
         rows = range(shape[0])[start:stop]
         if not rows:
             return np.empty((0, *shape[1:]), array.dtype)
@@ -82,11 +114,27 @@ class PackedFile:
     def load(self) -> PackedScene:
         """The whole file in memory, with the tables checked against each other."""
         groups = range(self.header.n_groups)
-        return self._checked(self.header, [self._group_arrays(index) for index in groups], self.of_all())
+        if not self.is_archive:
+            return self._checked(self.header, [self._group_arrays(index) for index in groups], self.of_all())
+        with ThreadPoolExecutor(os.cpu_count()) as pool:  # a group takes far longer to decode than to read
+            return self._checked(self.header, list(pool.map(self._group_arrays, groups)), self.of_all())
 
     def of_all(self) -> dict[str, np.ndarray]:
         """The arrays that all groups share: dictionary, maps."""
-        return {a.name: self.read(a.name) for a in arrays_of(self.header) if not (a.in_groups or a.name in TABLE)}
+        shared = [a for a in arrays_of(self._stored) if not (a.in_groups or a.name in (*TABLE, MODELS))]
+        found = {array.name: self._rows(array) for array in shared}
+        if "archive_atoms" in found:
+            from storage.packed.archive.atoms import unpack_atoms  # compiles loops: for archives alone
+
+            with _damage_is_an_error(self.path):
+                found |= unpack_atoms(self.header, found.pop("archive_atoms"))
+        return found
+
+    def _models(self) -> np.ndarray | None:
+        """What models of groups begin with, where the file says so."""
+        if self._stored.archive is None or not self._stored.archive.n_models:
+            return None
+        return self._rows(BY_NAME[MODELS])
 
     def rows_of_group(self, index: int) -> dict[str, np.ndarray]:
         """The arrays of a group, once its seal and the table fit them: what `joined` makes a scene of."""
@@ -122,9 +170,11 @@ class PackedFile:
         """The rows of a group that count, once its seal and the table fit them."""
         arrays, state, header = {}, hashlib.sha256(), self._header_of(index)
         n_rows = dict(zip((array.name for array in ragged_in(self.header)), self.groups.rows[index].tolist()))
+        if self._archive_bytes is not None:
+            n_rows["archive"] = int(self._archive_bytes[index])
         rows_of = {"n": header.n_splats, "c": header.n_chunks}
         with _damage_is_an_error(self.path):
-            for array, _ in group_members(self.header, index):
+            for array, _ in group_members(self._stored, index):
                 values, frame = self._chunk(array, index)
                 state.update(frame)
                 arrays[array.name] = (
@@ -132,6 +182,10 @@ class PackedFile:
                 )
             if state.digest() != self.groups.seal[index].tobytes():
                 raise ValueError(f"group {index} is not what its seal says")
+            if self.is_archive:
+                from storage.packed.archive.group import unpack_group  # compiles loops: for archives alone
+
+                arrays = unpack_group(header, arrays["archive"], n_rows, self._priors)
             for name, told in rows_told(header, arrays).items():
                 if n_rows[name] != told[0]:
                     raise ValueError(f"group_rows says {n_rows[name]} of {name} in group {index}, its counts {told[0]}")
@@ -160,7 +214,7 @@ class PackedFile:
 
     def _chunk(self, array: Array, index: int) -> tuple[np.ndarray, bytes]:
         """One zarr chunk, and its bytes in the file."""
-        shape = shape_of(self.header, array)
+        shape = shape_of(self._stored, array)
         stored, n_bytes = self._archive.read(chunk_member(array, index)), chunk_bytes(array, shape)
         raw = stored
         if array.name not in TABLE:

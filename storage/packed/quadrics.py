@@ -136,7 +136,7 @@ def _tops(words: np.ndarray, first_word: np.ndarray, places: _Places, shape: tup
 
 
 def check_frames(arrays: dict[str, np.ndarray]) -> None:
-    """ValueError unless frames and numbers are what decoders take them for, so that none leaves 32 bits or an array."""
+    """ValueError unless frames are what decoders take them for, so that no number of theirs leaves 32 bits."""
     cells, bits, step = (arrays[name].astype(np.int64) for name in ("frame_cells", "frame_bits", "frame_step"))
     if cells.min() < 1 or cells.max() > MOST_FRAME_CELLS:
         raise ValueError(f"frame_cells has {cells.min()}..{cells.max()}, not 1..{MOST_FRAME_CELLS}")
@@ -150,6 +150,12 @@ def check_frames(arrays: dict[str, np.ndarray]) -> None:
     low = arrays["normal_low"].astype(np.int64)
     if np.abs(low).max() > 254:
         raise ValueError(f"normal_low has {low.min()}..{low.max()}, not -254..254")
+
+
+def check_numbers(arrays: dict[str, np.ndarray]) -> None:
+    """ValueError unless frames and numbers are what decoders take them for, so that none leaves 32 bits or an array."""
+    check_frames(arrays)
+    bits = arrays["frame_bits"].astype(np.int64)
     words = number_words(arrays["batch_count"], bits)
     if len(arrays["splats"]) != words.sum() + 1 or not (arrays["splat_word"] == words.cumsum() - words).all():
         raise ValueError("splat_word and splats do not fit batch_count and frame_bits")

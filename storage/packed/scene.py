@@ -13,7 +13,7 @@ from storage.packed.batches import Rows, group_batch_counts, rows_of
 from storage.packed.bits import unpack_sizes, words_for
 from storage.packed.codes import unpack_codes
 from storage.packed.colors import color_words, unpack_colors
-from storage.packed.quadrics import check_frames, unpack_numbers
+from storage.packed.quadrics import check_numbers, unpack_numbers
 from storage.packed.runs.tables import DECODED, check_runs
 from storage.packed.schema import (
     BY_NAME,
@@ -124,7 +124,7 @@ def check_tables(scene: PackedScene) -> None:
     if header.runs:
         check_runs(header, arrays)
     elif header.geometry == QUADRICS:
-        check_frames(arrays)
+        check_numbers(arrays)
     elif not (arrays["box_bits"].sum(axis=1, dtype=np.int64) == POSITION_BITS).all():
         raise ValueError(f"box_bits does not add up to {POSITION_BITS} in every chunk")
     _check_numbers(arrays)

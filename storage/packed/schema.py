@@ -2,13 +2,13 @@
 
 Dimensions: n splats; c chunks of CHUNK splats; g groups of GROUP splats; b batches; k atoms; r ranks (atoms a splat,
 at most); w weight levels; s words of a chunk's sizes; and of a group, as many as it has at most: e 32-bit words of a
-stream, u bytes of its runs; v arrays whose rows a group has any number of; and y bytes of maps' pictures, x texels of
-maps.
+stream, u bytes under a range coder; v arrays whose rows a group has any number of; y bytes of maps' pictures, x texels
+of maps; and of a file in archive form m models that groups begin with, z bytes of atoms.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from storage.json_fields import listed, numbers, plain, typed, whole_numbers
@@ -111,6 +111,14 @@ class RunGrid:
 
 
 @dataclass(frozen=True)
+class Archived:
+    """What a file holds of itself in fewer bytes than a GPU takes (storage/packed/archive)."""
+
+    dictionary_bytes: int  # of all atoms' texels; 0 where the levels of atoms are arrays as in other files
+    n_models: int  # that groups begin with; 0 where they know nothing
+
+
+@dataclass(frozen=True)
 class Header:
     """What holds for the whole packed file; stored as attributes of its root group."""
 
@@ -139,6 +147,7 @@ class Header:
     color_step: int = 0  # what cells of colours are no larger than, as a code; 0 where `color` has whole bytes
     geometry: str = BOXES  # one of GEOMETRIES
     runs: RunGrid | None = None  # of the geometry runs
+    archive: Archived | None = None  # of a file in archive form
 
     @property
     def mip_sizes(self) -> tuple[int, ...]:
@@ -175,7 +184,7 @@ class Header:
     def to_json(self) -> dict:
         header = {"format": FORMAT_NAME, "version": FORMAT_VERSION, **asdict(self)}
         header["batches"] = tuple({k: v for k, v in b.items() if v or k != "ellipsoid"} for b in header["batches"])
-        called_for = {name: getattr(self, name) for name in ("effects", "levels", "maps", "runs")}
+        called_for = {name: getattr(self, name) for name in ("effects", "levels", "maps", "runs", "archive")}
         called_for["geometry"] = self.geometry != BOXES
         return {name: value for name, value in header.items() if called_for.get(name, True)}
 
@@ -187,6 +196,7 @@ class Header:
             Header,
             {"effects": {}, "geometry": BOXES} | data,
             runs=typed(RunGrid, runs, turn=numbers(runs["turn"], 9)) if data.get("geometry") == RUNS else None,
+            archive=typed(Archived, data["archive"]) if "archive" in data else None,
             levels=tuple(plain(n, "int", "a level") for n in listed(data.get("levels", ()))),
             maps=tuple(map(StoredMap.from_json, listed(data.get("maps", ())))),
             origin=numbers(data["origin"], 3),
@@ -264,6 +274,9 @@ ARRAYS = (
     Array("map_colors", ("y",), "uint8", "maps", "a WebP picture of each map's colours, one after the other"),
     Array("map_depth_low", ("x",), "uint8", "maps", "low bytes of what depth codes are above those a row before"),
     Array("map_depth_high", ("x",), "uint8", "maps", "high bytes of that"),
+    Array("archive_models", ("m",), "uint8", "provenance", "256ths of how likely a 0 is; 0 where nothing is known"),
+    Array("archive_atoms", ("z",), "uint8", "dictionary", "texels of the atoms' finest level, range coded"),
+    Array("archive", ("g", "u"), "uint8", "provenance", "all that the group has but its row of the table, range coded"),
     Array("camera", ("n",), "uint16", "provenance", "the camera each splat was textured from; 65535 none"),
     Array("group_low", ("g", "3"), "float32", "geometry", "lowest corner of what each group lies in, from the origin"),
     Array("group_high", ("g", "3"), "float32", "geometry", "its highest corner"),
@@ -275,6 +288,7 @@ ARRAYS = (
     Array("group_seal", ("g", "32"), "uint8", "provenance", "SHA-256 of its zarr chunks, as they stand in the file"),
 )
 BY_NAME = {array.name: array for array in ARRAYS}
+ARCHIVE = ("archive", "archive_atoms", "archive_models")
 FRAMES = tuple(name for name in BY_NAME if name.startswith(("frame_", "normal_")))  # of chunks over quadrics
 FORMS = (
     dict.fromkeys(("box_low", "box_size", "box_bits", "position", "normal"), BOXES)
@@ -285,7 +299,9 @@ FORMS = (
 
 def arrays_of(header: Header) -> tuple[Array, ...]:
     """The arrays that a file with this header holds: what a scan does not call for is not there."""
-    absent = {name for name, form in FORMS.items() if form != header.geometry}
+    if header.archive:
+        return _archived(header)
+    absent = {name for name, form in FORMS.items() if form != header.geometry} | set(ARCHIVE)
     absent |= {"run_batch"} if len(header.batches) < 2 else set()
     if not header.n_dictionary:
         absent |= {a.name for a in ARRAYS if a.part == "dictionary"} | {"codes"}
@@ -302,6 +318,18 @@ def arrays_of(header: Header) -> tuple[Array, ...]:
     return tuple(array for array in ARRAYS if array.name not in absent)
 
 
+def _archived(header: Header) -> tuple[Array, ...]:
+    """Of a file in archive form: the groups' arrays are in `archive`, the atoms' in `archive_atoms`."""
+    assert header.archive
+    plain_form = arrays_of(replace(header, archive=None))
+    kept = {a.name for a in plain_form if not a.in_groups} | {"archive", "archive_models", "group_rows"}
+    if header.archive.dictionary_bytes:
+        kept = kept - {f"atoms_{size}" for size in MIP_SIZES} | {"archive_atoms"}
+    if not header.archive.n_models:
+        kept.remove("archive_models")
+    return tuple(array for array in ARRAYS if array.name in kept)
+
+
 def dimensions_of(header: Header) -> dict[str, int]:
     """The size of every named dimension but those that differ by group (storage/packed/groups.py)."""
     return {
@@ -315,7 +343,9 @@ def dimensions_of(header: Header) -> dict[str, int]:
         "s": CHUNK * header.size_bits // 32,
         "y": sum(m.color_bytes for m in header.maps),
         "x": sum(m.n_texels for m in header.maps),
-        "v": sum(array.is_ragged for array in arrays_of(header)),
+        "v": sum(array.is_ragged for array in arrays_of(replace(header, archive=None))) + bool(header.archive),
+        "z": header.archive.dictionary_bytes if header.archive else 0,
+        "m": header.archive.n_models if header.archive else 0,
     } | {str(s): s for s in (1, 2, 3, 4, 8, 16, 32)}
 
 

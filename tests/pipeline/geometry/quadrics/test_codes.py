@@ -10,7 +10,7 @@ from pipeline.geometry.normals import encode_normals, octahedron_of
 from pipeline.geometry.quadrics.codes import asked_steps, encode_quadrics
 from pipeline.geometry.quadrics.frames import Frames, arrays_of_frames, decode_quadrics
 from pipeline.geometry.quadrics.quaternions import axes_of
-from storage.packed.quadrics import check_frames, number_words, pack_numbers, unpack_numbers
+from storage.packed.quadrics import check_numbers, number_words, pack_numbers, unpack_numbers
 from storage.packed.schema import CHUNK, MOST_FRAME_CELLS, steps_of
 
 
@@ -62,7 +62,7 @@ def test_quadrics__positions_come_back_within_half_a_cell_and_normals_exactly(na
     span = np.ptp(position, axis=0).max()
     widest = max(1.1 * 0.01, 1.1 * span / MOST_FRAME_CELLS, 2**-21 * np.abs(position).max())
     assert step.max() <= (widest if name != "all round" else 1.1 * 0.04)  # of which 2^31 cells fill the box
-    check_frames(arrays_of(number, frames))
+    check_numbers(arrays_of(number, frames))
 
 
 def arrays_of(number: np.ndarray, frames: Frames, n_batches: int = 1) -> dict[str, np.ndarray]:
@@ -93,7 +93,7 @@ def test_numbers__a_vector_that_lacks_a_splat_is_refused():
     arrays = arrays_of(*encode_quadrics(position, encode_normals(normal), asked(position)))
     arrays["splats"][0] &= arrays["splats"][0] - np.uint32(1)  # its lowest one goes
     with pytest.raises(ValueError, match="bit vector"):
-        check_frames(arrays)
+        check_numbers(arrays)
 
 
 def test_quadrics__mean_error_is_the_one_asked_for():

@@ -1,0 +1,138 @@
+"""A group of a packed file in few bytes, and back, as arrays of a file's plain form.
+
+Guarantees of `pack_group` and `unpack_group`: the same arrays bit by bit, but that of boxes the splats of a batch of a
+chunk stand in the order of the tree; so what is packed again is the same bytes. No more bytes than the arrays take as
+they stand, and one more.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from storage.packed.archive.coder import EVEN, READING, WRITING, begin, compiled, end, tree, within
+from storage.packed.archive.columns import (
+    Splats,
+    arrays_of_splats,
+    axis_of_heights,
+    check_chunks,
+    chunks_of,
+    form_of,
+    kinds_of,
+    splats_of,
+)
+from storage.packed.archive.splats import N_FIELDS, code_splats, models_of
+from storage.packed.archive.tables import bytes_of, code_tables, columns_of, of_bytes
+from storage.packed.scene import PackedScene
+from storage.packed.schema import BOXES, Header, arrays_of, dimensions_of
+
+CODED, AS_THEY_STAND = 0, 1  # the first byte of a group
+_AXIS_MODELS = 4  # of the axis of heights
+PRIOR_USES = 7  # that a model counts for which a file knows
+_ROOM, _ROOM_A_SPLAT = 1 << 16, 1024  # bytes that no group takes: a bit by a model takes at most 12
+
+
+def n_models(header: Header) -> int:
+    """How many models a file has."""
+    return int(models_of(form_of(header))[-1]) + _AXIS_MODELS + (len(columns_of(header)) << 8)
+
+
+def fresh_models(header: Header, priors: np.ndarray | None = None) -> np.ndarray:
+    """Models (2, m) int64 as every group begins with them: `priors` (m,) uint8 are probabilities in 256ths, 0 where
+    nothing is known."""
+    models = np.zeros((2, n_models(header)), np.int64)
+    models[0] = EVEN
+    if priors is not None:
+        known = priors > 0
+        models[0, known], models[1, known] = priors[known].astype(np.int64) << 8, PRIOR_USES
+    return models
+
+
+@compiled
+def _code_axes(state, data, models, base, axis):
+    for chunk in range(len(axis)):
+        axis[chunk] = within(state, tree(state, data, models, base, 2, axis[chunk]), 3)
+
+
+def code_group(scene: PackedScene, models: np.ndarray) -> np.ndarray:
+    """The bytes (m,) uint8 of a group's splats and chunks; the models (2, m) learn from it."""
+    header, at = scene.header, models_of(form_of(scene.header))
+    out = np.empty(_ROOM + _ROOM_A_SPLAT * header.n_splats, np.uint8)
+    state = begin(WRITING, out)
+    tables, axis = bytes_of(header, scene.arrays), np.zeros(header.n_chunks, np.int64)
+    code_tables(state, out, models, at[-1] + _AXIS_MODELS, columns_of(header), tables)
+    if header.geometry == BOXES:
+        axis = axis_of_heights(scene)
+        _code_axes(state, out, models, at[-1], axis)
+    chunks, steps = chunks_of(header, scene.arrays, axis)
+    s, form = splats_of(scene, chunks), form_of(header)
+    order = np.arange(header.n_splats)
+    code_splats(
+        state, out, models, at, form, chunks, steps, kinds_of(header), s.fields, s.first, s.entries, order
+    )
+    return out[: end(state, out)].copy()
+
+
+def _read_group(header: Header, data: np.ndarray, models: np.ndarray) -> dict[str, np.ndarray]:
+    """The way back of `code_group`, with the models as they were."""
+    at, n = models_of(form_of(header)), header.n_splats
+    state, modelled = begin(READING, data), columns_of(header)
+    rows, axis = np.zeros((header.n_chunks, len(modelled)), np.int64), np.zeros(header.n_chunks, np.int64)
+    code_tables(state, data, models, at[-1] + _AXIS_MODELS, modelled, rows)
+    tables = of_bytes(header, rows)
+    if header.geometry == BOXES:
+        _code_axes(state, data, models, at[-1], axis)
+    check_chunks(header, tables)
+    chunks, steps = chunks_of(header, tables, axis)
+    fields, first, form = np.zeros((n, N_FIELDS), np.int64), np.zeros(n, np.int64), form_of(header)
+    entries, order = np.zeros((n * header.n_ranks, 2), np.int64), np.arange(n)
+    code_splats(state, data, models, at, form, chunks, steps, kinds_of(header), fields, first, entries, order)
+    if not end(state, data):
+        raise ValueError(f"{len(data)} bytes of a group that are not those of its {n} splats")
+    return arrays_of_splats(header, tables, chunks, Splats(fields, first, entries))
+
+
+def pack_group(scene: PackedScene, arrays: dict[str, np.ndarray], priors: np.ndarray | None) -> np.ndarray:
+    """The bytes (m,) uint8 of a group: `scene` is it alone, `arrays` are its rows that count."""
+    coded = code_group(scene, fresh_models(scene.header, priors))
+    stood = _as_they_stand(scene.header, arrays)
+    kind, data = (CODED, coded) if len(coded) <= len(stood) else (AS_THEY_STAND, stood)
+    return np.concatenate([np.array([kind], np.uint8), data])
+
+
+def unpack_group(
+    header: Header, data: np.ndarray, n_rows: dict[str, int], priors: np.ndarray | None
+) -> dict[str, np.ndarray]:
+    """The arrays of a group of bytes (m,) uint8, the rows that count; `header` is the group's alone, of the plain form,
+    `n_rows` are what the table says of arrays with any number of rows.
+
+    Raises: ValueError where bytes are not just those of such a group. Any bytes may come: none beyond them are read.
+    """
+    if not len(data) or data[0] not in (CODED, AS_THEY_STAND):
+        raise ValueError(f"a group that begins with {data[:1].tolist()}, not {CODED} or {AS_THEY_STAND}")
+    if data[0] == AS_THEY_STAND:
+        return _stood(header, data[1:], n_rows)
+    return _read_group(header, np.ascontiguousarray(data[1:]), fresh_models(header, priors))
+
+
+def _as_they_stand(header: Header, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    parts = [arrays[a.name].astype(np.dtype(a.dtype).newbyteorder("<")) for a in arrays_of(header) if a.in_groups]
+    return np.concatenate([np.frombuffer(part.tobytes(), np.uint8) for part in parts])
+
+
+def _stood(header: Header, data: np.ndarray, n_rows: dict[str, int]) -> dict[str, np.ndarray]:
+    """The way back of `_as_they_stand`."""
+    arrays, at, sizes = {}, 0, dimensions_of(header)
+    for array in (a for a in arrays_of(header) if a.in_groups):
+        shape = (n_rows[array.name],) if array.is_ragged else tuple(sizes[dim] for dim in array.dims)
+        dtype = np.dtype(array.dtype).newbyteorder("<")
+        end_ = at + math.prod(shape) * dtype.itemsize
+        if end_ > len(data):
+            break
+        arrays[array.name] = np.frombuffer(data[at:end_].tobytes(), dtype).reshape(shape).astype(array.dtype)
+        at = end_
+    else:
+        if at == len(data):
+            return arrays
+    raise ValueError(f"{len(data)} bytes of a group as it stands that are not those of its {header.n_splats} splats")

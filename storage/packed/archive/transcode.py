@@ -1,0 +1,97 @@
+"""A packed file into archive form, and back into plain form: the same groups, each on its own, side by side in threads."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from storage.errors import InvalidPackedFile
+from storage.packed.archive.atoms import levels_of, pack_atoms
+from storage.packed.archive.coder import MOST_USES
+from storage.packed.archive.group import code_group, fresh_models, pack_group, unpack_group
+from storage.packed.groups import ragged_in
+from storage.packed.packed import PackedFile
+from storage.packed.schema import Archived, Header
+from storage.packed.writer import WrittenGroup, begin_packed, seal_packed, write_array, write_group, write_table
+from storage.whole import aside
+
+LEARNED_FROM, LEAST_GROUPS = 16, 8  # groups that models learn from; a file of fewer than the second has no models
+
+
+def archive_packed(source: Path, target: Path) -> None:
+    """Writes what the packed file `source` holds to `target`, in archive form. The same contents, the same bytes.
+
+    Raises InvalidPackedFile where `source` is none, or one of runs, whose geometry is coded already.
+    """
+    with PackedFile(source) as packed:
+        header = packed.header
+        if header.runs:
+            raise InvalidPackedFile(str(source), "a geometry of runs, which are coded already", "boxes or quadrics")
+        shared, priors = packed.of_all(), _learned(packed)
+        atoms = _atoms(header, shared)
+        form = Archived(0 if atoms is None else len(atoms), 0 if priors is None else len(priors))
+        if atoms is not None:
+            shared = {n: rows for n, rows in shared.items() if not _is_level(n)} | {"archive_atoms": atoms}
+        if priors is not None:
+            shared["archive_models"] = priors
+
+        def rows_of(index: int) -> dict[str, np.ndarray]:
+            scene, arrays = packed.group(index), packed.rows_of_group(index)
+            data = pack_group(scene, arrays, priors)
+            n_rows = {array.name: len(arrays[array.name]) for array in ragged_in(header)}
+            return unpack_group(scene.header, data, n_rows, priors) | {"archive": data}
+
+        _write(replace(header, archive=form), target, rows_of, shared)
+
+
+def plain_packed(source: Path, target: Path) -> None:
+    """Writes what the packed file `source` holds to `target`, in plain form."""
+    with PackedFile(source) as packed:
+        _write(packed.header, target, packed.rows_of_group, packed.of_all())
+
+
+def _write(header: Header, target: Path, rows_of, shared: dict[str, np.ndarray]) -> None:
+    with aside(target) as made:
+        folder = made / "packed"
+        begin_packed(folder, header)
+
+        def written(index: int) -> WrittenGroup:
+            return write_group(folder, header, index, rows_of(index))
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            groups = list(pool.map(written, range(header.n_groups)))
+        for name, rows in shared.items():
+            write_array(folder, name, rows)
+        write_table(folder, header, groups)
+        seal_packed(folder, target)
+
+
+def _is_level(name: str) -> bool:
+    return name.startswith("atoms_")
+
+
+def _atoms(header: Header, shared: dict[str, np.ndarray]) -> np.ndarray | None:
+    """The bytes of the dictionary's atoms; none where there are none, or their levels are not means of the finest."""
+    if not header.n_dictionary:
+        return None
+    finest = shared[f"atoms_{header.atom_size}"]
+    for size, level in zip(header.mip_sizes, levels_of(finest, header.mip_sizes), strict=True):
+        if not np.array_equal(level, shared[f"atoms_{size}"]):
+            return None
+    return pack_atoms(finest)
+
+
+def _learned(packed: PackedFile) -> np.ndarray | None:
+    """What models of groups begin with, (m,) uint8: those that were often used in groups from all over the file."""
+    n = packed.header.n_groups
+    if n < LEAST_GROUPS:
+        return None
+    models = fresh_models(packed.header)
+    for index in range(0, n, -(-n // LEARNED_FROM)):
+        code_group(packed.group(index), models)
+    often = models[1] >= MOST_USES
+    return np.where(often, np.clip(models[0] >> 8, 1, 255), 0).astype(np.uint8)
