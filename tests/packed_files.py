@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from storage.maps import NO_MAP, StoredMap
+from storage.packed.archive.transcode import archive_packed
 from storage.packed.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.packed.runs.tables import DECODED
 from storage.packed.scene import streams_of
@@ -66,6 +67,7 @@ class Case:
     runs: bool = False
     quadrics: bool = False
     n_maps: int = 0
+    archive: bool = False
 
 
 # A WebP of 96 x 16 pixels, as encoders differ: waves of red along the columns, green along the rows.
@@ -156,7 +158,12 @@ def arrays_for(case: Case, header: Header) -> dict[str, np.ndarray]:
 def write_packed_file(case: Case, path: Path) -> Path:
     """The packed file of a case at `path`."""
     header = header_of(case)
-    return write_arrays(header, arrays_for(case, header), path)
+    if not case.archive:
+        return write_arrays(header, arrays_for(case, header), path)
+    plain = write_arrays(header, arrays_for(case, header), path.with_suffix(".plain"))
+    archive_packed(plain, path)
+    plain.unlink()
+    return path
 
 
 def write_arrays(header: Header, arrays: dict[str, np.ndarray], path: Path) -> Path:

@@ -114,7 +114,12 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
             "a cell above 0, a turn of -1..1, no more runs than splats",
         ),
         ("levels", h.levels, not (h.levels and h.runs), "none, with runs"),
-        ("archive", h.archive, h.archive is None or _archive_is_sound(h), f"0 bytes or more, models {MOST_MODELS} or fewer, no runs"),
+        (
+            "archive",
+            h.archive,
+            h.archive is None or _archive_is_sound(h),
+            f"0 bytes or more, models {MOST_MODELS} or fewer, no runs",
+        ),
         ("size_bits", h.size_bits, h.size_bits in SIZE_BITS, f"one of {SIZE_BITS}"),
         ("dictionary_bits", h.dictionary_bits, 0 <= h.dictionary_bits <= 16, "0..16"),
         ("weight_bits", h.weight_bits, 1 <= h.weight_bits <= 8, "1..8"),

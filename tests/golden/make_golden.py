@@ -47,6 +47,10 @@ CASES = {
     "quadrics-of-batches": Case(
         quadrics=True, cliplines=True, ellipsoids=True, size_bits=3, atom_size=8, color_step=100
     ),
+    "archive": Case(cliplines=True, size_bits=3, atom_size=8, period=40, archive=True),
+    "archive-of-quadrics": Case(
+        n_splats=8192 + 130, n_dictionary=0, atom_counts=(0,), n_cameras=0, period=128, quadrics=True, archive=True
+    ),
     "runs-of-batches": Case(runs=True, cliplines=True, ellipsoids=True, size_bits=3, atom_size=8, color_step=100),
 }
 

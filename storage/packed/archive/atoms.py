@@ -69,6 +69,7 @@ def unpack_atoms(header: Header, data: np.ndarray) -> dict[str, np.ndarray]:
     """
     size = header.atom_size
     texels = np.zeros((header.n_dictionary, size, size, 3), np.int64)
+    data = np.array(data)  # loops are compiled for bytes that may be written
     state = begin(READING, data)
     _code(state, data, texels)
     if not end(state, data):

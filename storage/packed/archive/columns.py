@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from storage.maps import NO_MAP
 from storage.packed.archive.splats import (
-    A,
     AXES,
-    B,
     BATCH,
     BLUE,
     CAMERA,
@@ -18,26 +17,27 @@ from storage.packed.archive.splats import (
     COUNT,
     ELLIPSOID,
     HEIGHT,
+    INDEX_BITS,
     IS_BOXES,
     IS_BYTES,
     LINE,
     N_A,
+    N_BATCHES,
     N_CAMERAS,
     N_CHUNK,
     N_COLORS,
     N_FIELDS,
     N_FORMS,
     N_STATIONS,
-    INDEX_BITS,
-    N_BATCHES,
     RED,
     SIZE,
     SIZE_BITS,
     STATION,
-    U,
     WEIGHT_BITS,
+    A,
+    B,
+    U,
 )
-from storage.maps import NO_MAP
 from storage.packed.batches import count_batches, rows_of
 from storage.packed.bits import pack_bits, pack_sizes, unpack_bits
 from storage.packed.codes import pack_codes
@@ -63,7 +63,11 @@ def form_of(header: Header) -> np.ndarray:
     form = np.zeros(N_FORMS, np.int64)
     form[N_BATCHES], form[SIZE_BITS], form[N_COLORS] = len(header.batches), header.size_bits, 3
     form[IS_BYTES], form[N_CAMERAS], form[N_STATIONS] = header.color_step == 0, len(header.cameras), len(header.maps)
-    form[INDEX_BITS], form[WEIGHT_BITS], form[IS_BOXES] = header.dictionary_bits, header.weight_bits, header.geometry == BOXES
+    form[INDEX_BITS], form[WEIGHT_BITS], form[IS_BOXES] = (
+        header.dictionary_bits,
+        header.weight_bits,
+        header.geometry == BOXES,
+    )
     return form
 
 
@@ -106,8 +110,8 @@ def chunks_of(header: Header, tables: dict[str, np.ndarray], axis: np.ndarray) -
         chunks[:, CELLS : CELLS + 2], chunks[:, N_A : N_A + 2] = cells, normals
         states = cells.prod(axis=1) * normals.prod(axis=1)
         chunks[:, CELLS + 2] = -(-(1 << tables["frame_bits"].astype(np.int64)) // states)
-    bits = color_bits(tables["color_size"], header.color_step) if header.color_step else 8
-    chunks[:, COLORS : COLORS + 3] = 1 << bits
+    of_colors = color_bits(tables["color_size"], header.color_step) if header.color_step else 8
+    chunks[:, COLORS : COLORS + 3] = 1 << of_colors
     return chunks, steps
 
 
@@ -117,7 +121,11 @@ def axis_of_heights(scene: PackedScene) -> np.ndarray:
     c = _SHARPEST - np.abs(a) - np.abs(b)
     folded = c < 0
     size = np.stack(
-        [np.where(folded, _SHARPEST - np.abs(b), np.abs(a)), np.where(folded, _SHARPEST - np.abs(a), np.abs(b)), np.abs(c)],
+        [
+            np.where(folded, _SHARPEST - np.abs(b), np.abs(a)),
+            np.where(folded, _SHARPEST - np.abs(a), np.abs(b)),
+            np.abs(c),
+        ],
         axis=1,
     )
     return np.add.reduceat(size, np.arange(0, len(size), CHUNK), axis=0).argmax(axis=1)
@@ -186,7 +194,8 @@ def arrays_of_splats(
     """
     n, chunk = header.n_splats, np.arange(header.n_splats) // CHUNK
     fields, own = splats.fields, chunks[chunk]
-    keys, number = (fields[:, BATCH], chunk), None
+    keys: tuple[np.ndarray, ...] = (fields[:, BATCH], chunk)
+    number = None
     if header.geometry != BOXES:
         number = np.zeros(n, np.uint64)
         for column, n_states in ((HEIGHT, None), (U + 1, CELLS + 1), (U, CELLS), (B, N_A + 1), (A, N_A)):

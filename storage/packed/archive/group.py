@@ -68,9 +68,7 @@ def code_group(scene: PackedScene, models: np.ndarray) -> np.ndarray:
     chunks, steps = chunks_of(header, scene.arrays, axis)
     s, form = splats_of(scene, chunks), form_of(header)
     order = np.arange(header.n_splats)
-    code_splats(
-        state, out, models, at, form, chunks, steps, kinds_of(header), s.fields, s.first, s.entries, order
-    )
+    code_splats(state, out, models, at, form, chunks, steps, kinds_of(header), s.fields, s.first, s.entries, order)
     return out[: end(state, out)].copy()
 
 
@@ -113,7 +111,7 @@ def unpack_group(
         raise ValueError(f"a group that begins with {data[:1].tolist()}, not {CODED} or {AS_THEY_STAND}")
     if data[0] == AS_THEY_STAND:
         return _stood(header, data[1:], n_rows)
-    return _read_group(header, np.ascontiguousarray(data[1:]), fresh_models(header, priors))
+    return _read_group(header, np.array(data[1:]), fresh_models(header, priors))
 
 
 def _as_they_stand(header: Header, arrays: dict[str, np.ndarray]) -> np.ndarray:

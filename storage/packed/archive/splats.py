@@ -8,10 +8,10 @@ are told by those of the neighbours.
 
 from __future__ import annotations
 
+import numpy as np
+
 from storage.packed.archive.coder import SIGNED, bit, compiled, even, length_of, signed, tree, within
 from storage.packed.archive.tree import COUNT_MODELS, MANY_MODELS, code_cells, nearest
-
-import numpy as np
 
 # Columns of a splat.
 U, V, HEIGHT, A, B, BATCH, SIZE, RED, GREEN, BLUE, CAMERA, STATION, LINE, ELLIPSOID = range(14)
@@ -118,7 +118,9 @@ def _code_normal(state, data, models, at, chunk, splat, known, near, fields):
         usual, spread = n >> 1, 0
         if known:
             usual, spread = _usual(fields, near, A + f)
-        base = at[3] + spread * SIGNED if f == 0 else at[4] + (spread * NEAR + min(length_of(abs(off)), NEAR - 1)) * SIGNED
+        base = (
+            at[3] + spread * SIGNED if f == 0 else at[4] + (spread * NEAR + min(length_of(abs(off)), NEAR - 1)) * SIGNED
+        )
         off = signed(state, data, models, base, fields[splat, A + f] - usual)
         fields[splat, A + f] = within(state, usual + off, n)
 

@@ -17,12 +17,13 @@ from pipeline.splats.decoded import scene_radii
 from pipeline.stages.packed.measure import decoded_colors
 from storage.errors import InternalError, InvalidPackedFile
 from storage.packed import packed
+from storage.packed.archive import transcode
 from storage.packed.checks import check_frame
 from storage.packed.groups import TABLE
 from storage.packed.layout import metadata_of
 from storage.packed.packed import PackedFile, is_packed_file
 from storage.packed.scene import PackedScene
-from storage.packed.schema import ARRAYS, BY_NAME, FORMS, GROUP, QUADRICS, RUNS, Batch, Header, arrays_of
+from storage.packed.schema import ARCHIVE, ARRAYS, BY_NAME, FORMS, GROUP, QUADRICS, RUNS, Batch, Header, arrays_of
 from storage.packed.seal import SEAL_BYTES
 from storage.packed.writing import joined
 from storage.packed.writing.joined import lay_out, seal_packed
@@ -75,6 +76,13 @@ def walked(tmp_path_factory):
 @pytest.fixture(scope="module")
 def curved(tmp_path_factory):
     return write_packed_file(CURVED, tmp_path_factory.mktemp("packed") / "curved.splatpress")
+
+
+@pytest.fixture(scope="module")
+def archived(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(transcode, "LEAST_GROUPS", 1)  # so that it has models
+        return write_packed_file(replace(SMALL, archive=True), tmp_path_factory.mktemp("packed") / "a.splatpress")
 
 
 @pytest.fixture(scope="module")
@@ -762,8 +770,10 @@ def mapped(tmp_path_factory):
     return write_packed_file(MAPPED, tmp_path_factory.mktemp("packed") / "mapped.splatpress")
 
 
-def one_with(name: str, small, boxed, walked, mapped, curved):
+def one_with(name: str, small, boxed, walked, mapped, curved, archived):
     """A file that has an array."""
+    if name in ARCHIVE:
+        return archived
     if FORMS.get(name) == QUADRICS:
         return curved
     if name.startswith("run_"):
@@ -774,21 +784,24 @@ def one_with(name: str, small, boxed, walked, mapped, curved):
 
 
 @pytest.mark.parametrize("name", [array.name for array in ARRAYS])
-def test_packed__refuses_a_missing_array(small, boxed, walked, mapped, curved, tmp_path, name):
+def test_packed__refuses_a_missing_array(small, boxed, walked, mapped, curved, archived, tmp_path, name):
     def drop(members):
         for member in [m for m in members if m.startswith(name + "/")]:
             del members[member]
 
-    assert_refused(craft(one_with(name, small, boxed, walked, mapped, curved), tmp_path / "a.splatpress", drop))
+    assert_refused(
+        craft(one_with(name, small, boxed, walked, mapped, curved, archived), tmp_path / "a.splatpress", drop)
+    )
 
 
 @pytest.mark.parametrize("name", [array.name for array in ARRAYS])
-def test_packed__refuses_a_missing_chunk(small, boxed, walked, mapped, curved, tmp_path, name):
+def test_packed__refuses_a_missing_chunk(small, boxed, walked, mapped, curved, archived, tmp_path, name):
     def drop(members):
         del members[next(m for m in members if m.startswith(name + "/c/"))]
 
     assert_refused(
-        craft(one_with(name, small, boxed, walked, mapped, curved), tmp_path / "a.splatpress", drop), match="members"
+        craft(one_with(name, small, boxed, walked, mapped, curved, archived), tmp_path / "a.splatpress", drop),
+        match="members",
     )
 
 
