@@ -81,7 +81,8 @@ def members_of_all(header: Header) -> Iterator[str]:
 
 def members_in_order(header: Header) -> Iterator[tuple[str, int | None]]:
     """The order of a file: header and metadata, the table of groups, the models that groups begin with, the coarsest
-    level, the dictionary, all other groups. Members' names with None, and for the members of a group, as `group_members` has them, its number."""
+    level, the dictionary, all other groups. Members' names with None, and for the members of a group, as
+    `group_members` has them, its number."""
     n_first = n_first_groups(header)
     yield from ((member, None) for member in members_before_groups(header))
     yield from (("", index) for index in range(n_first))

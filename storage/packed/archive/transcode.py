@@ -16,7 +16,8 @@ from storage.packed.archive.group import code_group, fresh_models, pack_group, u
 from storage.packed.groups import ragged_in
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Archived, Header
-from storage.packed.writer import WrittenGroup, begin_packed, seal_packed, write_array, write_group, write_table
+from storage.packed.writing.joined import lay_out, seal_packed
+from storage.packed.writing.writer import begin_packed, group_of, groups_a_piece, n_pieces, write_array, write_piece
 from storage.whole import aside
 
 LEARNED_FROM, LEAST_GROUPS = 16, 8  # groups that models learn from; a file of fewer than the second has no models
@@ -56,17 +57,18 @@ def plain_packed(source: Path, target: Path) -> None:
 
 def _write(header: Header, target: Path, rows_of, shared: dict[str, np.ndarray]) -> None:
     with aside(target) as made:
-        folder = made / "packed"
+        folder, step = made / "packed", groups_a_piece(header)
         begin_packed(folder, header)
 
-        def written(index: int) -> WrittenGroup:
-            return write_group(folder, header, index, rows_of(index))
+        def write(piece: int) -> None:
+            groups = range(header.n_groups)[piece * step : (piece + 1) * step]
+            write_piece(folder, header, piece, (group_of(header, index, rows_of(index)) for index in groups))
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            groups = list(pool.map(written, range(header.n_groups)))
+            list(pool.map(write, range(n_pieces(header))))
         for name, rows in shared.items():
             write_array(folder, name, rows)
-        write_table(folder, header, groups)
+        lay_out(folder, header)
         seal_packed(folder, target)
 
 
