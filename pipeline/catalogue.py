@@ -230,11 +230,11 @@ CATALOGUE = (
     ),
     StageEntry(
         "quantise", "stages/texture/quantise.py", Phase.LEARNING, Task.TRAINING,
-        "atoms in bytes with mip levels, weight levels", _LEARNT_FROM, share=2, when="photographs", by_atoms=True,
+        "atoms in bytes with mip levels, weight levels; once more for the weights at the multiplier", _LEARNT_FROM, share=2, when="photographs", by_atoms=True,
     ),
     StageEntry(
         "multipliers", "stages/texture/multipliers.py", Phase.LEARNING, Task.TRAINING,
-        "error and atoms of a sample at eight Lagrange multipliers", _LEARNT_FROM, when="photographs", by_atoms=True,
+        "error and atoms of a sample at eight Lagrange multipliers; once more with these weight levels", _LEARNT_FROM, when="photographs", by_atoms=True,
     ),
     StageEntry(
         "encode", "stages/texture/encode.py", Phase.TEXTURE, Task.BLOCK,

@@ -26,10 +26,10 @@ class Settings:
     target_psnr_db: float = 40.0
     budget_bytes: float | None = None
     atom_search: str = "certified"
-    pursuit: str = "2x2"
+    pursuit: str = "4x2"
     iterations: int = 12
     least_gain_db: float = 0.01
-    training_splats: int = 20_000
+    training_splats: int = 40_000
     subspace_floor_db: float = 10.0
     density: float = 1.0
     radius: float | None = None
@@ -80,7 +80,7 @@ class Settings:
 
 
 PRESETS = {
-    "draft": Settings("draft", target_psnr_db=36.0, iterations=6, training_splats=10_000),
+    "draft": Settings("draft", target_psnr_db=36.0, pursuit="2x2", iterations=6, training_splats=10_000),
     "balanced": Settings("balanced"),
     "high": Settings(
         "high",

@@ -3,8 +3,10 @@ multiplier, codes."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -106,15 +108,16 @@ def code_patches(
         space = run.do(Coefficients(training.folder, form.size))
     bits = index_bits(settings, form, n_splats or training.summary.n_splats, map_texels is not None)
     learned, learning = _learn(run, training, space, settings, stop, form, bits)
-    quantised, n_taken_back = _quantise_best(run, space, learned, settings, stop, form)
+    quantised, quantising, n_taken_back = _quantise_best(run, space, learned, settings, stop, form)
     n_taken_back += sum(not row.accepted for row in learning)
     multiplier = 0.0
     if form is not None:
-        stage = Multipliers(
-            space.folder, training.folder, quantised.folder, settings.max_atoms, tolerance, settings.pursuit
-        )
-        ladder = run.do(stage).summary
-        multiplier = multiplier_of(ladder, training.summary)
+        # Learning is at a lower multiplier than coding, so its patches have weights that are never used then: levels
+        # for these are lost to all others.
+        found = partial(_multiplier, run, training, space, settings, tolerance, multiplier_of)
+        if math.isfinite(multiplier := found(quantised)):
+            quantised = run.do(replace(quantising, multiplier=multiplier))
+            multiplier = found(quantised)
     codes = encode(run, patches.folder, colors.folder, quantised, settings, multiplier)
     return Coded(patches, colors, codes, quantised, learning, quantised.summary.n_atoms, n_taken_back)
 
@@ -235,13 +238,14 @@ def _is_settled(curve: list[LearningPass], least_gain_db: float) -> bool:
 
 def _quantise_best(
     run: Run, space: StageRecord, learned: StageRecord[Updated], settings: Settings, stop: Stop, form: AtomForm | None
-) -> tuple[StageRecord[Quantised], int]:
-    """The better of the last dictionary and the best before it, in bytes, and whether (0 or 1) the last was taken back.
+) -> tuple[StageRecord[Quantised], Quantisation, int]:
+    """The better of the last dictionary and the best before it, in bytes, its stage, and whether (0 or 1) the last was
+    taken back.
 
     Quantising codes the training set once more, so the last dictionary, which no iteration has measured, is measured
     there. The one before it is quantised too only where the last looks worse.
     """
-    stages = (
+    of_last, of_best = (
         Quantisation(
             space.folder,
             learned.folder,
@@ -254,11 +258,26 @@ def _quantise_best(
         )
         for name in ("dictionary", "best")
     )
-    last = run.do(next(stages))
+    last = run.do(of_last)
     if last.summary.squared_error <= learned.summary.squared_error:
-        return last, 0
-    best = run.do(next(stages))
-    return (best, 1) if best.summary.squared_error < last.summary.squared_error else (last, 0)
+        return last, of_last, 0
+    best = run.do(of_best)
+    return (best, of_best, 1) if best.summary.squared_error < last.summary.squared_error else (last, of_last, 0)
+
+
+def _multiplier(
+    run: Run,
+    training: StageRecord[Training],
+    space: StageRecord,
+    settings: Settings,
+    tolerance: float,
+    multiplier_of: Callable[[Ladder, Training], float],
+    quantised: StageRecord[Quantised],
+) -> float:
+    """What patches are coded with by these atoms and weight levels."""
+    places = space.folder, training.folder, quantised.folder
+    ladder = run.do(Multipliers(*places, settings.max_atoms, tolerance, settings.pursuit)).summary
+    return multiplier_of(ladder, training.summary)
 
 
 def estimated_psnr_db(training: Training, update: Updated) -> float:

@@ -412,7 +412,9 @@ def _job_for_pilot(pilot: _Pilot, settings: Settings, learning: dict) -> tuple[f
     stage, record = next((stage, record) for stage, record in pilot.stages if isinstance(stage, TrainingSet))
     active, learned, octave = membership(stage, record.folder)
     error, n_atoms = (arrays.read(pilot.coded.codes.folder, name).astype(float) for name in ("error", "n_atoms"))
-    multipliers = next((r.summary for _, r in pilot.stages if r.name == Multipliers.name), None)
+    multipliers = next(
+        (r.summary for _, r in reversed(pilot.stages) if r.name == Multipliers.name), None
+    )  # the last: by it the pilot was coded
     slope = Slope(None)
     if multipliers:
         slope = slope_at(

@@ -73,6 +73,12 @@ def _nodes_of_two_steps(n: int, width: int, most: int) -> Nodes:
 
 
 @part()
+def _look(beside, a):
+    explained, norm = beside
+    return explained[a], norm[a]
+
+
+@part()
 def _nodes_of(all_nodes, step, i):
     n = all_nodes
     return Nodes(
@@ -130,7 +136,7 @@ def _advance(
                 score_beside(s, row[at], along, parents, explained[now, i, b], norm[now, i, b], nodes.support[b], t)
                 nodes.slot[b, t - 1] = b
             n_found = try_children(
-                nodes, b, t, s, explained[now, i, b], norm[now, i, b], candidates if t else max(candidates, width),
+                nodes, b, t, s, (explained[now, i, b], norm[now, i, b]), _look, candidates if t else max(candidates, width),
                 path[i, t] - multiplier, patches[i], energy[i], unit, products, levels, pool, n_found,
             )  # fmt: skip
         n_wanted = width if t + 1 < most else 1

@@ -101,14 +101,12 @@ def _append(nodes, b, t, atom, target, products):
 
 
 @part()
-def try_children(
-    nodes, b, t, s, explained, norm, n_wanted, enough, patch, energy, unit, products, levels, pool, n_found
-):
-    """Try node b with the atoms of highest score; children that leave less than `enough` come into the pool, of which
-    there are `n_found` before and the number returned after."""
+def try_children(nodes, b, t, s, beside, look, n_wanted, enough, patch, energy, unit, products, levels, pool, n_found):
+    """Try node b with the atoms of highest score, by `beside` and `look` of `take_best`; children that leave less than
+    `enough` come into the pool, of which there are `n_found` before and the number returned after."""
     n_tried = 0
     while n_tried < n_wanted:
-        best, gain = take_best(s, patch, products.dictionary, unit, explained, norm, t)
+        best, gain = take_best(s, patch, products.dictionary, unit, beside, look, t)
         if best < 0 or nodes.exact[b] - energy * gain >= enough:  # no weights leave less than exact ones
             break
         if _is_coherent(

@@ -33,7 +33,7 @@ class Scores(NamedTuple):
 
 
 @part(fastmath=FAST)
-def _highest_of_groups(s):
+def highest_of_groups(s):
     n_atoms, width, start = np.uintp(s.score.shape[0]), np.uintp(s.upper.shape[0]), np.uintp(0)
     for g in range(width):
         s.upper[g] = 0
@@ -76,7 +76,7 @@ def _ratios(s, row, along, old_explained, old_norm, explained, norm):
 def score_first(s):
     """Upper bounds of <y, a>^2."""
     _squares(s)
-    _highest_of_groups(s)
+    highest_of_groups(s)
 
 
 @part()
@@ -93,7 +93,7 @@ def score_beside(s, row, along, parent, explained, norm, support, t):
         _ratios(s, row, along, parent[0], parent[1], explained, norm)
     for j in range(t):
         s.score[support[j]] = 0
-    _highest_of_groups(s)
+    highest_of_groups(s)
 
 
 @part()
@@ -106,11 +106,12 @@ def _rescore(s, a, value):
 
 
 @part()
-def take_best(s, patch, dictionary, unit, explained, norm, t):
+def take_best(s, patch, dictionary, unit, beside, look, t):
     """The atom of highest score, which then has none, and that score; -1 where correlations are all rounding.
 
     Bounds are settled on the way: the atom whose bound is highest is made exact, until the highest is exact itself. Of
-    equals the first of the first group. `unit` times the patch has norm 1.
+    equals the first of the first group. `unit` times the patch has norm 1; `look(beside, a)` is what a support of t
+    atoms, at least one, explains of the correlation with atom a, and what of its squared norm lies outside its span.
     """
     while True:
         best, largest = 0, largest_of(s.upper)
@@ -126,7 +127,8 @@ def take_best(s, patch, dictionary, unit, explained, norm, t):
             s.slack[best] = 0
         left, outside = s.initial[best], np.float32(1)
         if t > 0:
-            left, outside = left - explained[best], norm[best]
+            told, outside = look(beside, best)
+            left = left - told
         _rescore(s, best, np.float32(0) if settled else left * left / outside)
         if settled and left * left > SMALLEST_CORRELATION**2:
             return best, np.float64(largest)
