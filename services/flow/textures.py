@@ -20,7 +20,7 @@ from pipeline.stages.texture.dictionary import DictionarySeed, KsvdUpdate
 from pipeline.stages.texture.encode import Encode
 from pipeline.stages.texture.multipliers import WHILE_LEARNING, Multipliers, multiplier_for
 from pipeline.stages.texture.quantise import Quantisation
-from pipeline.stages.texture.training import Coefficients, Components, TrainingSet
+from pipeline.stages.texture.training import HELD, MOST_HELD, Coefficients, Components, TrainingSet
 from pipeline.summaries import AverageColors, CodesMade, Ladder, PatchesMade, Quantised, Training, Updated
 from pipeline.texture.colors import step_for
 from pipeline.texture.resample import PATCH_DIM
@@ -92,7 +92,7 @@ def code_patches(
             patches.folder,
             colors.folder,
             max(stop.tolerance, stop.multiplier),
-            settings.training_splats,
+            settings.training_splats + n_held(settings),
             settings.seed,
             tolerance,
         )
@@ -120,6 +120,11 @@ def code_patches(
             multiplier = found(quantised)
     codes = encode(run, patches.folder, colors.folder, quantised, settings, multiplier)
     return Coded(patches, colors, codes, quantised, learning, quantised.summary.n_atoms, n_taken_back)
+
+
+def n_held(settings: Settings) -> int:
+    """How many patches are chosen besides those that are learned from, to find the multiplier by."""
+    return 0 if settings.coder == "paper" else min(HELD, int(settings.training_splats * MOST_HELD / (1 - MOST_HELD)))
 
 
 def color_step(settings: Settings) -> int:
@@ -212,7 +217,7 @@ def _learn(
     """
     seconds = 0.0  # of the passes as they were made, now or by an earlier run
     of_turns = form or AtomForm()
-    n_atoms = max(1, min(2**bits // of_turns.n_turns, training.summary.n_patches // PATCHES_AN_ATOM))
+    n_atoms = max(1, min(2**bits // of_turns.n_turns, space.summary.n_patches // PATCHES_AN_ATOM))
     learned = run.do(DictionarySeed(space.folder, n_atoms, settings.seed, of_turns)).folder
     curve: list[LearningPass] = []
     for iteration in range(settings.iterations):

@@ -27,7 +27,7 @@ from pipeline.stages.texture.dictionary import KsvdUpdate
 from pipeline.stages.texture.encode import Encode
 from pipeline.stages.texture.multipliers import Multipliers, least_multiplier, multiplier_for
 from pipeline.stages.texture.resample import Resample
-from pipeline.stages.texture.training import TrainingSet, membership
+from pipeline.stages.texture.training import TrainingSet, held_share, membership
 from pipeline.summaries import AverageColors
 from renderer.evaluate.compare import psnr_of_error
 from renderer.evaluate.picture_psnr import sampled_picture_error
@@ -410,7 +410,8 @@ def _job_for_pilot(pilot: _Pilot, settings: Settings, learning: dict) -> tuple[f
     if not learning:
         return 1.0, 1.0
     stage, record = next((stage, record) for stage, record in pilot.stages if isinstance(stage, TrainingSet))
-    active, learned, octave = membership(stage, record.folder)
+    held = 0.0 if settings.coder == "paper" else held_share(record.summary.n_patches)
+    active, learned, octave = membership(stage, record.folder, held)
     error, n_atoms = (arrays.read(pilot.coded.codes.folder, name).astype(float) for name in ("error", "n_atoms"))
     multipliers = next(
         (r.summary for _, r in reversed(pilot.stages) if r.name == Multipliers.name), None

@@ -150,6 +150,8 @@ WORK_ARRAYS = (
     WorkArray("coefficient_i", ANY, ("i", "n", "m"), ("components", "coefficients"),
               "of a patch; float16 where that loses nothing that counts"),
     WorkArray("rest_i", "float32", ("i", "n"), ("components", "coefficients"), "squared norm beyond them"),
+    WorkArray("held_coefficient_i", "float32", ("i", "n", "m"), ("coefficients",), "of patches not learned from"),
+    WorkArray("held_rest_i", "float32", ("i", "n"), ("coefficients",), "squared norm beyond them"),
     WorkArray("dictionary", "float32", ("k", "d"), ("dictionary-seed", "ksvd-update", "quantise"), "atoms, unit rows"),
     WorkArray("turned", "float32", ("m", "d"), ("dictionary-seed", "ksvd-update", "quantise"),
               "atoms in all symmetries of the square"),

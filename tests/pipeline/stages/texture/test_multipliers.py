@@ -128,18 +128,15 @@ def test_weights__even_levels_are_the_same_for_every_rank_and_as_wide_as_pays():
     assert error(levels[0]) <= min(error(levels[0] * factor) for factor in (0.8, 1.25))
 
 
-def ladder_of(
-    folder, patches: np.ndarray, share: np.ndarray, luck: np.ndarray | None = None, n_tasks: int = 1
-) -> Ladder:
-    """What a training set of these patches, which is such a share of each octave, finds with 16 atoms."""
+def ladder_of(folder, patches: np.ndarray, share: np.ndarray, n_tasks: int = 1) -> Ladder:
+    """What patches that nothing is learned from, of a training set that is such a share of each octave, find with 16
+    atoms."""
     space, chosen, quantised = (folder / name for name in ("space", "chosen", "quantised"))
-    luck = np.linspace(0, 1, len(patches), endpoint=False) if luck is None else luck
     work.begin(space)
     work.begin(chosen)
     for i, rows in enumerate(np.array_split(np.arange(len(patches)), n_tasks)):
-        arrays.store(space, f"coefficient_{i}", patches[rows])
-        arrays.store(space, f"rest_{i}", np.zeros(len(rows), np.float32))
-        arrays.store(chosen, f"luck_{i}", luck[rows])
+        arrays.store(space, f"held_coefficient_{i}", patches[rows])
+        arrays.store(space, f"held_rest_{i}", np.zeros(len(rows), np.float32))
     work.complete(space, InParts(n_tasks), 0.0)
     work.write_json(chosen / "share.json", {"share": share.tolist()})
     work.complete(chosen, replace(WHOLE, n_patches=len(patches)), 0.0)
@@ -155,10 +152,10 @@ def test_multipliers__are_those_of_the_same_splats_wherever_tasks_part_them(tmp_
     """A scan that is turned has the same training set, but for a few splats, in other tasks and places."""
     rng = np.random.default_rng(4)
     patches = (rng.standard_normal((9000, 12)) * rng.uniform(0.2, 4, (9000, 1))).astype(np.float32)
-    luck, share = rng.random(9000), np.full(N_OCTAVES, 0.3)
+    share = np.full(N_OCTAVES, 0.3)
     turned = rng.permutation(9000)[:-3]
-    still = ladder_of(tmp_path / "still", patches, share, luck)
-    moved = ladder_of(tmp_path / "turned", patches[turned], share, luck[turned], n_tasks=3)
+    still = ladder_of(tmp_path / "still", patches, share)
+    moved = ladder_of(tmp_path / "turned", patches[turned], share, n_tasks=3)
     for figure in ("error", "n_atoms"):
         assert getattr(moved, figure) == pytest.approx(getattr(still, figure), rel=0.002)
 
