@@ -247,13 +247,13 @@ KNOBS = (
     Knob(
         "training_splats",
         int,
-        "splats that the dictionary is learned from",
-        "a dictionary that fits what is rare in the scan too",
+        "splats that the dictionary is learned from, beside 4,096 or a third as many that tell what it leaves of others",
+        "a dictionary that fits what is rare in the scan too: 40,000 for 20,000 of fountain_p11 1.9 % fewer bytes of codes, 80,000 3.3 %",
         "time of learning, in proportion",
         "training-set",
         low=256,
         high=100_000_000,
-        ladder=(10_000, 80_000, 20_000),
+        ladder=(10_000, 80_000, 40_000),
     ),
     Knob(
         "subspace_floor_db",

@@ -30,7 +30,9 @@ LADDER = tuple(2.0**-i for i in range(-1, 7))
 # splats have run out of atoms then. monstree with 8 atoms a splat and a target of 40 dB: 0.44, 0.24 and 0.14 dB on its
 # last rungs.
 LEAST_GAIN_DB = 0.3
-WHILE_LEARNING = 0.23  # LATER
+# Of the target's error, the multiplier that dictionaries are learned with. fountain_p11, which is coded with 0.47, codes
+# at equal dB: 0.13 1.2 % more bytes, and a third more time; 0.33 and 0.42 0.2 and 0.1 %.
+WHILE_LEARNING = 0.23
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,12 @@ def test_coders__the_papers_has_whole_atoms_and_even_weights(made):
     np.testing.assert_allclose(np.diff(levels[0]), levels[0, 1] - levels[0, 0], rtol=1e-4)
 
 
+def test_coders__weight_levels_are_those_of_weights_that_pay_at_the_multiplier(made):
+    """A weight below the root of the multiplier lowers the error by less than an atom must: such levels are lost."""
+    least = {name: np.abs(made[name]["levels"][0]).min() for name in ("default", "lower")}
+    assert least["lower"] > 1.1 * least["default"]  # 2 dB are a factor of 1.26
+
+
 def test_coders__the_default_has_more_quality_for_fewer_bytes(made):
     paper, default = made["paper"], made["default"]
     assert texture_bytes(default) < 0.6 * texture_bytes(paper)

@@ -8,7 +8,7 @@ import pytest
 from pipeline.execution.executors import SerialExecutor
 from pipeline.execution.stage import run_stage
 from pipeline.stages.texture.contrast_octaves import FEWEST, N_OCTAVES, census, octave_of, shares
-from pipeline.stages.texture.training import TrainingSet
+from pipeline.stages.texture.training import Coefficients, TrainingSet, held_part, training_part
 from pipeline.summaries import AverageColors
 from storage.work import arrays, work
 from tests.pipeline.execution.test_stage import Heard
@@ -62,18 +62,25 @@ def test_training__neither_the_choice_nor_its_order_turns_with_the_chunks(tmp_pa
         "point": np.arange(n),
     }
 
-    def chosen(order: np.ndarray, seed: int = 0) -> np.ndarray:
+    def training_set(order: np.ndarray, seed: int = 0):
         patches = tmp_path / f"patches-{order[0]}"
         if not patches.exists():
             work.begin(patches)
             for name, values in rows.items():
                 arrays.store(patches, name, values[order])
             work.complete(patches, AverageColors(n, None, tuple(census(rows["energy"]).tolist())), 0.0)
-        return arrays.read(
-            run_stage(TrainingSet(patches, patches, 8.0, 700, seed, 1.0), tmp_path, SerialExecutor(), Heard()).folder,
-            "texel_0",
-        )
+        return run_stage(TrainingSet(patches, patches, 8.0, 700, seed, 1.0), tmp_path, SerialExecutor(), Heard()).folder
+
+    def chosen(order: np.ndarray, seed: int = 0) -> np.ndarray:
+        return arrays.read(training_set(order, seed), "texel_0")
 
     still, turned = chosen(np.arange(n)), chosen(rng.permutation(n))
     assert 500 < len(still) < 1100 and (still == turned).all()
     assert len(still) != len(chosen(np.arange(n), seed=1)) or (still != chosen(np.arange(n), seed=1)).any()
+    training = training_set(np.arange(n))
+    space = run_stage(Coefficients(training, 8), tmp_path, SerialExecutor(), Heard())
+    learned, held = (part(space.folder, 0).coefficients for part in (training_part, held_part))
+    assert len(learned) == space.summary.n_patches and len(learned) + len(held) == len(still)
+    assert 0.2 * len(still) < len(held) < 0.3 * len(still)  # a quarter, where HELD are more
+    assert (arrays.read(training, "luck_0") >= 0.75).sum() == len(held)
+    assert not set(map(bytes, learned)) & set(map(bytes, held))
