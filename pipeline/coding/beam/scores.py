@@ -34,6 +34,7 @@ class Scores(NamedTuple):
 
 @part(fastmath=FAST)
 def highest_of_groups(s):
+    """The highest score of each group, see `bound_groups`."""
     n_atoms, width, start = np.uintp(s.score.shape[0]), np.uintp(s.upper.shape[0]), np.uintp(0)
     for g in range(width):
         s.upper[g] = 0
