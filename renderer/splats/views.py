@@ -103,7 +103,8 @@ def station_views(
 ) -> list[Camera]:
     """From where each laser scanner stood (absolute), towards where most of the scan lies: of STATION_WAYS level
     directions that with most chunks of the bulk within half of STATION_FIELD_DEGREES, tilted to their mean height by at
-    most STATION_TILT_DEGREES."""
+    most STATION_TILT_DEGREES; where nothing of the bulk would be in view, as above or below one that looked along what is
+    called up, straight at it."""
     low, high = bulk_of(scene)
     upright, middle = up_direction(scene.header), (low + high) / 2 + scene.header.origin
     start = _start_direction(scene.header, np.zeros(3), upright)
@@ -121,10 +122,14 @@ def station_views(
             (height / distance)[seen[:, best]].mean() if seen[:, best].any() else 0.0,
             *(np.tan(np.radians(STATION_TILT_DEGREES)) * np.array([-1, 1])),
         )
-        target = np.asarray(station) + max(distance.mean(), scene.header.radius) * (ways[best] + rise * upright)
-        field = np.radians(STATION_FIELD_DEGREES)
+        aim, field, above = ways[best] + rise * upright, np.radians(STATION_FIELD_DEGREES), upright
+        far = np.linalg.norm(away, axis=1) * np.linalg.norm(aim)
+        if not (away @ aim > np.cos(field / 2) * far).any():
+            aim = away.mean(axis=0) / max(np.linalg.norm(away.mean(axis=0)), scene.header.radius)
+            above = start if abs(aim @ upright) > 0.9 else upright
+        target = np.asarray(station) + max(distance.mean(), scene.header.radius) * aim
         views.append(
-            _camera_at(f"station_{index + 1:03d}", np.asarray(station, np.float64), target, upright, field, size)
+            _camera_at(f"station_{index + 1:03d}", np.asarray(station, np.float64), target, above, field, size)
         )
     return views
 

@@ -7,7 +7,7 @@ import pytest
 
 from renderer.splats.context import gl_context
 from renderer.splats.projection import checked_view, split_floats, view_to_photo
-from renderer.splats.views import bulk_of, framed_views, orbit_views, up_direction, view_of
+from renderer.splats.views import bulk_of, framed_views, orbit_views, station_views, up_direction, view_of
 from storage.errors import InvalidScan, ResourceExhausted
 from tests.scenes import Settings, Splats, build_scene, camera_looking, sheet
 
@@ -23,6 +23,16 @@ def test_view_of__scales_every_projection_with_the_picture():
     point = (0.3, 0.2, -0.1)
     assert project(view, point) == pytest.approx(project(camera, point) * [0.5, 0.25])
     assert view_of(camera) == camera
+
+
+def test_station_views__look_along_up_where_the_scan_lies_there():
+    """As a depth camera's own points do, whose third axis is where it looked."""
+    splats = sheet(np.random.default_rng(1), 128 * 8, half_width=0.2)
+    position = splats.position - splats.position.mean(axis=0) + [0, 0, 2.0]
+    scene = build_scene(Splats(position, splats.normal, splats.color), Settings())
+    (view,) = station_views(scene, [(0.0, 0.0, 0.0)], (64, 48))
+    assert (np.array(view.rotation) @ [0, 0, 2.0])[2] > 1.9
+    assert np.abs(project(view, (0.0, 0.0, 2.0)) - [32, 24]).max() < 4
 
 
 def scene_with_strays(cameras=()):
