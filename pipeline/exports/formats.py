@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 POINTS, GAUSSIANS, TILES, PAGE = "points", "Gaussians", "Gaussians of all levels", "splats"
+PACKED = "packed splats"
 AUTO = "auto"
 SAMPLES = (AUTO, "1", "4", "12")  # points or Gaussians a splat
 FIT_STEPS = (
@@ -35,5 +36,11 @@ FORMATS: dict[str, Format] = {
     ),
     "3dtiles": Format(
         ".3dtiles.zip", TILES, "application/zip", "a zip of tileset.json and such a GLB a group of splats, with levels"
+    ),
+    "archive": Format(
+        ".archive.splatpress", PACKED, "application/octet-stream", "the packed file in archive form, a quarter smaller"
+    ),
+    "plain": Format(
+        ".plain.splatpress", PACKED, "application/octet-stream", "the packed file in plain form, as viewers take it"
     ),
 }

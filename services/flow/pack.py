@@ -110,7 +110,7 @@ def pack(
         )
     )
     if path is not None:
-        write_packed(record.folder, path)
+        write_packed(record.folder, path, settings.archive == "on")
     return record
 
 

@@ -98,7 +98,7 @@ def make(
     packed = pack(run, prepared, textured.coded, settings, name, None, textured.mapped)
     if settings.budget_bytes is not None:
         check_budget(settings.budget_bytes, prepared.splats.summary.n_splats, packed_gpu_bytes(packed))
-    write_packed(packed.folder, path)
+    write_packed(packed.folder, path, settings.archive == "on")
     beside = make_beside(run, prepared, settings, path.with_suffix(PAGES_SUFFIX))
     return finish(run, path, prepared, textured, settings, out, render, beside)
 
@@ -186,6 +186,8 @@ def _scan_record(prepared: Prepared, settings: Settings) -> ScanKnown:
         )
     if prepared.runs is None and scan.volume is None and settings.cell is not None and settings.geometry == BOXES:
         warnings.append(f"cell {settings.cell:g} is not used: boxes of a scan have no cells")
+    if prepared.runs is not None and settings.archive == "on":
+        warnings.append("archive on is not used: runs are coded already")
     if settings.geometry_error is not None and settings.geometry in (BOXES, RUNS):
         warnings.append(f"geometry_error {settings.geometry_error:g} is not used: it is of quadrics")
     return ScanKnown(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.exports import glb, las, ply, sog, spz, tiles
 from pipeline.exports.cloud import Cloud, backed, cloud_of, samples_of
-from pipeline.exports.formats import AUTO, FIT_STEPS, FORMATS, GAUSSIANS, PAGE, POINTS, TILES
+from pipeline.exports.formats import AUTO, FIT_STEPS, FORMATS, GAUSSIANS, PACKED, PAGE, POINTS, TILES
 from pipeline.exports.gaussians import Gaussians, gaussians_of, to_y_up, turned
 from pipeline.splats.decoded import scene_radii
 from renderer.evaluate.own_colours import MOST_FITTED, in_own_colours, views_of
@@ -29,6 +31,20 @@ SAMPLED = (POINTS, GAUSSIANS, TILES)  # kinds that may have more than one for a 
 LEAST_CONTRAST = 4 / 255  # by which samples of a splat differ from their mean in a channel where it is four Gaussians
 LIGHTER = "; --samples 1 --fit 0 writes one each, in less time and less like the file"
 METRES = {"metre": 1.0, "foot": 0.3048, "US survey foot": 1200 / 3937}
+
+
+@contextmanager
+def viewed(packed: Path, is_archive: bool) -> Iterator[Path]:
+    """The packed file in the form that the viewer reads: itself, or its plain form for as long as this lasts."""
+    if not is_archive:
+        yield packed
+        return
+    from storage.packed.archive.transcode import plain_packed  # compiles loops: for archives alone
+
+    with TemporaryDirectory(prefix="splatpress-") as folder:
+        plain = Path(folder) / packed.name
+        plain_packed(packed, plain)
+        yield plain
 
 
 @dataclass(frozen=True)
@@ -64,7 +80,9 @@ def export(packed: Path, format: str, out: Path, samples: str = AUTO, fit: int =
         )
     with PackedFile(packed) as opened:
         if chosen.kind == PAGE:
-            return _page(packed, opened.header, format, out)
+            return _page(packed, opened, format, out)
+        if chosen.kind == PACKED:
+            return _packed(packed, opened.header, format, out)
         scene = opened.load()
     if more and not scene.header.n_dictionary:
         raise UnsupportedScan(
@@ -98,10 +116,20 @@ def sampled(scene: PackedScene, splats: Cloud, kind: str, samples: str, fit: int
     return divided, ()
 
 
-def _page(packed: Path, header: Header, format: str, out: Path) -> Exported:
-    """All of the file, as it is."""
+def _packed(packed: Path, header: Header, format: str, out: Path) -> Exported:
+    """All of the file, in another form."""
+    from storage.packed.archive.transcode import archive_packed, plain_packed  # compiles loops: for archives alone
+
+    (archive_packed if format == "archive" else plain_packed)(packed, out)
+    return Exported(format, out, out.stat().st_size, header.n_finest, ())
+
+
+def _page(packed: Path, opened: PackedFile, format: str, out: Path) -> Exported:
+    """All of the file, in the form that the viewer reads."""
+    header = opened.header
     name = header.scan.get("name")
-    data = one_page(packed.read_bytes(), name if isinstance(name, str) else packed.stem)
+    with viewed(packed, opened.is_archive) as path:
+        data = one_page(path.read_bytes(), name if isinstance(name, str) else packed.stem)
     out.parent.mkdir(parents=True, exist_ok=True)
     with whole(out) as partial:
         partial.write_bytes(data)

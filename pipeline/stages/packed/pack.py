@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,7 @@ from storage.packed.writing.writer import (
     write_piece,
     write_pieces,
 )
+from storage.whole import aside
 from storage.work import arrays
 
 AT_ONCE = GROUP * GROUPS_AT_ONCE  # splats
@@ -259,6 +261,16 @@ def array_bytes(header: Header, rows: list[int]) -> dict[str, int]:
     return found | ({"splat_word": 4 * header.n_groups} if header.geometry == QUADRICS else {})
 
 
-def write_packed(pack_folder: Path, path: Path) -> None:
-    """Seal what `Pack` made into one file."""
-    seal_packed(pack_folder / "packed", path)
+def write_packed(pack_folder: Path, path: Path, archive: bool = False) -> None:
+    """Seal what `Pack` made into one file, in archive form where that is asked for and there is one: none of runs."""
+    if not archive:
+        seal_packed(pack_folder / "packed", path)
+        return
+    from storage.packed.archive.transcode import archive_packed, has_archive_form  # compiles loops: for archives alone
+
+    with aside(path) as made:
+        seal_packed(pack_folder / "packed", made / path.name)
+        if has_archive_form(made / path.name):
+            archive_packed(made / path.name, path)
+        else:
+            os.replace(made / path.name, path)

@@ -92,21 +92,22 @@ def _view(options: argparse.Namespace) -> int:
 
     import uvicorn
 
+    from services.processes.export import viewed
     from services.web.viewing import viewer_app
     from storage.packed.packed import PackedFile
 
     packed = Path(options.packed)
     if not packed.exists():
         raise FileNotFoundError(f"{packed}: no such file or folder")
-    with PackedFile(packed):  # what is damaged is said here
-        pass
+    with PackedFile(packed) as opened:  # what is damaged is said here
+        is_archive = opened.is_archive
     import socket
 
-    with socket.create_server(("127.0.0.1", options.port)) as listener:
+    with viewed(packed, is_archive) as shown, socket.create_server(("127.0.0.1", options.port)) as listener:
         url = f"http://127.0.0.1:{listener.getsockname()[1]}/"
         print(url, flush=True)
         print("open that address in a browser on this machine; Ctrl-C ends it", file=sys.stderr, flush=True)
         if not options.no_open:
             webbrowser.open(url)
-        uvicorn.Server(uvicorn.Config(viewer_app(packed), log_level="warning")).run(sockets=[listener])
+        uvicorn.Server(uvicorn.Config(viewer_app(shown), log_level="warning")).run(sockets=[listener])
     return OK

@@ -34,7 +34,7 @@ export class Packed {
       throw new Error(`a file of version ${header.version}; this viewer draws version ${VERSIONS.join(", ")}`);
     if (!["boxes", "runs", "quadrics"].includes(header.geometry ?? "boxes"))
       throw new Error(`a file whose geometry is ${header.geometry}; this viewer draws boxes, runs and quadrics`);
-    if (header.archive) throw new Error("a file in archive form, which this viewer does not read: unpack it with splatpress archive --plain");
+    if (header.archive) throw new Error("a file in archive form, which this viewer does not read: splatpress export --to plain makes one that it does");
     Object.assign(this, { source, members, header });
     if (header.runs && !members.has("run_codes/c/0/0")) throw new Error("a file of runs without their codes, of an older writer: pack the scan again");
     header.effects ??= {};

@@ -23,6 +23,12 @@ from storage.whole import aside
 LEARNED_FROM, LEAST_GROUPS = 16, 8  # groups that models learn from; a file of fewer than the second has no models
 
 
+def has_archive_form(path: Path) -> bool:
+    """Whether there is one of a packed file: none of runs, whose geometry is coded already."""
+    with PackedFile(path, verify=False) as packed:
+        return packed.header.runs is None
+
+
 def archive_packed(source: Path, target: Path) -> None:
     """Writes what the packed file `source` holds to `target`, in archive form. The same contents, the same bytes.
 
