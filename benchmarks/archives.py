@@ -1,0 +1,115 @@
+"""What archive form makes of packed files: bytes on disk, bits of each part of a splat, seconds of reading.
+
+    python -m benchmarks.archives PACKED...
+
+A part's bits are those that groups take less without it: geometry is coded alone, then with batches, and so on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from storage.packed.archive.coder import EVEN, WRITING, begin, end
+from storage.packed.archive.columns import axis_of_heights, chunks_of, form_of, kinds_of, splats_of
+from storage.packed.archive.splats import (
+    BATCH,
+    N_BATCHES,
+    N_CAMERAS,
+    N_COLORS,
+    N_STATIONS,
+    SIZE_BITS,
+    code_splats,
+    models_of,
+)
+from storage.packed.archive.tables import bytes_of, code_tables, columns_of, tables_in
+from storage.packed.archive.transcode import archive_packed
+from storage.packed.packed import PackedFile
+from storage.packed.schema import BOXES, Header
+
+PARTS = ("geometry", "batches", "sizes", "colours", "cameras and stations", "cliplines, ellipsoids, atoms, weights")
+STRIDE = 4  # of the groups that are looked at
+
+
+def forms_of(header: Header) -> list[tuple[np.ndarray, np.ndarray]]:
+    """What the coder is told that a file has, a part of PARTS more each time: its form, and kinds of batches."""
+    whole, kinds = form_of(header), kinds_of(header)
+    none, found = whole.copy(), []
+    none[[N_BATCHES, SIZE_BITS, N_COLORS, N_CAMERAS, N_STATIONS]] = 1, 0, 0, 0, 0
+    for names in ([], [N_BATCHES], [SIZE_BITS], [N_COLORS], [N_CAMERAS, N_STATIONS]):
+        none[names] = whole[names]
+        found.append((none.copy(), np.zeros_like(kinds)))
+    return [*found, (whole, kinds)]
+
+
+def part_bits(packed: PackedFile) -> tuple[np.ndarray, dict[str, float]]:
+    """Bits a splat of PARTS, models learning from group to group, and of tables of chunks by their first words."""
+    groups = [packed.group(index) for index in range(0, packed.header.n_groups, STRIDE)]
+    n = sum(group.header.n_splats for group in groups)
+    sums = np.zeros(len(PARTS))
+    for part, (form, kinds) in enumerate(forms_of(packed.header)):
+        models = np.zeros((2, int(models_of(form)[-1])), np.int64)
+        models[0] = EVEN
+        for group in groups:
+            axis = axis_of_heights(group) if group.header.geometry == BOXES else np.zeros(group.header.n_chunks, int)
+            chunks, steps = chunks_of(group.header, group.arrays, axis)
+            s, order = splats_of(group, chunks), np.arange(group.header.n_splats)
+            s.fields[:, BATCH] *= form[N_BATCHES] > 1
+            out = np.empty(1 << 16 | 1024 * len(order), np.uint8)
+            state = begin(WRITING, out)
+            code_splats(
+                state, out, models, models_of(form), form, chunks, steps, kinds, s.fields, s.first, s.entries, order
+            )
+            sums[part] += 8 * end(state, out)
+    return np.diff(sums / n, prepend=0), _table_bits(packed.header, groups, n)
+
+
+def _table_bits(header: Header, groups: list, n: int) -> dict[str, float]:
+    modelled, found, at = columns_of(header), {}, 0
+    for array in tables_in(header):
+        width = int(np.prod([int(dim) for dim in array.dims[1:]])) * np.dtype(array.dtype).itemsize
+        models = np.zeros((2, width << 8), np.int64)
+        models[0] = EVEN
+        total = 0
+        for group in groups:
+            out = np.empty(1 << 20, np.uint8)
+            state = begin(WRITING, out)
+            rows = np.ascontiguousarray(bytes_of(group.header, group.arrays)[:, at : at + width])
+            code_tables(state, out, models, 0, modelled[at : at + width].copy(), rows)
+            total += end(state, out)
+        found[array.name] = 8 * total / n
+        at += width
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("packed", nargs="+", type=Path)
+    for path in parser.parse_args().packed:
+        with TemporaryDirectory() as folder, PackedFile(path) as packed:
+            archive, began = Path(folder) / path.name, time.perf_counter()
+            archive_packed(path, archive)
+            took = time.perf_counter() - began
+            n, sizes = packed.header.n_finest, [file.stat().st_size for file in (path, archive)]
+            print(f"{path.name}: {n:,} splats, {packed.header.geometry}, made in {took:.1f} s")
+            print(f"  plain {sizes[0]:,} bytes, {sizes[0] / n:.2f} a splat; archive {sizes[1]:,}, {sizes[1] / n:.2f}")
+            seconds: dict[Path, list[float]] = {path: [], archive: []}
+            for file in (path, archive) * 3:
+                began = time.perf_counter()
+                with PackedFile(file, verify=False) as opened:
+                    opened.load()
+                seconds[file].append(time.perf_counter() - began)
+            print(f"  loaded in {min(seconds[path]):.2f} and {min(seconds[archive]):.2f} s")
+            bits, tables = part_bits(packed)
+            print("  bits: " + ", ".join(f"{name} {b:.2f}" for name, b in zip(PARTS, bits, strict=True)))
+            of_frames = sum(b for name, b in tables.items() if name.startswith(("box_", "frame_", "normal_")))
+            print(f"  boxes or frames {of_frames:.2f}, other tables {sum(tables.values()) - of_frames:.2f}")
+            print(f"  geometry on disk {bits[0] + of_frames:.2f}, with batches {bits[0] + bits[1] + of_frames:.2f}")
+
+
+if __name__ == "__main__":
+    main()
