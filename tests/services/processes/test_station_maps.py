@@ -30,6 +30,9 @@ from renderer.splats.scene import GpuScene
 from services.cli.arguments import add_knobs, add_preset
 from services.cli.commands.looks import add_edited_maps, settings_with_maps
 from services.cli.parser import WrongArgument
+from services.flow.asked import prepare_asked
+from services.flow.beside import make_beside
+from services.flow.code import texture
 from services.flow.map_pictures import map_scan
 from services.flow.run import Run
 from services.processes import estimate as pilot
@@ -187,9 +190,12 @@ def test_maps__bytes_depend_neither_on_the_executor_nor_on_workers_that_are_kill
             of_maps[record.folder] = stage
         return record
 
-    for settings, name in ((SETTINGS, ""), (THINNER, "thinner")):
-        _, _, folder = made(settings, name=name)
-        make(Run(folder, SerialExecutor(), Heard(), noted, draw=lambda *_: []), scan, settings, tmp_path, render=False)
+    _, _, folder = made(THINNER, name="thinner")
+    run = Run(folder, SerialExecutor(), Heard(), noted)
+    prepared = prepare_asked(run, scan, THINNER)
+    texture(run, prepared, THINNER)
+    run.do(ResampleMaps(prepared.on_maps(prepared.maps.folder), prepared.maps.log_gain))
+    make_beside(run, prepared, THINNER, tmp_path / "room.pages")
     assert {stage.name for stage in of_maps.values()} == OF_MAPS
     with DaskExecutor(2) as executor:
         run = Run(tmp_path / "work", executor, Heard())
