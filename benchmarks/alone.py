@@ -43,7 +43,7 @@ from services.processes.compress import compress
 from storage.work import work
 
 BLOCKS = 64  # of a leaf
-GROWING = {Task.BLOCK, Task.PART, Task.SLICE, Task.GROUP}
+GROWING = {Task.BLOCK, Task.PART, Task.SLICE, Task.GROUP, Task.BY_PHOTO}
 APART = {"pack", "grid-counts", "leaves"}  # whose `finalise` reads what tasks left: made up by alone_parts.py
 
 

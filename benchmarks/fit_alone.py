@@ -49,7 +49,11 @@ def _dispatch(rows: list[dict]) -> tuple[Dispatch, float, list[Held]]:
     begin, call, task = _line([row["processor_s"] for row in rows], calls, tasks)
     around = float(
         np.median(
-            [(row["seconds"] - begin) * row["workers"] / row["tasks"] for row in rows if row["calls"] < row["tasks"]]
+            [
+                (row["seconds"] - begin) * row["workers"] / row["tasks"]
+                for row in rows
+                if 1 < row["calls"] < row["tasks"]
+            ]
         )
     )
     held = [
@@ -61,7 +65,8 @@ def _dispatch(rows: list[dict]) -> tuple[Dispatch, float, list[Held]]:
         )
         for row in rows
     ]
-    return Dispatch(float(call), float(task), around), float(begin), held
+    begin_s = float(np.median([row["seconds"] for row in rows if row["tasks"] == 1]))
+    return Dispatch(float(call), float(task), around), begin_s, held
 
 
 def _of_stage(name: str, rows: list[dict], cost: dict, begin_s: float) -> tuple[dict, list[Held]]:
@@ -69,8 +74,8 @@ def _of_stage(name: str, rows: list[dict], cost: dict, begin_s: float) -> tuple[
     once, a_task = _line(took, tasks)
     init_s = float(np.median([row["init_s"] for row in rows]))
     fixed = {"once_s": begin_s + init_s + float(once), "once_us_a_unit": 0.0, "once_s_a_task": float(a_task)}
-    if BY_NAME[name].task == Task.PHOTO:
-        fixed |= {"once_s_a_task": 0.0}
+    if BY_NAME[name].task == Task.BY_PHOTO:
+        fixed |= {"once_s": begin_s + init_s + took[0], "once_s_a_task": 0.0}
     held = [Held(name, f"{n:,} tasks", s, float(once + a_task * n)) for n, s in zip(tasks, took)]
     return cost | fixed, held
 
@@ -80,16 +85,25 @@ def _pack(rows: list[dict], costs: dict[str, dict], begin_s: float) -> list[Held
     splats, laid_out = [row["splats"] for row in rows], [row["lay_out_s"] for row in rows]
     once, a_splat = _line(laid_out, splats)
     sealed = [row for row in rows if "seal_s" in row]
-    opening, a_byte = _line([row["seal_s"] for row in sealed], [row["bytes"] for row in sealed])
-    cost = costs["pack"]
-    init_s = float(np.median([row["init_s"] for row in rows]))
-    a_unit = a_splat + a_byte * cost["written_bytes_a_unit"]
-    costs["pack"] = cost | {"once_s": begin_s + init_s + float(once + opening), "once_us_a_unit": 1e6 * float(a_unit)}
+    n_bytes = [row["bytes"] for row in sealed]
+    (opening, a_byte), (closing, of_digest) = (
+        _line([row[k] for row in sealed], n_bytes) for k in ("written_s", "digest_s")
+    )
+    init_s, a_splat_bytes = float(np.median([row["init_s"] for row in rows])), costs["pack"]["written_bytes_a_unit"]
+    costs["pack"] |= {"once_s": begin_s + init_s + float(once), "once_us_a_unit": 1e6 * float(a_splat)}
+    known = costs.get("join") or asdict(StageCost(0.0, 0.0, 0.0, a_splat_bytes, costs["pack"]["memory_bytes"], 0.0))
+    costs["join"] = known | {
+        "task_us_a_unit": 1e6 * float(a_byte) * a_splat_bytes,
+        "once_s": float(opening + closing),
+        "once_us_a_unit": 1e6 * float(of_digest) * a_splat_bytes,
+    }
     held = [Held("pack, laid out", f"{n:,} splats", s, float(once + a_splat * n)) for n, s in zip(splats, laid_out)]
-    return held + [
-        Held("pack, sealed", f"{row['bytes']:,} bytes", row["seal_s"], float(opening + a_byte * row["bytes"]))
-        for row in sealed
-    ]
+    for row in sealed:
+        n, size = row["bytes"], f"{row['bytes']:,} bytes"
+        held += [Held("join, written", size, row["written_s"], float(opening + a_byte * n))]
+        held += [Held("join, digest", size, row["digest_s"], float(closing + of_digest * n))]
+        held += [Held("join, by one", size, row["seal_s"], float(opening + closing + (a_byte + of_digest) * n))]
+    return held
 
 
 def _cells(rows: list[dict], costs: dict[str, dict], begin_s: float) -> list[Held]:

@@ -17,6 +17,7 @@ class Task(StrEnum):
     PART = "1,048,576 points of the file, or a leaf of about as many"
     BLOCK = "a block of 16,384 splats"
     GROUP = "65,536 splats"
+    RANGE = "64 MiB of the packed file"
     POINTS_OF_GROUP = "8,192 splats of a coarser level"
     VOLUME = "the volume"
     SLICES = "some slices of a volume"
@@ -255,6 +256,10 @@ CATALOGUE = (
     ),
     StageEntry(
         "pack", "stages/packed/pack.py", Phase.FILE, Task.GROUP, "the packed file", ("splats", "encode"),
+    ),
+    StageEntry(
+        "join", "stages/packed/join.py", Phase.FILE, Task.RANGE, "the packed file as one, sealed", ("pack",),
+        when="a file of more than 4 GiB",
     ),
     StageEntry(
         "measure", "stages/packed/measure.py", Phase.EVALUATION, Task.BLOCK,

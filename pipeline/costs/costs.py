@@ -20,6 +20,7 @@ from pipeline.costs.makespan import makespan
 from pipeline.costs.of_maps import told_by_stations
 from pipeline.execution.executors import MOST_A_CALL, calls_of
 from pipeline.execution.task import CALL_S
+from pipeline.stages.packed.join import LARGE, RANGE
 from pipeline.stages.packed.pack import AT_ONCE
 from pipeline.stages.points.grid_counts import IN_MEMORY as MOST_HELD  # units that any stage has in memory at once
 from pipeline.stages.points.ingest import MOST_SLICES, SLICE
@@ -33,6 +34,7 @@ from storage.work.arrays import BLOCK
 CROWDED = 1.10  # times as long that a task takes beside another: two processes took 2.88 s for 5.26 s one by one
 SAMPLED = 16  # blocks that effects are measured on
 MEASURED = 16  # bytes a splat of what is said of a patch: average, energy
+FILE_BYTES = 11  # of a packed file, a splat, about
 COSTS = Path(__file__).with_name("costs.json")
 
 PAGES = "photo-pages"
@@ -223,6 +225,7 @@ def _n_tasks(name: str, job: Job) -> int:
         Task.SLICES: VOXELS_A_TASK,
         Task.SAMPLE: BLOCK,
         Task.GROUP: AT_ONCE * max(1, -(-job.n_splats // (AT_ONCE * MOST_PIECES))),
+        Task.RANGE: RANGE // FILE_BYTES if FILE_BYTES * job.n_splats > LARGE else job.n_splats,
         Task.POINTS_OF_GROUP: FEWER * GROUP,
         Task.TRAINING: TRAINING_BLOCK,
     }.get(kind)

@@ -15,6 +15,7 @@ from storage.packed.groups import FIRST_WORDS
 from storage.packed.layout import bytes_on_gpu
 from storage.packed.packed import PackedScene
 from storage.packed.schema import BY_NAME, Camera, Header
+from storage.packed.totals import Totals
 
 REPORT_NAME = "report.json"
 GPU_PARTS = ("geometry", "codes", "colors", "dictionary", "maps")
@@ -23,16 +24,23 @@ SOURCE_BYTES_PER_PIXEL = 4  # three channels, times 4/3 for the mip levels
 
 
 def build_report(
-    scene: PackedScene, file_bytes: int, record: RunRecord = RunRecord(), views: Sequence[ViewMeasured] = ()
+    scene: PackedScene,
+    file_bytes: int,
+    record: RunRecord = RunRecord(),
+    views: Sequence[ViewMeasured] = (),
+    totals: Totals | None = None,
 ) -> Report:
-    """The report of one packed scene; docs of each figure stand in `sizes_of` and `atoms_of`.
+    """The report of one packed scene, or of a file with these totals; docs of each figure stand in `sizes_of` and
+    `atoms_of`.
 
     `file_bytes` is the length of the packed file on disk, `record` what its run knows, `views` what
     `renderer.evaluate.previews` returned.
 
     Guarantees: what was not measured is None or empty, never a guess; nothing is NaN or infinite.
     """
-    header, known = scene.header, msgspec.to_builtins(record)
+    header, known = totals.header if totals else scene.header, msgspec.to_builtins(record)
+    splats = totals.splats if totals else scene.arrays["batch_count"].sum(axis=0, dtype=np.int64)
+    sizes = sizes_from(totals.header, totals.bytes, file_bytes) if totals else sizes_of(scene, file_bytes)
     of_run = known["scan"]
     warnings = of_run.pop("warnings")
     scan = _scan_of(header) | {"unit": header.unit, "n_cameras": len(header.cameras)} | of_run
@@ -42,9 +50,9 @@ def build_report(
                 "scan": scan,
                 "splats": header.n_splats,
                 "radius": header.radius,
-                "sizes": msgspec.to_builtins(sizes_of(scene, file_bytes)),
+                "sizes": msgspec.to_builtins(sizes),
                 "quality": known["quality"] | {"views": msgspec.to_builtins(list(views))},
-                "atoms": msgspec.to_builtins(atoms_of(scene)),
+                "atoms": msgspec.to_builtins(atoms_of(header, splats)),
                 "learning": known["learning"],
                 "numerics": known["numerics"] | {"accumulation": _accumulation(header, views)},
                 "stages": known["stages"],
@@ -108,15 +116,20 @@ def sizes_of(scene: PackedScene, file_bytes: int) -> Sizes:
         arrays["splat_word"] = 4 * scene.header.n_groups  # those of chunks stand in their frames' 9 words
     if scene.header.runs:
         arrays = _as_runs_are_uploaded(scene, arrays)
+    return sizes_from(scene.header, arrays, file_bytes)
+
+
+def sizes_from(header: Header, arrays: dict[str, int], file_bytes: int) -> Sizes:
+    """As `sizes_of`, of the bytes of each array as a GPU takes it."""
     part_of = OF_STARTS | FIRST_WORDS | {name: array.part for name, array in BY_NAME.items()}
     part = {p: sum(size for name, size in arrays.items() if part_of[name] == p) for p in (*GPU_PARTS, "provenance")}
     gpu_bytes = sum(part[p] for p in GPU_PARTS)
-    source = source_texture_bytes(scene.header.cameras)
+    source = source_texture_bytes(header.cameras)
     return Sizes(
         **{f"{name}_bytes": size for name, size in part.items()},
         gpu_bytes=gpu_bytes,
         file_bytes=int(file_bytes),
-        bytes_per_splat=gpu_bytes / scene.header.n_splats,
+        bytes_per_splat=gpu_bytes / header.n_splats,
         source_texture_bytes=source,
         compression_factor_total=None if source is None else (part["geometry"] + source) / gpu_bytes,
         compression_factor_texture=None if source is None else source / (gpu_bytes - part["geometry"]),
@@ -149,11 +162,10 @@ def source_texture_bytes(cameras: Sequence[Camera]) -> int | None:
     return sum(camera.width_px * camera.height_px for camera in cameras) * SOURCE_BYTES_PER_PIXEL
 
 
-def atoms_of(scene: PackedScene) -> AtomsUsed:
-    """How many splats have 0, 1 ... `n_ranks` atoms (`histogram`), and the `mean`; counted from the batches."""
-    splats = scene.arrays["batch_count"].sum(axis=0, dtype=np.int64)
-    n_atoms = [batch.n_atoms for batch in scene.header.batches]
-    histogram = np.bincount(n_atoms, weights=splats, minlength=scene.header.n_ranks + 1).astype(np.int64)
+def atoms_of(header: Header, splats: np.ndarray) -> AtomsUsed:
+    """How many splats have 0, 1 ... `n_ranks` atoms (`histogram`), and the `mean`; of the `splats` of each batch."""
+    n_atoms = [batch.n_atoms for batch in header.batches]
+    histogram = np.bincount(n_atoms, weights=splats, minlength=header.n_ranks + 1).astype(np.int64)
     return AtomsUsed(tuple(histogram.tolist()), float(histogram @ np.arange(len(histogram)) / histogram.sum()))
 
 

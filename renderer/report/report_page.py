@@ -30,7 +30,7 @@ def write_page(folder: Path, report: dict, scene: PackedScene) -> Path:
     """Write `report.html` into a folder; it appears whole.
 
     `report` is what `build_report` returned; the pictures of its views are read from `folder`. `scene` gives the atoms
-    of the dictionary.
+    of the dictionary, most used first; of a large file it is some of its groups.
 
     Guarantees: the page loads nothing from anywhere; every text of the user's stands in it escaped; under 15 MB.
     """
@@ -68,6 +68,7 @@ def page_of(report: dict, scene: PackedScene, folder: Path) -> str:
         station_views=[_embedded(row["views"], folder, EDGE_PICTURE_BYTES) for row in report["stations"]],
         dictionary=Markup(png_uri(dictionary)) if dictionary is not None else None,
         n_dictionary=scene.header.n_dictionary,
+        n_looked_at=scene.header.n_splats,
         bokeh=Markup(Resources(mode="inline", components=["bokeh"]).render()),
         plot_script=Markup(script),
         plots={name: Markup(div) for name, div in divs.items()},

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from pipeline.catalogue import RENDER
 from pipeline.execution.stage import StageRecord
@@ -16,7 +17,10 @@ from renderer.report.document import RunRecord, StageCost, ViewMeasured
 from renderer.report.report import as_json, build_report, write_report
 from services.flow.maps import StationMaps
 from services.flow.run import Run
-from storage.packed.packed import PackedFile
+from storage.packed.packed import PackedFile, PackedScene
+from storage.packed.totals import Totals
+
+GROUPS = 512  # 4 million splats, which take 3 s
 
 
 def write_outputs(
@@ -27,7 +31,7 @@ def write_outputs(
     from renderer.report.report_page import write_page  # Bokeh takes 2 s to import, which an estimate does without
 
     with PackedFile(path) as packed:
-        scene = packed.load()
+        scene, totals = _looked_at(packed)
     views = _views(run, path, photos, out) if render else []
     edges = (
         run.paint(draw_edges, path, photos, out)
@@ -41,10 +45,20 @@ def write_outputs(
         stations=tuple(stations),
         stages=tuple(stage_row(r) for r in merged(run.records)),
     )
-    report = as_json(build_report(scene, path.stat().st_size, known, views))
+    report = as_json(build_report(scene, path.stat().st_size, known, views, totals))
     write_report(out, report)
     write_page(out, report, scene)
     return report
+
+
+def _looked_at(packed: PackedFile) -> tuple[PackedScene, Totals | None]:
+    """All of a file; of a large one GROUPS spread evenly, whose atoms stand for all in the picture of the dictionary,
+    and the totals of the whole. A process alone takes 0.7 us a splat to read it."""
+    n = packed.header.n_groups
+    if packed.header.runs or n <= GROUPS:
+        return packed.load(), None
+    some = ((np.arange(GROUPS) + 0.5) * n / GROUPS).astype(int).tolist()
+    return packed.joined({i: packed.rows_of_group(i) for i in some}, packed.of_all()), packed.totals()
 
 
 def _views(run: Run, path: Path, photos: Path, out: Path) -> list[ViewMeasured]:

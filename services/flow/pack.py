@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict
 from pathlib import Path
 
@@ -13,8 +14,9 @@ from pipeline.geometry.frame import directions_of
 from pipeline.geometry.sizes import BITS
 from pipeline.planning.settings import Settings
 from pipeline.stages.maps.map_pictures import stored_maps
+from pipeline.stages.packed.join import FILE, Join, hand_over, is_joined_by_all
 from pipeline.stages.packed.kinds import Kinds, batches_of
-from pipeline.stages.packed.pack import Pack, write_packed
+from pipeline.stages.packed.pack import Pack
 from pipeline.stages.points.grid_counts import IN_MEMORY
 from pipeline.summaries import Packed
 from services.flow.maps import Mapped
@@ -24,7 +26,9 @@ from services.flow.run import Run
 from services.flow.textures import Coded, color_step
 from storage.packed.groups import FIRST_WORDS
 from storage.packed.schema import BOXES, BY_NAME, EXTRAS, QUADRICS, RUNS, Header, RunGrid
-from storage.work import arrays
+from storage.packed.writing.joined import seal_packed
+from storage.whole import aside
+from storage.work import arrays, work
 
 
 def texels_of_levels(prepared: Prepared, settings: Settings) -> tuple[int, int]:
@@ -110,8 +114,36 @@ def pack(
         )
     )
     if path is not None:
-        write_packed(record.folder, path, settings.archive == "on")
+        write_packed(run, record, path, settings.archive == "on")
     return record
+
+
+def write_packed(run: Run, packed: StageRecord[Packed], path: Path, archive: bool = False) -> None:
+    """Put what `Pack` made together as one file, in archive form where that is asked for and there is one: none of
+    runs."""
+    if not archive:
+        _put_together(run, packed, path)
+        return
+    from storage.packed.archive.transcode import archive_packed, has_archive_form  # compiles loops: for archives alone
+
+    with aside(path) as made:
+        _put_together(run, packed, made / path.name)
+        if has_archive_form(made / path.name):
+            archive_packed(made / path.name, path)
+        else:
+            os.replace(made / path.name, path)
+
+
+def _put_together(run: Run, packed: StageRecord[Packed], path: Path) -> None:
+    """A large file by all workers."""
+    if not is_joined_by_all(packed.folder, sum(packed.summary.bytes.values())):
+        seal_packed(packed.folder / "packed", path)
+        return
+    stage = Join(packed.folder)
+    folder = work.stage_folder(run.work, stage)
+    if work.is_complete(folder) and not (folder / FILE).is_file():  # an earlier job has it
+        work.discard(folder)
+    hand_over(packed.folder, run.do(stage).folder, path)
 
 
 def _run_grid(runs: RunGeometry) -> RunGrid:

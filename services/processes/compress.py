@@ -12,7 +12,6 @@ from pipeline.effects.plan.plan import Row
 from pipeline.execution.stage import Executor, Progress
 from pipeline.planning.settings import Settings
 from pipeline.readers.files.spelling import shown
-from pipeline.stages.packed.pack import write_packed
 from renderer.report.document import (
     EstimatedFigure,
     GeometryErrors,
@@ -21,14 +20,14 @@ from renderer.report.document import (
     RunRecord,
     ScanKnown,
 )
-from renderer.report.report import sizes_of
+from renderer.report.report import sizes_from, sizes_of
 from services.flow.asked import prepare_asked
 from services.flow.beside import Beside, make_beside
 from services.flow.budget import check_budget
 from services.flow.code import Texture, texture
 from services.flow.estimate_cache import against, known_estimate
 from services.flow.outputs import write_outputs
-from services.flow.pack import pack, packed_gpu_bytes
+from services.flow.pack import pack, packed_gpu_bytes, write_packed
 from services.flow.points.runs import runs_report
 from services.flow.prepare import Prepared, has_photographs
 from services.flow.run import Run
@@ -98,7 +97,7 @@ def make(
     packed = pack(run, prepared, textured.coded, settings, name, None, textured.mapped)
     if settings.budget_bytes is not None:
         check_budget(settings.budget_bytes, prepared.splats.summary.n_splats, packed_gpu_bytes(packed))
-    write_packed(packed.folder, path, settings.archive == "on")
+    write_packed(run, packed, path, settings.archive == "on")
     beside = make_beside(run, prepared, settings, path.with_suffix(PAGES_SUFFIX))
     return finish(run, path, prepared, textured, settings, out, render, beside)
 
@@ -143,13 +142,14 @@ def _estimate(
     if estimate is None:
         return None
     with PackedFile(path, verify=False) as packed:
-        n_bytes = sizes_of(packed.load(), 0).gpu_bytes
+        header = packed.header
+        sizes = sizes_of(packed.load(), 0) if header.runs else sizes_from(header, packed.totals().bytes, 0)
     return against(
         estimate,
         {
             "seconds": sum(r.made_seconds for r in run.records),
             "peak_memory_bytes": max(r.peak_rss_bytes for r in run.records),
-            "gpu_bytes": n_bytes,
+            "gpu_bytes": sizes.gpu_bytes,
             "file_bytes": packed.n_bytes,
             "texture_psnr_db": textured.psnr_db,
             "pages_bytes": beside.pages.bytes if beside.pages else None,

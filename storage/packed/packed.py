@@ -26,10 +26,12 @@ from storage.packed.runs.tables import DECODED, joined_tables
 from storage.packed.scene import PackedScene, check_tables
 from storage.packed.schema import BY_NAME, GROUP, Array, Header, arrays_of
 from storage.packed.seal import check_seal, is_packed_file
+from storage.packed.totals import Totals, array_bytes
 
 __all__ = ["SUFFIX", "PackedFile", "PackedScene", "is_packed_file"]
 
 SUFFIX = ".splatpress"
+COUNTED = 1 << 16  # chunks whose counts are read at a time
 
 
 class PackedFile:
@@ -118,6 +120,16 @@ class PackedFile:
             return self._checked(self.header, [self._group_arrays(index) for index in groups], self.of_all())
         with ThreadPoolExecutor(os.cpu_count()) as pool:  # a group takes far longer to decode than to read
             return self._checked(self.header, list(pool.map(self._group_arrays, groups)), self.of_all())
+
+    def totals(self) -> Totals:
+        """What there is to know of the whole file without decoding more than its counts; not of runs, whose tables on
+        the GPU depend on what they are."""
+        assert not self.header.runs
+        counts = np.zeros(len(self.header.batches), np.int64)
+        for first in range(0, self.header.n_chunks, COUNTED):
+            counts += self.read("batch_count", first, first + COUNTED).sum(axis=0, dtype=np.int64)
+        rows = self.groups.rows.sum(axis=0, dtype=np.int64)
+        return Totals(self.header, array_bytes(self.header, rows.tolist()), counts)
 
     def of_all(self) -> dict[str, np.ndarray]:
         """The arrays that all groups share: dictionary, maps."""

@@ -29,7 +29,7 @@ def check_seal(path: Path) -> None:
     if path.is_dir():
         raise InvalidPackedFile(str(path), "a folder", "a whole packed file, NAME.splatpress", MADE_BY)
     with open(path, "rb") as file:
-        digest = _digest(file, os.fstat(file.fileno()).st_size - SEAL_BYTES)
+        digest = digest_of(file, os.fstat(file.fileno()).st_size - SEAL_BYTES)
         found = file.read()
     if not found.startswith(SEAL):
         hint = "truncated, or no packed file" if path.suffix == ".splatpress" else MADE_BY
@@ -51,7 +51,7 @@ def is_packed_file(path: str | Path) -> bool:
         return file.read(len(SEAL)) == SEAL
 
 
-def _digest(file, n_bytes: int) -> str:
+def digest_of(file, n_bytes: int) -> str:
     """SHA-256 of the first `n_bytes`; the file then stands right behind them."""
     file.seek(0)
     state, left = hashlib.sha256(), n_bytes

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +15,12 @@ from storage.packed.batches import CHUNKS_PER_GROUP, count_batches, rows_of
 from storage.packed.bits import pack_bits, pack_sizes
 from storage.packed.codes import pack_codes
 from storage.packed.colors import pack_colors
-from storage.packed.groups import TABLE, ragged_in
-from storage.packed.layout import bytes_on_gpu, shape_of
+from storage.packed.layout import shape_of
 from storage.packed.quadrics import number_words, pack_numbers
-from storage.packed.runs.tables import DECODED
 from storage.packed.scene import streams_of
 from storage.packed.schema import BY_NAME, CHUNK, EXTRAS, FRAMES, GROUP, QUADRICS, Header, arrays_of, color_bits
-from storage.packed.writing.joined import lay_out, seal_packed
+from storage.packed.totals import array_bytes
+from storage.packed.writing.joined import lay_out
 from storage.packed.writing.writer import (
     GROUPS_AT_ONCE,
     WrittenGroup,
@@ -35,7 +32,6 @@ from storage.packed.writing.writer import (
     write_piece,
     write_pieces,
 )
-from storage.whole import aside
 from storage.work import arrays
 
 AT_ONCE = GROUP * GROUPS_AT_ONCE  # splats
@@ -51,7 +47,7 @@ class PackedGroups:
 
 @dataclass(frozen=True)
 class Pack:
-    """A task `groups_a_piece` groups. Output: the folder packed/, sealed by `write_packed`."""
+    """A task `groups_a_piece` groups. Output: the folder packed/, which `storage/packed/writing/joined.py` makes one file of."""
 
     header: Header
     splats: Path
@@ -229,48 +225,3 @@ def _in_rows(fields: np.ndarray, place: np.ndarray) -> np.ndarray:
     rows = np.zeros((int(has.sum()), fields.shape[1]), np.uint32)
     rows[place[has]] = fields[has]
     return rows.ravel()
-
-
-def array_bytes(header: Header, rows: list[int]) -> dict[str, int]:
-    """Bytes of each array as the GPU takes them: of streams the words that count, and a spare one. `rows` are those of
-    all groups, of each array that they have any number of rows of."""
-    found, tables = {}, {"codes": "group_word"} | {extra.stream: extra.table for extra in EXTRAS}
-    for array in arrays_of(header):
-        if array.name not in TABLE and not array.is_ragged:
-            n_bytes = int(np.prod(shape_of(header, array))) * np.dtype(array.dtype).itemsize
-            found[array.name] = bytes_on_gpu(header, array, n_bytes)
-    if header.runs:
-        counts = {
-            "q": header.runs.n_sections,
-            "m": header.runs.n_runs,
-            "t": header.n_splats - header.runs.n_runs,
-            "3": 3,
-            "2": 2,
-        }
-        for array in DECODED:
-            found[array.name] = math.prod(counts[d] for d in array.dims) * np.dtype(array.dtype).itemsize
-        found["run_section"] = 4 * header.n_groups
-    for i, array in enumerate(ragged_in(header)):
-        if array.name == "run_codes":
-            continue
-        a_row = int(np.prod(shape_of(header, array)[2:])) * np.dtype(array.dtype).itemsize
-        found[array.name] = a_row * (rows[i] + ("e" in array.dims))
-        if array.name in tables:
-            found[tables[array.name]] = 4 * header.n_groups
-    found |= {"color_word": 4 * header.n_chunks} if header.color_step else {}
-    return found | ({"splat_word": 4 * header.n_groups} if header.geometry == QUADRICS else {})
-
-
-def write_packed(pack_folder: Path, path: Path, archive: bool = False) -> None:
-    """Seal what `Pack` made into one file, in archive form where that is asked for and there is one: none of runs."""
-    if not archive:
-        seal_packed(pack_folder / "packed", path)
-        return
-    from storage.packed.archive.transcode import archive_packed, has_archive_form  # compiles loops: for archives alone
-
-    with aside(path) as made:
-        seal_packed(pack_folder / "packed", made / path.name)
-        if has_archive_form(made / path.name):
-            archive_packed(made / path.name, path)
-        else:
-            os.replace(made / path.name, path)

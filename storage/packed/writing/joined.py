@@ -7,6 +7,7 @@ Of a scan of any size no more than the rows of TABLE_ROWS_PER_ZARR_CHUNK groups 
 from __future__ import annotations
 
 import json
+import os
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -31,9 +32,9 @@ from storage.packed.layout import (
     shape_of,
 )
 from storage.packed.schema import Array, Header, arrays_of
-from storage.packed.seal import SEAL_BYTES, end_with_seal
+from storage.packed.seal import SEAL_BYTES, digest_of, end_with_seal
 from storage.packed.writing.writer import groups_a_piece, piece_of, told_file, told_of
-from storage.packed.writing.zipped import end_of, entries, local_header
+from storage.packed.writing.zipped import end_of, entries, entries_in_rows, local_header
 from storage.whole import whole
 
 BEFORE, OF_ALL, DIRECTORY, PLACES = "before", "of-all", "directory", "places.json"  # parts beside the pieces
@@ -102,6 +103,35 @@ def parts_of(folder: Path) -> list[Part]:
         of_all = of_all if left else []
         parts.append(Part(piece_of(folder, piece), n_first, n_bytes - n_first))
     return [part for part in (*parts, _whole(folder / DIRECTORY)) if part.n_bytes]
+
+
+def begin_file(folder: Path, path: Path) -> int:
+    """A file with room for what was laid out, and its seal; how long it is without the seal."""
+    n_bytes = sum(part.n_bytes for part in parts_of(folder))
+    with open(path, "ab") as file:
+        os.truncate(file.fileno(), n_bytes + SEAL_BYTES)
+    return n_bytes
+
+
+def write_range(folder: Path, path: Path, start: int, stop: int) -> None:
+    """Bytes start..stop of the file. For tasks, side by side: none writes what is another's."""
+    at = 0
+    with open(path, "r+b") as file:
+        for part in parts_of(folder):
+            first, end = max(start, at), min(stop, at + part.n_bytes)
+            if first < end:
+                file.seek(first)
+                for block in blocks_of(Part(part.path, part.skip + first - at, end - first)):
+                    file.write(block)
+            at += part.n_bytes
+
+
+def end_file(path: Path) -> str:
+    """Seal a file that is written; its SHA-256."""
+    with open(path, "r+b") as file:
+        digest = digest_of(file, os.fstat(file.fileno()).st_size - SEAL_BYTES)
+        end_with_seal(file, digest)
+    return digest
 
 
 def seal_packed(folder: Path, path: Path) -> None:
@@ -202,7 +232,14 @@ def _lay_out_members(folder: Path, name: str, members: list[str], at: int) -> by
 def _entries_of(folder: Path, header: Header, start: np.ndarray, first: int, stop: int) -> bytes:
     """What the directory says of groups first..stop."""
     told = _told(folder, header, first, stop)
-    names = [member for group in range(first, stop) for _, member in group_members(header, group)]
-    length = LOCAL_HEADER_BYTES + np.array([len(name) for name in names]).reshape(stop - first, -1) + told["size"]
+    names = [_about(member) for _, member in group_members(header, 0)]
+    digits = np.array([len(str(group)) for group in range(first, stop)])
+    length = LOCAL_HEADER_BYTES + digits[:, None] + [len(a) + len(b) for a, b in names] + told["size"]
     at = start[first:stop, None] + np.cumsum(length, axis=1) - length
-    return entries(names, told["crc"].ravel(), told["size"].ravel(), at.ravel())
+    return entries_in_rows(names, first, told["crc"], told["size"], at)
+
+
+def _about(member: str) -> tuple[str, str]:
+    """What stands before and behind the number of a group in the name of one of its members."""
+    array, _, chunk = member.partition("/c/0")
+    return f"{array}/c/", chunk

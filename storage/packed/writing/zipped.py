@@ -31,25 +31,61 @@ def local_header(name: str, crc: int, size: int) -> bytes:
     return struct.pack("<4s2B4HL2L2H", b"PK\3\4", *plain) + name.encode()
 
 
+def entries_in_rows(
+    names: list[tuple[str, str]], first: int, crc: np.ndarray, size: np.ndarray, at: np.ndarray
+) -> bytes:
+    """What the directory says of members (n, k), of which the k-th of row i is called names[k] with the number `first`
+    + i between: `entries` of them row by row, without a loop over them where all numbers are as long and all lie near,
+    or far."""
+    number = first + np.arange(len(crc))
+    far = at > LONGEST
+    n_digits = len(str(first))
+    if len(str(first + len(crc) - 1)) != n_digits or far.any() != far.all():
+        flat = [f"{before}{i}{after}" for i in number.tolist() for before, after in names]
+        return entries(flat, crc.ravel(), size.ravel(), at.ravel())
+    digits = (number[:, None] // 10 ** np.arange(n_digits - 1, -1, -1) % 10 + ord("0")).astype(np.uint8)
+    columns = []
+    for k, (before, after) in enumerate(names):
+        fixed, extra = _fields(len(before) + n_digits + len(after), crc[:, k], size[:, k], at[:, k])
+        columns += [_as_bytes(fixed), _repeated(before, len(crc)), digits, _repeated(after, len(crc))]
+        columns += [_as_bytes(extra)] if far.any() else []
+    return np.concatenate(columns, axis=1).tobytes()
+
+
+def _as_bytes(rows: np.ndarray) -> np.ndarray:
+    return rows.view(np.uint8).reshape(len(rows), -1)
+
+
+def _repeated(text: str, n: int) -> np.ndarray:
+    return np.broadcast_to(np.frombuffer(text.encode(), np.uint8), (n, len(text)))
+
+
 def entries(names: list[str], crc: np.ndarray, size: np.ndarray, at: np.ndarray) -> bytes:
     """What the directory says of members (m,): their CRC-32, bytes, and where their local headers begin."""
-    rows = np.zeros(len(names), _ENTRY)
+    rows, extra = _fields(np.array([len(name) for name in names]), crc, size, at)
+    far = (np.asarray(at) > LONGEST).tolist()
+    plain, beyond, width, wide = rows.tobytes(), extra.tobytes(), _ENTRY.itemsize, _FAR.itemsize
+    return b"".join(
+        plain[i * width : (i + 1) * width] + name.encode() + (beyond[i * wide : (i + 1) * wide] if is_far else b"")
+        for i, (name, is_far) in enumerate(zip(names, far))
+    )
+
+
+def _fields(name: np.ndarray | int, crc: np.ndarray, size: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What is as long for all members, and what those that lie far have besides, (m,) each; `name` is the length of
+    theirs."""
+    rows, extra = np.zeros(len(crc), _ENTRY), np.zeros(len(crc), _FAR)
     for field, value in (("magic", b"PK\1\2"), ("made", _PLAIN), ("system", _UNIX), ("version", _PLAIN)):
         rows[field] = value
     for field, value in (("time", _NO_TIME), ("day", _FIRST_DAY), ("rights", _RIGHTS)):
         rows[field] = value
     rows["crc"], rows["packed"], rows["size"], rows["at"] = crc, size, size, np.minimum(at, 0xFFFFFFFF)
-    rows["name"] = [len(name) for name in names]
+    rows["name"] = name
     far = np.asarray(at) > LONGEST
     for field, value in (("made", _ZIP64), ("version", _ZIP64), ("extra", _FAR.itemsize), ("at", 0xFFFFFFFF)):
         rows[field][far] = value
-    extra = np.zeros(len(names), _FAR)
     extra["kind"], extra["bytes"], extra["at"] = 1, 8, at
-    plain, beyond, width, wide = rows.tobytes(), extra.tobytes(), _ENTRY.itemsize, _FAR.itemsize
-    return b"".join(
-        plain[i * width : (i + 1) * width] + name.encode() + (beyond[i * wide : (i + 1) * wide] if is_far else b"")
-        for i, (name, is_far) in enumerate(zip(names, far.tolist()))
-    )
+    return rows, extra
 
 
 def end_of(n_members: int, at: int, n_bytes: int, comment: int) -> bytes:

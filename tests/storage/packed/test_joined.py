@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from pipeline.stages.packed import kinds
+from renderer.report.report import build_report, sizes_from, sizes_of
+from storage.packed.packed import PackedFile
 from storage.packed.schema import GROUP
 from storage.packed.seal import SEAL_BYTES
 from storage.packed.writing import joined, writer
 from storage.packed.writing.joined import lay_out, seal_packed
 from storage.packed.writing.writer import n_pieces, piece_of, told_file, write_piece
-from storage.packed.writing.zipped import LONGEST, end_of, entries
+from storage.packed.writing.zipped import LONGEST, end_of, entries, entries_in_rows
 from storage.work import arrays
 from tests.packed_files import UNSEALED, Case, arrays_for, fill_folder, header_of, write_packed_file
 
@@ -90,6 +92,16 @@ def test_joined__a_directory_beyond_what_32_bits_hold_is_what_zipfile_writes(n):
     assert b"".join(archive.fp.written) == made + end_of(n, START, len(made), 7) + b"comment"
 
 
+@pytest.mark.parametrize("first", [7, 95, 1000])
+@pytest.mark.parametrize("start", [0, LONGEST - 600, LONGEST + 1])
+def test_joined__rows_of_a_directory_are_what_it_says_of_each(first, start):
+    names = [("a/c/", "/0"), ("codes/c/", "/0/0")]
+    crc, size = np.random.default_rng(0).integers(0, 1 << 31, (2, 12, 2), dtype=np.int64) % [[[1 << 31]], [[99]]]
+    at = start + 100 * np.arange(24).reshape(12, 2)
+    flat = [f"{before}{i}{after}" for i in range(first, first + 12) for before, after in names]
+    assert entries_in_rows(names, first, crc, size, at) == entries(flat, crc.ravel(), size.ravel(), at.ravel())
+
+
 def test_joined__order_repeats_and_kills_leave_no_trace(folder, whole, tmp_path):
     """Pieces written last to first, again after the table, and one that was cut off half-way."""
     header, again = header_of(CASE), tmp_path / "folder"
@@ -150,3 +162,22 @@ def test_joined__a_piece_of_another_length_is_not_sealed(folder, tmp_path):
     finally:
         short.write_bytes(content)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        CASE,
+        Case(n_dictionary=0, atom_counts=(0,)),
+        Case(color_step=112, size_bits=3),
+        Case(quadrics=True),
+        Case(ellipsoids=True),
+        Case(n_maps=2, n_dictionary=0, atom_counts=(0,)),
+    ],
+)
+def test_totals__are_those_of_all_that_is_loaded(case, tmp_path):
+    with PackedFile(write_packed_file(case, tmp_path / "a.splatpress")) as opened:
+        scene, totals = opened.load(), opened.totals()
+    assert sizes_from(opened.header, totals.bytes, 7) == sizes_of(scene, 7)
+    assert totals.splats.tolist() == scene.arrays["batch_count"].sum(axis=0, dtype=np.int64).tolist()
+    assert build_report(scene, 7, totals=totals) == build_report(scene, 7)
