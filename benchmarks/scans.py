@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ def resized(scan: Path, folder: Path, n_points: int, spacing: float) -> Path:
     rng = np.random.default_rng(0)
     folder.mkdir(parents=True)
     for name in ("images", "sparse"):
-        (folder / name).symlink_to((scan / name).resolve())
+        shutil.copytree(scan / name, folder / name)  # readers follow no links out of a scan
     with open(folder / "fused.ply", "wb") as ply, open(folder / "fused.ply.vis", "wb") as vis:
         ply.write(_HEADER.format(n=n_points).encode())
         vis.write(np.uint64(n_points).tobytes())

@@ -21,7 +21,7 @@ from storage.work.work import TaskRecord
 
 WATCH_S = 0.5  # how often a waiting executor asks whether it is still wanted
 MOST_A_CALL = 32  # tasks, of which one that takes longer than CALL_S hands back what it has not begun
-MOST_SERVED = 500  # workers that one scheduler, at about a millisecond a call, hands a call of half a second each; calls get no smaller for more
+MOST_SERVED = 200  # workers that one scheduler, at 1.3 ms a call, hands a call of a quarter second each; calls get no smaller for more
 CLIENT_INTERVAL_S = (
     1e-3  # what is submitted waits no longer for more: Dask's 10 ms, twice a stage, were 3 % of a small job
 )

@@ -124,6 +124,8 @@ def write_range(folder: Path, path: Path, start: int, stop: int) -> None:
                 for block in blocks_of(Part(part.path, part.skip + first - at, end - first)):
                     file.write(block)
             at += part.n_bytes
+        file.flush()
+        os.fsync(file.fileno())  # all workers at once, not the one that seals
 
 
 def end_file(path: Path) -> str:
