@@ -25,11 +25,13 @@ import numpy as np
 
 from benchmarks.fit_alone import fit_alone
 from pipeline.catalogue import Task
+from pipeline.coding.beam.form import beam_of
 from pipeline.costs.costs import (
     BY_ATOMS,
     COSTS,
     SAMPLED,
     TASKS,
+    beam_us,
     kilos_of,
     known_costs,
     known_probe_s,
@@ -45,6 +47,7 @@ PHOTOGRAPHS = {
 
 
 FULL = 400_000  # splats
+GROWING = {Task.SLICE, Task.PART, Task.BLOCK, Task.GROUP, Task.PHOTO, Task.BY_PHOTO}
 
 
 def fitted(rows: list[dict]) -> dict[str, StageCost]:
@@ -84,6 +87,22 @@ def _fit(name: str, rows: list[dict]) -> StageCost:
             ),
         )
     )
+
+
+def tasks_fitted(rows: list[dict], known: dict[str, StageCost]) -> dict[str, dict[str, float]]:
+    """Seconds a unit alone, of the stages whose tasks grow with the scan, by rows of one number of indices: what a beam
+    and each index cost among them stays in proportion as it is known."""
+    found = {}
+    for name in (name for name in TASKS if name in known and TASKS[name] in GROWING):
+        cost, measured = known[name], [_measured(name, row) for row in rows if _stage_of(name) in row["tasks"]]
+        if not measured:
+            continue
+        kilos = measured[0]["kilos"]
+        beam = beam_us(cost, beam_of(rows[0]["pursuit"]), kilos)
+        a_unit = 1e6 * float(np.median([f["tasks_s"] / (f["units"] * f["passes"]) for f in measured])) - beam
+        share = a_unit / (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos)
+        found[name] = {k: share * getattr(cost, k) for k in ("task_us_a_unit", "task_us_a_unit_a_kilo")}
+    return found
 
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
@@ -178,6 +197,7 @@ def checked(rows: list[dict]) -> list[dict]:
             row["tasks"]["ksvd-update"]["passes"],
             row["indices"],
             row["atom_size"],
+            pursuit=row["pursuit"],
         )
         plans = {p.name: p.seconds for p in plan_job(job, costs)}
         plans["ingest"] += plans.pop("photographs")
@@ -198,20 +218,19 @@ def checked(rows: list[dict]) -> list[dict]:
     return result
 
 
-def write_costs(rows: list[dict], alone: list[dict]) -> None:
+def write_costs(rows: list[dict], alone: list[dict], tasks_only: bool = False) -> None:
     """pipeline/costs/costs.json anew; what there are no rows of stays, as of maps, volumes and runs."""
     told = json.loads(COSTS.read_text())
     known = known_costs()
-    found = {name: asdict(cost) | _of_beams(known.get(name)) for name, cost in fitted(rows).items()} if rows else {}
-    costs = {name: asdict(cost) for name, cost in known.items()} | found
+    costs = {name: asdict(cost) for name, cost in known.items()}
+    if rows and tasks_only:
+        for name, terms in tasks_fitted(rows, known).items():
+            costs[name] |= terms
+        told["fitted_to"] = [*told["fitted_to"], *(f"seconds of tasks: {_about(row)}" for row in rows)]
+    elif rows:
+        costs |= {name: asdict(cost) | _of_beams(known.get(name)) for name, cost in fitted(rows).items()}
+        told["fitted_to"] = sorted({_about(row) for row in rows})
     if rows:
-        told["fitted_to"] = sorted(
-            {
-                f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers, {row['indices']:,} indices of "
-                f"{row['atom_size']}x{row['atom_size']} texels, coder {row['coder']}"
-                for row in rows
-            }
-        )
         told["probe_s"] = float(np.median([row["probe_s"] for row in rows]))
     if alone:
         costs, dispatch, held = fit_alone(alone, costs)
@@ -219,9 +238,17 @@ def write_costs(rows: list[dict], alone: list[dict]) -> None:
     COSTS.write_text(json.dumps(told | {"stages": costs}, indent=1) + "\n")
 
 
+def _about(row: dict) -> str:
+    return (
+        f"{row['scan']}, {row['splats']:,} splats, {row['workers']} workers, {row['indices']:,} indices of "
+        f"{row['atom_size']}x{row['atom_size']} texels, coder {row['coder']}, pursuit {row['pursuit']}"
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rows", type=Path)
+    parser.add_argument("--tasks-only", action="store_true", help="of rows, seconds of tasks that grow with the scan")
     parser.add_argument("--alone", type=Path, help="rows of benchmarks/alone.py")
     todo = parser.add_mutually_exclusive_group(required=True)
     todo.add_argument("--write", action="store_true")
@@ -235,9 +262,8 @@ def main() -> None:
     if options.photographs:
         PHOTOGRAPHS.update({row["scan"]: (int(options.photographs[0]), options.photographs[1]) for row in rows})
     if options.write:
-        write_costs(
-            rows, [json.loads(line) for line in options.alone.read_text().splitlines()] if options.alone else []
-        )
+        alone = [json.loads(line) for line in options.alone.read_text().splitlines()] if options.alone else []
+        write_costs(rows, alone, options.tasks_only)
         return
     found = checked(rows)
     if options.json:

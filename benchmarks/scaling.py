@@ -49,6 +49,7 @@ def measure(
         "splats": n_splats,
         "workers": n_workers,
         "coder": settings.coder,
+        "pursuit": settings.pursuit,
         "indices": n_indices,
         "atom_size": atom_size,
         "probe_s": probe_s,

@@ -146,7 +146,7 @@ def _plan_stage(
     passes = job.iterations if name == "ksvd-update" else 1
     units, n_tasks = _units(name, job), _n_tasks(name, job)
     task_s = 1e-6 * (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos) * units / max(1, n_tasks)
-    task_s += cost.task_s + 1e-6 * _beam_us(cost, beam_of(job.pursuit), kilos) * units / max(1, n_tasks)
+    task_s += cost.task_s + 1e-6 * beam_us(cost, beam_of(job.pursuit), kilos) * units / max(1, n_tasks)
     task_s += dispatch.around_s + 1e-6 * cost.task_us_a_splat * job.n_splats / max(1, n_tasks)
     task_s *= CROWDED if min(n_tasks, job.n_workers) > 1 else 1.0
     once_s = (
@@ -187,7 +187,7 @@ def _read(name: str, job: Job, written: dict[str, float]) -> float:
     return of(name)
 
 
-def _beam_us(cost: StageCost, beam: Beam | None, kilos: float) -> float:
+def beam_us(cost: StageCost, beam: Beam | None, kilos: float) -> float:
     """What a beam adds to each unit."""
     if beam is None:
         return 0.0
