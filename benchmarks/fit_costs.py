@@ -91,7 +91,7 @@ def _fit(name: str, rows: list[dict]) -> StageCost:
 
 def tasks_fitted(rows: list[dict], known: dict[str, StageCost]) -> dict[str, dict[str, float]]:
     """Seconds a unit alone, of the stages whose tasks grow with the scan, by rows of one number of indices: what a beam
-    and each index cost among them stays in proportion as it is known."""
+    and each index cost among them stays in proportion as it is known; and memory, where it is more."""
     found = {}
     for name in (name for name in TASKS if name in known and TASKS[name] in GROWING):
         cost, measured = known[name], [_measured(name, row) for row in rows if _stage_of(name) in row["tasks"]]
@@ -102,6 +102,7 @@ def tasks_fitted(rows: list[dict], known: dict[str, StageCost]) -> dict[str, dic
         a_unit = 1e6 * float(np.median([f["tasks_s"] / (f["units"] * f["passes"]) for f in measured])) - beam
         share = a_unit / (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos)
         found[name] = {k: share * getattr(cost, k) for k in ("task_us_a_unit", "task_us_a_unit_a_kilo")}
+        found[name]["memory_bytes"] = max(cost.memory_bytes, *(float(f["peak"]) for f in measured))
     return found
 
 
@@ -226,7 +227,9 @@ def write_costs(rows: list[dict], alone: list[dict], tasks_only: bool = False) -
     if rows and tasks_only:
         for name, terms in tasks_fitted(rows, known).items():
             costs[name] |= terms
-        told["fitted_to"] = [*told["fitted_to"], *(f"seconds of tasks: {_about(row)}" for row in rows)]
+        told["fitted_to"] = [
+            *dict.fromkeys([*told["fitted_to"], *(f"seconds of tasks: {_about(row)}" for row in rows)])
+        ]
     elif rows:
         costs |= {name: asdict(cost) | _of_beams(known.get(name)) for name, cost in fitted(rows).items()}
         told["fitted_to"] = sorted({_about(row) for row in rows})
