@@ -191,7 +191,8 @@ FEW = {"rows": ("d16w8", "average"), "render": False}
 def test_evaluate__figure_9_is_of_the_published_coder_where_dictionaries_are_as_large(scan, tmp_path):
     document = to_builtins(evaluate(scan, tmp_path / "out", SETTINGS, SerialExecutor(), Heard(), **FEW))
     sizes = {row["key"]: row["n_dictionary"] for row in document["rows"] if row["n_dictionary"]}
-    assert sizes["d16w8-default"] == sizes["d16w8-paper"]  # both as many as the patches learned from allow
+    # Both as many as the patches learned from allow: by default a quarter of these is held back, to choose by.
+    assert 0.7 * sizes["d16w8-paper"] <= sizes["d16w8-default"] <= sizes["d16w8-paper"]
     assert document["atoms"]["row"] == "d16w8-paper" and len(document["atoms"]["histograms"]) == len(
         document["atoms"]["targets_db"]
     )
