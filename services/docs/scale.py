@@ -52,11 +52,11 @@ were 1,160.
 What it does not know: a network store slower than a local disk (the bytes read and written are there to compare with
 one's own), scans whose patches take more or fewer atoms than those it was fitted to, ellipsoids, pictures, coarser
 levels (a third more of all from `splats` on, where a scan has them), more photographs that a splat may be textured from
-than 11, leaves that every part of the file has points of (4,096 files to open), a worker that dies. Nor the report: of a file of
-more than 512 groups it is made of 512 of them and of the totals, but whoever opens a file lists its members, 12 for
-8,192 splats, which of 10 billion are 15 million. A short piece of
-work like that of the stages (`pipeline/costs/probe.py`) tells how fast a machine is beside the one that the costs were
-measured on; `plan` scales seconds by that, this page and `--as-measured` do not.
+than 11, leaves that every part of the file has points of (4,096 files to open), a worker that dies. Nor the report: of
+a file of more than 512 groups it is made of 512 of them and of the totals, but whoever opens a file lists its members,
+12 for 8,192 splats, which of 10 billion are 15 million. A short piece of work like that of the stages
+(`pipeline/costs/probe.py`) tells how fast a machine is beside the one that the costs were measured on; `plan` scales
+seconds by that, this page and `--as-measured` do not.
 
 ## What is done about size
 
