@@ -427,7 +427,7 @@ def share_looked_up(packed: Packed, view: View, splat: Decoded) -> float:
     if splat.station >= 128:
         middle = splat.position - seen.centre
         cosine = middle @ to_eye / np.linalg.norm(middle) / np.linalg.norm(to_eye)
-        share = float(np.clip((cosine - 0.643) / 0.223, 0, 1))
+        share = float(np.clip((cosine - 0.866) / 0.1, 0, 1))
     if z <= 0:
         return share
     n_px = splat.radius * max(view.fx_px, view.fy_px) / z

@@ -10,9 +10,9 @@ const uint MAP_WORDS = 9u;
 const float TEXELS_A_PX = 2.0, SMALLEST_LOOKED_UP_PX = 2.5, ALWAYS_LOOKED_UP_PX = 16.0, RAMP = 1.25;
 
 // Splats of which a map shows little, as of leaves, are looked up where they are seen from as their station saw them: cosines of the angle between
-// both up to which all is, and from which on nothing. With 15 and 30 degrees a photograph of fountain_3stations loses 0.25 dB (a hundredth), near 1 of conference_room gains 0.7.
+// both up to which all is, and from which on nothing. With 30 and 50 degrees near 1 of conference_room loses 0.7 dB.
 const uint IN_PART = 128u;
-const float FROM_THE_FRONT = 0.866, FROM_ASIDE = 0.643;  // 30 and 50 degrees
+const float FROM_THE_FRONT = 0.966, FROM_ASIDE = 0.866;  // 15 and 30 degrees
 
 // How much of its colour and outline is looked up, 0 for a splat without a map; `middle`: where it lies, in camera axes.
 float share_looked_up(uint splat, vec3 middle, out uint map) {

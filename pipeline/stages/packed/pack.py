@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.stages.maps.map_pictures import NAMES, stored_maps
+from pipeline.stages.maps.mapped_splats import stations_in_file
 from pipeline.stages.packed.kinds import KIND_DIGITS, kinds_of
 from pipeline.summaries import Packed
 from storage.packed.batches import CHUNKS_PER_GROUP, count_batches, rows_of
@@ -136,7 +137,7 @@ class Pack:
         if self.header.cameras:
             rows["camera"] = arrays.read(self.splats, "camera", start, stop)[order]
         if self.header.maps:
-            rows["station"] = arrays.read(self.stations, "station", start, stop)[order]
+            rows["station"] = stations_in_file(self.stations, start, stop)[order]
         if self.header.size_bits:
             rows["size_scale"] = arrays.read(self.splats, "size_scale", first, end)
             code = arrays.read(self.splats, "size_code", start, stop)[order]
