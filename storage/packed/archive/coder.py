@@ -11,7 +11,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from storage.packed.runs.range_coder import TOP, _next, _shift, begin_reading, begin_writing, compiled, end_writing
+from storage.packed.runs.range_coder import (
+    MODEL_BITS,
+    TOP,
+    begin_reading,
+    begin_writing,
+    compiled,
+    end_writing,
+    next_byte,
+    shift_out,
+)
 
 READING, WRITING = 0, 1
 EVEN, MOST_USES = 1 << 15, 62
@@ -54,7 +63,7 @@ def within(state, value, n):
 
 @compiled
 def _bit(state, data, p, value):
-    bound = (state[1] >> 12) * p
+    bound = (state[1] >> MODEL_BITS) * p
     if not state[_MODE]:
         value = 0 if state[0] < bound else 1
     if value:
@@ -65,9 +74,9 @@ def _bit(state, data, p, value):
     while state[1] < TOP:
         state[1] <<= 8
         if state[_MODE]:
-            _shift(state, data)
+            shift_out(state, data)
         else:
-            state[0] = state[0] << 8 | _next(state, data)
+            state[0] = state[0] << 8 | next_byte(state, data)
     return value
 
 

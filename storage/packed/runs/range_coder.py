@@ -27,19 +27,21 @@ def begin_reading(data):
     """State: code, range, bytes read."""
     state = np.array([0, _WORD, 0], np.int64)
     for _ in range(4):
-        state[0] = state[0] << 8 | _next(state, data)
+        state[0] = state[0] << 8 | next_byte(state, data)
     return state
 
 
 @compiled
-def _next(state, data):
+def next_byte(state, data):
+    """The byte that a reader takes next, 0 beyond the end."""
     at = state[2]
     state[2] += 1
     return np.int64(data[at]) if at < len(data) else np.int64(0)
 
 
 @compiled
-def _shift(state, out):
+def shift_out(state, out):
+    """A writer's highest byte goes out, or waits for a carry."""
     if state[0] < 0xFF000000 or state[0] > _WORD:
         carry = state[0] >> 32
         if state[2] >= 0:
@@ -59,7 +61,7 @@ def _shift(state, out):
 def end_writing(state, out):
     """Returns the bytes written: as many as a reader of the same bits reads."""
     for _ in range(5):
-        _shift(state, out)
+        shift_out(state, out)
     return state[4]
 
 
@@ -71,7 +73,7 @@ def write_even(state, out, value, bits):
         state[0] += state[1] * ((value >> shift) & 1)
         while state[1] < TOP:
             state[1] <<= 8
-            _shift(state, out)
+            shift_out(state, out)
 
 
 @compiled
@@ -85,7 +87,7 @@ def read_even(state, data, bits):
         value = 2 * value + bit
         while state[1] < TOP:
             state[1] <<= 8
-            state[0] = state[0] << 8 | _next(state, data)
+            state[0] = state[0] << 8 | next_byte(state, data)
     return value
 
 
@@ -102,7 +104,7 @@ def write_bit(state, out, models, at, bit):
         models[at] += ((1 << MODEL_BITS) - models[at]) >> RATE
     while state[1] < TOP:
         state[1] <<= 8
-        _shift(state, out)
+        shift_out(state, out)
 
 
 @compiled
@@ -120,7 +122,7 @@ def read_bit(state, data, models, at):
         bit = 1
     while state[1] < TOP:
         state[1] <<= 8
-        state[0] = state[0] << 8 | _next(state, data)
+        state[0] = state[0] << 8 | next_byte(state, data)
     return bit
 
 
