@@ -6,19 +6,22 @@ import numba
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from storage.compile_once import compile_once
+
 FAST = {"nnan", "nsz", "reassoc", "contract"}  # sums in vectors
 
 
 def kernel(cache: bool = True, **options):
     """A function that Python calls."""
-    return numba.njit(cache=cache, nogil=True, **options)
+    jit = numba.njit(cache=cache, nogil=True, **options)
+    return lambda function: compile_once(jit(function))
 
 
 def part(cache: bool = True, **options):
     """A function of a kernel, which is always built into it. Left to the compiler, a process that compiles a kernel has
     it call the part as it was built alone, and one that loads it a copy made in the kernel: where sums may be reordered
     these round differently, and bytes would depend on what a process compiled before."""
-    return numba.njit(cache=cache, nogil=True, forceinline=True, **options)
+    return kernel(cache, forceinline=True, **options)
 
 
 def _as_it_is(array):

@@ -9,11 +9,13 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from storage.compile_once import compile_once
+
 TOP, MODEL_BITS, RATE = 1 << 24, 12, 4
 EVEN = 1 << MODEL_BITS - 1
 _WORD = 0xFFFFFFFF
 
-compiled = numba.njit(cache=True, nogil=True)
+compiled = lambda function: compile_once(numba.njit(cache=True, nogil=True)(function))
 
 
 @compiled
