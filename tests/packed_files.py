@@ -16,6 +16,7 @@ import numpy as np
 from storage.maps import NO_MAP, StoredMap
 from storage.packed.archive.transcode import archive_packed
 from storage.packed.batches import CHUNKS_PER_GROUP, group_batch_counts
+from storage.packed.dictionaries.shipped import NEWEST
 from storage.packed.runs.tables import DECODED
 from storage.packed.scene import streams_of
 from storage.packed.schema import (
@@ -68,6 +69,7 @@ class Case:
     quadrics: bool = False
     n_maps: int = 0
     archive: bool = False
+    shipped: bool = False
 
 
 # A WebP of 96 x 16 pixels, as encoders differ: waves of red along the columns, green along the rows.
@@ -118,6 +120,7 @@ def header_of(case: Case) -> Header:
         maps=tuple(
             StoredMap((450000.0 + i, 5400000.5, 90.0), 16, 2.0, 0.005 * (i + 1), len(WEBP)) for i in range(case.n_maps)
         ),
+        shipped=NEWEST if case.shipped else "",
     )
 
 

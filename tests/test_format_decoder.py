@@ -11,6 +11,7 @@ from pipeline.geometry.ellipsoids import decode_ellipsoids
 from pipeline.splats.decoded import scene_normal_codes, scene_radii
 from renderer.splats.scene import GpuScene
 from storage.maps import IN_PART
+from storage.packed.dictionaries.shipped import FOLDER
 from storage.packed.packed import PackedFile
 from storage.packed.schema import Camera
 from tests import format_decoder, format_runs
@@ -29,6 +30,7 @@ CASES = [
     Case(dictionary_bits=12, n_dictionary=300, atom_size=8, n_turns=8, cliplines=True),
     Case(n_dictionary=0, atom_counts=(0,), color_step=112, cliplines=True, ellipsoids=True),
     Case(n_dictionary=0, atom_counts=(0,), n_maps=2),
+    Case(dictionary_bits=12, n_dictionary=500, atom_size=16, n_turns=8, coarsest_size=2, shipped=True),
     Case(
         atom_counts=(0, 5, 16),
         n_ranks=16,
@@ -48,13 +50,28 @@ def test_format_decoder__knows_nothing_of_the_product():
         names |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
         names |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
     own = {"tests.format_runs"}
-    assert names == {"__future__", "dataclasses", "io", "pathlib", "numpy", "zarr", "zarr.storage", "PIL"} | own
+    assert (
+        names
+        == {
+            "__future__",
+            "dataclasses",
+            "io",
+            "pathlib",
+            "numpy",
+            "zarr",
+            "zarr.storage",
+            "PIL",
+            "numcodecs.zstd",
+            "hashlib",
+        }
+        | own
+    )
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_format_decoder__decodes_what_the_product_does(case, tmp_path):
     path = write_packed_file(case, tmp_path / "a.splatpress")
-    packed = Packed(path)
+    packed = Packed(path, FOLDER)
     with PackedFile(path) as opened:
         scene = opened.load()
     some, fields = scene.ellipsoids

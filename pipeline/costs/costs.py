@@ -61,6 +61,7 @@ OF_SCANS = TEXTURE | {"ingest", PHOTOGRAPHS, "exposure"}
 OF_CELLS = set(list(TASKS)[list(TASKS).index("run-points") :])  # stages that know the cells of runs for the points
 CELLS_A_POINT = 0.67  # of a scan at the usual hit rate of 1.6, with 7 % that close gaps; of a volume all
 VOXELS_A_TASK, BRICK = 1 << 23, 1 << 20  # of iso-surface, about; points of pipeline/geometry/runs/bricks.py
+LEARNING = ("dictionary-seed", "ksvd-update")
 BEYOND_MEMORY = {entry.name for entry in CATALOGUE if entry.task == Task.PART and entry.when}
 BY_ATOMS = {entry.name for entry in CATALOGUE if entry.by_atoms}  # whose costs go with the number of indices
 READS = {entry.name: entry.reads for entry in CATALOGUE} | {  # the training set reads its own share of patches
@@ -134,6 +135,8 @@ def _is_called_for(name: str, job: Job) -> bool:
         return told
     if name in VOLUMES or name in OF_SCANS:
         return (name in VOLUMES) == bool(job.n_voxels)
+    if name in LEARNING and not job.learns:
+        return False
     is_large = name not in BEYOND_MEMORY or job.n_splats > MOST_HELD
     return (
         is_large and (name != PAGES or job.pages and not job.n_voxels) and (name not in RUNS or job.geometry == "runs")

@@ -59,6 +59,7 @@ class Job:
     keeps_patches: bool = False  # else they are made again where they are used, in the time that storing them took
     pages: bool = False  # whether photographs are packed in pages too
     geometry: str = "boxes"
+    learns: bool = True  # a dictionary; else its atoms ship with the program
     n_voxels: int = 0  # of a volume, whose surfaces have `n_splats` points
 
 

@@ -144,6 +144,16 @@ KNOBS = (
         choices=("auto", *ATOM_SIZES[::-1]),
     ),
     Knob(
+        "dictionary",
+        str,
+        "where atoms come from: own, learned from the scan; shipped, 512 of 16x16 texels that come with the program, whose bytes are "
+        "in no file; auto: shipped for photographs of few splats, where an own one costs more than it gains",
+        "shipped: @@",
+        "shipped: readers must have it; 0.5 MB on the GPU, whatever the scan's size; indices of 12 bits; of many splats @@",
+        "measure-effects",
+        choices=("auto", "own", "shipped"),
+    ),
+    Knob(
         "dictionary_bits",
         int,
         "bits of an atom's number: 256, 4,096 or 65,536 atoms, with the default coder an eighth of that in "

@@ -20,6 +20,7 @@ class Settings:
     preset: str = "balanced"
     coder: str = "default"
     atom_size: int | str = "auto"
+    dictionary: str = "auto"  # own, shipped, or auto
     dictionary_bits: int | str = "auto"
     weight_bits: int = 4
     max_atoms: int = 8
@@ -62,6 +63,12 @@ class Settings:
         return ReadOptions(self.marked_points, self.station, self.sparse_model, self.height_scale)
 
     @property
+    def fits_shipped(self) -> bool:
+        """Whether nothing asks for other atoms than those that ship with the program, or for their bytes on the GPU."""
+        as_they_are = self.atom_size in ("auto", 16) and self.dictionary_bits in ("auto", 12)
+        return self.coder == "default" and as_they_are and self.budget_bytes is None and self.dictionary != "own"
+
+    @property
     def choice(self) -> Choice:
         """Which of the volumes of a file is meant. Raises ValueError as `parse_spacing`."""
         from pipeline.volumes.request import parse_spacing
@@ -76,6 +83,8 @@ class Settings:
 
         asked = {"color": "off", "atoms": "on", "map": "on"}.get(self.texture)
         parts = [f"station_maps={asked}"] if asked else []
+        atoms = {"own": "off", "shipped": "on"}.get(self.dictionary, "auto" if self.fits_shipped else "off")
+        parts += [] if atoms == "auto" else [f"shipped_dictionary={atoms}"]
         parts += [] if self.levels is None else [f"levels={'on' if self.levels else 'off'}"]
         return canonical_request([self.effects, *parts])
 
@@ -117,6 +126,11 @@ def settings_for(preset: str = DEFAULT_PRESET, **changes) -> Settings:
             raise ValueError(f"{name!r} is no setting; allowed: {', '.join(BY_NAME)}")
     settings = replace(PRESETS[preset], **{k: v for k, v in changes.items() if v is not None})
     settings = replace(settings, **{knob.name: knob.checked(getattr(settings, knob.name)) for knob in KNOBS})
+    if settings.dictionary == "shipped" and (settings.coder == "paper" or settings.atom_size not in ("auto", 16)):
+        raise ValueError(
+            f"dictionary is shipped with coder {settings.coder} and atom_size {settings.atom_size}; allowed: coder default, "
+            "atom_size auto or 16, which its atoms have"
+        )
     if settings.budget_bytes is not None and settings.coder == "paper":
         raise ValueError(
             f"budget_bytes is {settings.budget_bytes:g} with coder paper, which has a cut-off and no Lagrange multiplier; allowed: coder default"

@@ -52,6 +52,7 @@ class Sizes(Part, frozen=True):
     compression_factor_total: float | None
     compression_factor_texture: float | None
     arrays: dict[str, int]
+    shipped_bytes: int = 0
 
 
 class GeometryErrors(Part, frozen=True):

@@ -14,7 +14,7 @@ from renderer.report.document import AtomsUsed, Report, RunRecord, Sizes, ViewMe
 from storage.packed.groups import FIRST_WORDS
 from storage.packed.layout import bytes_on_gpu
 from storage.packed.packed import PackedScene
-from storage.packed.schema import BY_NAME, Camera, Header
+from storage.packed.schema import BY_NAME, Camera, Header, atom_arrays
 from storage.packed.totals import Totals
 
 REPORT_NAME = "report.json"
@@ -95,6 +95,7 @@ def sizes_of(scene: PackedScene, file_bytes: int) -> Sizes:
       part of `storage.packed.schema`, uncompressed, which is what a GPU takes (pictures of maps as textures); `arrays`
       has them one by one.
     - `gpu_bytes`: their sum. The camera of each splat (`provenance_bytes`) is not among them: no shader reads it.
+    - `shipped_bytes`: of these, atoms that ship with the program, which no file holds.
     - `file_bytes`: the packed file on disk, where zarr has compressed the arrays once more.
     - `bytes_per_splat`: gpu_bytes / splats.
     - `source_texture_bytes`: the photographs as a renderer would hold them, RGB8 with mip levels (LOD 0 of Table 1):
@@ -134,6 +135,7 @@ def sizes_from(header: Header, arrays: dict[str, int], file_bytes: int) -> Sizes
         compression_factor_total=None if source is None else (part["geometry"] + source) / gpu_bytes,
         compression_factor_texture=None if source is None else source / (gpu_bytes - part["geometry"]),
         arrays=arrays,
+        shipped_bytes=sum(arrays[name] for name in atom_arrays(header)) if header.shipped else 0,
     )
 
 

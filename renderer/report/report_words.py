@@ -242,6 +242,10 @@ def summary(report: dict) -> str:
         f"{source} became {number(report['splats'])} splats, which take {size(sizes['gpu_bytes'])} of GPU memory: "
         f"{sizes['bytes_per_splat']:.2f} bytes a splat."
     )
+    if shipped := sizes.get("shipped_bytes"):
+        first += (
+            f" {size(shipped)} of them are atoms that ship with the program, as many for any scan; the file has none."
+        )
     if sizes["maps_bytes"]:
         return f"{first} {size(sizes['maps_bytes'])} of them are pictures of what the stations saw, where splats look up their colours."
     if sizes["compression_factor_total"] is None and sizes["dictionary_bytes"]:

@@ -19,6 +19,7 @@ from services.flow.prepare import Prepared, wants_texture
 from services.flow.run import Run
 from services.flow.textures import Coded, code_patches, color_step
 from storage.maps import MOST_MAPS
+from storage.packed.dictionaries.shipped import NEWEST
 
 # What atoms take in the file beyond one colour a splat, at 36 dB (draft, a tenth of the points): 1.7 of pump_e57 over
 # quadrics (129,704 bytes become 155,309 at 38.6 dB; with maps 179,811 at 36.1), 2.5 of fountain_3stations (488,866,
@@ -95,6 +96,12 @@ def mapped_by(run: Run, prepared: Prepared, settings: Settings, pictures: StageR
     return map_textures(run, prepared.maps, prepared.on_maps(prepared.maps.folder), pictures, color_step(settings))
 
 
+def shipped_for(prepared: Prepared, settings: Settings) -> str:
+    """The name of the dictionary that ships with the program where atoms are of it; "" where they are the scan's own."""
+    asked = settings.dictionary == "shipped" or settings.fits_shipped
+    return NEWEST if asked and "shipped_dictionary" in prepared.effects.enabled else ""
+
+
 def code(run: Run, prepared: Prepared, settings: Settings) -> Coded:
     """Resample patches, and code them. They are kept where the work folder is, or where all are coded several times."""
     kept = run.keeps_work or settings.budget_bytes is not None
@@ -106,8 +113,9 @@ def code_prepared(
 ) -> Coded:
     """Code the patches of splats, which are all or a sample of `n_splats`, for the target or within the budget."""
     n_sample, most_texels = prepared.splats.summary.n_splats, texels_of_levels(prepared, settings)[0]
+    shipped = shipped_for(prepared, settings)
     if settings.budget_bytes is None:
-        return code_patches(run, patches, settings, n_splats, most_texels)
+        return code_patches(run, patches, settings, n_splats, most_texels, shipped=shipped)
     share, first = n_sample / (n_splats or n_sample), []
 
     def attempt(multiplier: float) -> Trial:
@@ -116,7 +124,7 @@ def code_prepared(
             return multiplier
 
         n_before = len(run.records)
-        coded = code_patches(run, patches, settings, n_splats, most_texels, multiplier_of)
+        coded = code_patches(run, patches, settings, n_splats, most_texels, multiplier_of, shipped)
         known = {record.folder for record in run.records[:n_before]}
         run.records[n_before:] = [record for record in run.records[n_before:] if record.folder not in known]
         return Trial(multiplier, packed_gpu_bytes(pack(run, prepared, coded, settings, "trial", None), share), coded)

@@ -53,7 +53,7 @@ def _stored_form(coded: Coded | None, coarsest: int) -> dict:
         return {}
     found = coded.quantised.summary
     size = found.atom_size
-    return {"atom_size": size, "n_turns": found.n_turns, "coarsest_size": min(coarsest, size)}
+    return {"atom_size": size, "n_turns": found.n_turns, "coarsest_size": min(coarsest, size), "shipped": coded.shipped}
 
 
 def pack(

@@ -26,8 +26,10 @@ from pipeline.texture.colors import step_for
 from pipeline.texture.resample import PATCH_DIM
 from renderer.report.document import LearningPass
 from services.flow.run import Run
+from storage.packed.dictionaries.shipped import ATOM_SIZE
 from storage.packed.schema import ATOM_SIZES, PATCH_SIZE
 
+SHIPPED_FORM = AtomForm(ATOM_SIZE, SYMMETRIES)  # of atoms that ship with the program
 PATCHES_AN_ATOM = 4  # a dictionary that a scan can fill: fewer training patches an atom would only be stored
 # Squared error of a scan at its target that atoms of a size may leave, whatever their number: 6 dB below it. 8 texels
 # are then taken for fountain_p11 (51 dB), 16 for monstree (41 and 51 dB), each the better one there at the bytes of its
@@ -70,6 +72,7 @@ class Coded:
     learning: tuple[LearningPass, ...]
     n_dictionary: int
     safeguard_steps: int  # dictionaries that did worse than the best before them
+    shipped: str = ""  # the dictionary that ships with the program, where that is the one
 
 
 def code_patches(
@@ -79,10 +82,12 @@ def code_patches(
     n_splats: int | None = None,
     most_texels: int = PATCH_SIZE,
     multiplier_of: Callable[[Ladder, Training], float] = multiplier_for,
+    shipped: str = "",
 ) -> Coded:
     """Learn a dictionary if any patch calls for one, and code all patches; with as many atoms as a scan of `n_splats`
     pays for, where the patches are a sample of it, of `most_texels` to a side at most, where that is left to the scan.
-    `multiplier_of(ladder, training)` is the Lagrange multiplier that patches are coded with; both are summaries."""
+    `multiplier_of(ladder, training)` is the Lagrange multiplier that patches are coded with; both are summaries.
+    `shipped` names a dictionary that ships with the program, of which the atoms then are."""
     tolerance = squared_error_at(settings.target_psnr_db, PATCH_DIM)
     stop = Stop(tolerance) if settings.coder == "paper" else Stop(0.0, WHILE_LEARNING * tolerance)
     colors = run.do(Colors(patches.folder, color_step(settings)))
@@ -101,14 +106,20 @@ def code_patches(
         return Coded(patches, colors, encode(run, patches.folder, colors.folder, None, settings), None, (), 0, 0)
     if map_texels is not None:
         most_texels = min(most_texels, min(ATOM_SIZES, key=lambda size: abs(np.log2(size / map_texels))))
-    form = _form(training.summary, settings, tolerance, most_texels, n_splats or training.summary.n_splats)
+    n_of_all = n_splats or training.summary.n_splats
+    form = SHIPPED_FORM if shipped else _form(training.summary, settings, tolerance, most_texels, n_of_all)
     if form is None:
         space: StageRecord = run.do(Components(training.folder, tolerance * 10 ** (-settings.subspace_floor_db / 10)))
     else:
         space = run.do(Coefficients(training.folder, form.size))
-    bits = index_bits(settings, form, n_splats or training.summary.n_splats, map_texels is not None)
-    learned, learning = _learn(run, training, space, settings, stop, form, bits)
-    quantised, quantising, n_taken_back = _quantise_best(run, space, learned, settings, stop, form)
+    if shipped:
+        settled = settings.max_atoms, stop.tolerance, settings.weight_bits
+        quantising = Quantisation(space.folder, None, *settled, multiplier=stop.multiplier, form=form, shipped=shipped)
+        quantised, learning, n_taken_back = run.do(quantising), (), 0
+    else:
+        bits = index_bits(settings, form, n_of_all, map_texels is not None)
+        learned, learning = _learn(run, training, space, settings, stop, form, bits)
+        quantised, quantising, n_taken_back = _quantise_best(run, space, learned, settings, stop, form)
     n_taken_back += sum(not row.accepted for row in learning)
     multiplier = 0.0
     if form is not None:
@@ -119,7 +130,7 @@ def code_patches(
             quantised = run.do(replace(quantising, multiplier=multiplier))
             multiplier = found(quantised)
     codes = encode(run, patches.folder, colors.folder, quantised, settings, multiplier)
-    return Coded(patches, colors, codes, quantised, learning, quantised.summary.n_atoms, n_taken_back)
+    return Coded(patches, colors, codes, quantised, learning, quantised.summary.n_atoms, n_taken_back, shipped)
 
 
 def n_held(settings: Settings) -> int:

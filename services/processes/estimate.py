@@ -286,6 +286,7 @@ def _learning(pilot: _Pilot, settings: Settings) -> dict:
     of_maps = pilot.coded.patches.summary.map_texels is not None
     most = 2 ** index_bits(settings, form, pilot.n_splats, of_maps) // found.n_turns
     n_atoms = max(1, min(most, int(n_patches) // PATCHES_AN_ATOM))
+    n_atoms = pilot.coded.n_dictionary if pilot.coded.shipped else n_atoms
     return {
         "n_wanted": settings.training_splats,
         "n_active": int(n_active),
@@ -407,7 +408,7 @@ def _picture_psnr_db(pilot: _Pilot, loss: float) -> float | None:
 
 def _job_for_pilot(pilot: _Pilot, settings: Settings, learning: dict) -> tuple[float, float]:
     """Squared error and atoms of the job's splats, for one of each of the pilot's."""
-    if not learning:
+    if not learning or pilot.coded.shipped:  # which was learned from none of them
         return 1.0, 1.0
     stage, record = next((stage, record) for stage, record in pilot.stages if isinstance(stage, TrainingSet))
     held = 0.0 if settings.coder == "paper" else held_share(record.summary.n_patches)

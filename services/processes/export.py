@@ -23,6 +23,7 @@ from renderer.splats.views import up_direction
 from services.web.viewer_page import one_page
 from storage.errors import UnsupportedScan
 from storage.maps import NO_MAP
+from storage.packed.dictionaries.shipped import file_of
 from storage.packed.packed import PackedFile, PackedScene
 from storage.packed.schema import Header
 from storage.whole import whole
@@ -129,7 +130,8 @@ def _page(packed: Path, opened: PackedFile, format: str, out: Path) -> Exported:
     header = opened.header
     name = header.scan.get("name")
     with viewed(packed, opened.is_archive) as path:
-        data = one_page(path.read_bytes(), name if isinstance(name, str) else packed.stem)
+        atoms = file_of(header.shipped).read_bytes() if header.shipped else b""
+        data = one_page(path.read_bytes(), name if isinstance(name, str) else packed.stem, atoms)
     out.parent.mkdir(parents=True, exist_ok=True)
     with whole(out) as partial:
         partial.write_bytes(data)

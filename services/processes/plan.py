@@ -9,9 +9,11 @@ from pipeline.coding.grid import SYMMETRIES, AtomForm
 from pipeline.costs.costs import TASKS, known_costs, known_dispatch, known_probe_s, plan_job
 from pipeline.costs.job import Dispatch, Job, StageCost, StagePlan
 from pipeline.costs.limits import first_limit
+from pipeline.effects.shipped_dictionary import takes_shipped
 from pipeline.planning.settings import Settings
 from renderer.report.report_words import duration, size
-from services.flow.textures import index_bits
+from services.flow.textures import SHIPPED_FORM, index_bits
+from storage.packed.dictionaries.shipped import N_ATOMS
 from storage.packed.schema import ATOM_SIZES, PATCH_SIZE
 
 LADDER = (1, 2, 5, 10, 24, 50, 100, 200, 500, 1000)  # workers beside those asked for
@@ -31,7 +33,9 @@ def plan(
 ) -> dict:
     """The plan as the command prints it with --json, for a machine that takes `speed` times as long as the one measured
     on; of a laser scan of so many stations with their maps as texture, in place of photographs."""
-    form = _likely_form(settings)
+    learns = not (n_photographs and not n_stations and takes_shipped(settings, n_splats))
+    form = _likely_form(settings) if learns else SHIPPED_FORM
+    n_indices = 2 ** index_bits(settings, form, n_splats) if learns else N_ATOMS * SHIPPED_FORM.n_turns
     job = Job(
         n_splats,
         n_workers,
@@ -39,11 +43,12 @@ def plan(
         megapixels,
         settings.training_splats,
         settings.iterations,
-        2 ** index_bits(settings, form, n_splats),
+        n_indices,
         form.size if form else PATCH_SIZE,
         pursuit=settings.pursuit if form else "omp",
         pages=pages,
         geometry=settings.geometry,
+        learns=learns,
         n_voxels=n_voxels,
         n_stations=n_stations,
     )
@@ -104,12 +109,14 @@ def _totals(stages: list[StagePlan]) -> dict:
 def as_text(found: dict) -> str:
     """The plan as the command prints it."""
     job = found["job"]
+    atoms = [] if job["learns"] else ["atoms: those that ship with the program; no time of learning"]
     lines = [
         f"{job['n_splats']:,} splats, {job['n_workers']} workers: {duration(found['seconds'])}, "
         f"{found['tasks']:,} tasks, {size(found['read_bytes'])} read, {size(found['written_bytes'])} written, "
         f"{size(found['worker_bytes'])} a worker",
         f"breaks first: {found['breaks_first']}",
         f"what helps: {found['remedy']}",
+        *atoms,
         "",
         f"{'stage':<16}{'tasks':>10}{'a task':>9}{'in all':>12}{'alone':>12}{'read':>10}{'written':>10}{'worker':>10}",
     ]

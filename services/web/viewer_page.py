@@ -14,10 +14,13 @@ import numpy as np
 import rjsmin
 
 from renderer.splats.gles import shader_document
+from storage.packed.dictionaries.shipped import FOLDER as ATOMS
+from storage.packed.dictionaries.shipped import SUFFIX
 
 FOLDER = Path(__file__).parent / "viewer"
 PAGE, SCRIPT, SHADERS = "index.html", "page.js", "shaders.json"
 MEDIA_TYPES = {".js": "text/javascript", ".css": "text/css", ".html": "text/html", ".json": "application/json"}
+MEDIA_TYPES |= {SUFFIX: "application/octet-stream"}
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' blob: data:; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -35,7 +38,7 @@ def viewer_file(name: str) -> tuple[bytes, str] | None:
     media_type = MEDIA_TYPES.get(Path(name).suffix)
     if name == SHADERS:
         return json.dumps(shader_document()).encode(), media_type
-    path = FOLDER / name
+    path = (ATOMS if name.endswith(SUFFIX) else FOLDER) / name
     if media_type is None or Path(name).name != name or not path.is_file():
         return None
     return (_script() if name == SCRIPT else path.read_bytes()), media_type
@@ -46,16 +49,17 @@ def _script() -> bytes:
     return rjsmin.jsmin(f"{bundle('start.js')}\n{page}").encode()
 
 
-def one_page(packed: bytes, title: str) -> bytes:
-    """One page that holds the viewer and a packed file; it opens from a disk and asks nothing of anyone.
+def one_page(packed: bytes, title: str, atoms: bytes = b"") -> bytes:
+    """One page that holds the viewer, a packed file, and the file of the dictionary that it names if it does; it opens
+    from a disk and asks nothing of anyone.
 
-    Guarantees: at most 16/13 of the file and 60 kB.
+    Guarantees: at most 16/13 of these files and 60 kB.
     """
     style, page = (viewer_file(name)[0].decode() for name in ("viewer.css", PAGE))
     body = page[page.index("<body>") + len("<body>") : page.index("</body>")]
     program = rjsmin.jsmin(f"{bundle('start.js')}\nexport const begin = modules['start.js'].begin;")
     viewer = json.dumps([style, body, program, shader_document()], separators=(",", ":"))
-    parts = {"viewer": zlib.compress(viewer.encode(), 9), "packed": packed}
+    parts = {"viewer": zlib.compress(viewer.encode(), 9), "packed": packed} | ({"atoms": atoms} if atoms else {})
     return "\n".join(
         [
             '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">',
@@ -105,7 +109,7 @@ const [style, body, program, shaders] = await new Response(stream).json();
 document.head.append(Object.assign(document.createElement("style"), { textContent: style }));
 document.body.insertAdjacentHTML("afterbegin", body);
 const { begin } = await import(URL.createObjectURL(new Blob([program], { type: "text/javascript" })));
-begin(shaders, bytesOf("packed"));
+begin(shaders, bytesOf("packed"), document.getElementById("atoms") && bytesOf("atoms"));
 """
 
 

@@ -8,6 +8,7 @@ the bytes that its place in the layout calls for. Raises ValueError, KeyError or
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from math import isfinite
 from zipfile import ZIP_STORED, ZipFile
@@ -15,6 +16,7 @@ from zipfile import ZIP_STORED, ZipFile
 import numpy as np
 
 from storage.maps import MAP_ROWS, MOST_MAPS
+from storage.packed.dictionaries.shipped import ATOM_SIZE
 from storage.packed.groups import GroupTable, most_rows, ragged_in
 from storage.packed.layout import (
     LOCAL_HEADER_BYTES,
@@ -144,6 +146,7 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
             f"0 or {FINEST_COLOR_STEP}..{COARSEST_COLOR_STEP}",
         ),
         ("n_turns", h.n_turns, h.n_turns in TURN_COUNTS, f"one of {TURN_COUNTS}"),
+        ("shipped", h.shipped, not h.shipped or _names_atoms(h), "64 digits, atoms of 16 texels, none in the file"),
         ("batches", atoms, 0 < len(set(batches)) == len(batches), "different from each other, and at least one"),
         (
             "batches",
@@ -172,6 +175,11 @@ def _are_apart(a: tuple[int, ...], b: tuple[int, ...]) -> bool:
 def _camera_is_sound(camera) -> bool:
     numbers = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.centre, *sum(camera.rotation, ()))
     return camera.width_px >= 1 and camera.height_px >= 1 and all(map(isfinite, numbers))
+
+
+def _names_atoms(header: Header) -> bool:
+    sound = re.fullmatch("[0-9a-f]{64}", header.shipped) and header.atom_size == ATOM_SIZE and header.n_dictionary > 0
+    return bool(sound) and not (header.archive and header.archive.dictionary_bytes)
 
 
 def _grid_is_sound(header: Header) -> bool:

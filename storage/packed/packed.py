@@ -18,13 +18,15 @@ import numpy as np
 from numcodecs.zstd import Zstd
 
 from storage import place
-from storage.errors import InvalidPackedFile
+from storage.errors import InternalError, InvalidPackedFile
 from storage.packed.checks import ZSTD_HEADER_BYTES, check_frame, check_layout, check_members, check_table, read_header
+from storage.packed.dictionaries.levels import shipped_arrays
+from storage.packed.dictionaries.shipped import check_shipped
 from storage.packed.groups import TABLE, GroupTable, check_outline, first_words, ragged_in, rows_told
 from storage.packed.layout import MODELS, chunk_bytes, chunk_member, chunk_shape, group_members, shape_of
 from storage.packed.runs.tables import DECODED, joined_tables
 from storage.packed.scene import PackedScene, check_tables
-from storage.packed.schema import BY_NAME, GROUP, Array, Header, arrays_of
+from storage.packed.schema import BY_NAME, GROUP, Array, Header, arrays_of, atom_arrays
 from storage.packed.seal import check_seal, is_packed_file
 from storage.packed.totals import Totals, array_bytes
 
@@ -51,9 +53,12 @@ class PackedFile:
             self._archive = stack.enter_context(zipfile.ZipFile(self.path))
             check_members(self._archive, self.n_bytes)
             self._stored = read_header(self._archive)  # of what the file holds; `header` is that of its plain form
+            if self._stored.shipped:
+                check_shipped(str(self.path), self._stored.shipped)
             check_layout(self._archive, self._stored)
             self.header = replace(self._stored, archive=None)
-            self._names = {array.name for array in arrays_of(self.header)}
+            shipped = atom_arrays(self.header) if self.header.shipped else ()
+            self._names = {*(array.name for array in arrays_of(self.header)), *shipped}
             table = {array.name: self._rows(array) for array in arrays_of(self._stored) if array.name in TABLE}
             stored = _table(self.header.n_groups, table)
             check_table(self._archive, self._stored, stored)
@@ -132,7 +137,7 @@ class PackedFile:
         return Totals(self.header, array_bytes(self.header, rows.tolist()), counts)
 
     def of_all(self) -> dict[str, np.ndarray]:
-        """The arrays that all groups share: dictionary, maps."""
+        """The arrays that all groups share: dictionary, also one that ships with the program, maps."""
         shared = [a for a in arrays_of(self._stored) if not (a.in_groups or a.name in (*TABLE, MODELS))]
         found = {array.name: self._rows(array) for array in shared}
         if "archive_atoms" in found:
@@ -140,6 +145,9 @@ class PackedFile:
 
             with _damage_is_an_error(self.path):
                 found |= unpack_atoms(self.header, found.pop("archive_atoms"))
+        if self.header.shipped:
+            with _damage_is_an_error(self.path):
+                found |= shipped_arrays(self.header)
         return found
 
     def _models(self) -> np.ndarray | None:
@@ -257,7 +265,7 @@ def _damage_is_an_error(path: Path) -> Iterator[None]:
     """Whatever json, zip, zstd, zarr or numpy say of a broken file becomes InvalidPackedFile."""
     try:
         yield
-    except InvalidPackedFile:
+    except (InvalidPackedFile, InternalError):
         raise
     except Exception as error:
         found = f"{type(error).__name__}: {error}"

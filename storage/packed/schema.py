@@ -148,6 +148,9 @@ class Header:
     geometry: str = BOXES  # one of GEOMETRIES
     runs: RunGrid | None = None  # of the geometry runs
     archive: Archived | None = None  # of a file in archive form
+    shipped: str = (
+        ""  # the dictionary that ships with the program whose first atoms these are; "" where the file has them
+    )
 
     @property
     def mip_sizes(self) -> tuple[int, ...]:
@@ -184,7 +187,7 @@ class Header:
     def to_json(self) -> dict:
         header = {"format": FORMAT_NAME, "version": FORMAT_VERSION, **asdict(self)}
         header["batches"] = tuple({k: v for k, v in b.items() if v or k != "ellipsoid"} for b in header["batches"])
-        called_for = {name: getattr(self, name) for name in ("effects", "levels", "maps", "runs", "archive")}
+        called_for = {name: getattr(self, name) for name in ("effects", "levels", "maps", "runs", "archive", "shipped")}
         called_for["geometry"] = self.geometry != BOXES
         return {name: value for name, value in header.items() if called_for.get(name, True)}
 
@@ -194,7 +197,7 @@ class Header:
         runs = data.get("runs") or {}
         return typed(
             Header,
-            {"effects": {}, "geometry": BOXES} | data,
+            {"effects": {}, "geometry": BOXES, "shipped": ""} | data,
             runs=typed(RunGrid, runs, turn=numbers(runs["turn"], 9)) if data.get("geometry") == RUNS else None,
             archive=typed(Archived, data["archive"]) if "archive" in data else None,
             levels=tuple(plain(n, "int", "a level") for n in listed(data.get("levels", ()))),
@@ -306,6 +309,7 @@ def arrays_of(header: Header) -> tuple[Array, ...]:
     if not header.n_dictionary:
         absent |= {a.name for a in ARRAYS if a.part == "dictionary"} | {"codes"}
     absent |= {f"atoms_{size}" for size in MIP_SIZES if size not in header.mip_sizes}
+    absent |= set(atom_arrays(header)) if header.shipped else set()
     absent |= set() if header.size_bits else {"size_scale", "sizes"}
     absent |= {"color"} if header.color_step else {"color_low", "color_size", "colors"}
     for extra in EXTRAS:
@@ -316,6 +320,11 @@ def arrays_of(header: Header) -> tuple[Array, ...]:
     if not any(array.is_ragged for array in ARRAYS if array.name not in absent):
         absent.add("group_rows")
     return tuple(array for array in ARRAYS if array.name not in absent)
+
+
+def atom_arrays(header: Header) -> tuple[str, ...]:
+    """The arrays of atoms, by name: what a file lacks whose atoms ship with the program."""
+    return "atom_scale", *(f"atoms_{size}" for size in header.mip_sizes)
 
 
 def _archived(header: Header) -> tuple[Array, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from storage.packed.groups import TABLE, ragged_in
 from storage.packed.layout import bytes_on_gpu, shape_of
 from storage.packed.runs.tables import DECODED
-from storage.packed.schema import EXTRAS, QUADRICS, Header, arrays_of
+from storage.packed.schema import BY_NAME, EXTRAS, QUADRICS, Header, arrays_of, atom_arrays
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,11 @@ class Totals:
 
 
 def array_bytes(header: Header, rows: list[int]) -> dict[str, int]:
-    """Bytes of each array as the GPU takes them: of streams the words that count, and a spare one. `rows` are those of
-    all groups, of each array that they have any number of rows of."""
+    """Bytes of each array as the GPU takes them: of streams the words that count, and a spare one; also of atoms that
+    ship with the program. `rows` are those of all groups, of each array that they have any number of rows of."""
     found, tables = {}, {"codes": "group_word"} | {extra.stream: extra.table for extra in EXTRAS}
-    for array in arrays_of(header):
+    shipped = [BY_NAME[name] for name in atom_arrays(header)] if header.shipped else []
+    for array in (*arrays_of(header), *shipped):
         if array.name not in TABLE and not array.is_ragged:
             n_bytes = int(np.prod(shape_of(header, array))) * np.dtype(array.dtype).itemsize
             found[array.name] = bytes_on_gpu(header, array, n_bytes)

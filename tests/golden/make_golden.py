@@ -51,6 +51,7 @@ CASES = {
     "archive-of-quadrics": Case(
         n_splats=8192 + 130, n_dictionary=0, atom_counts=(0,), n_cameras=0, period=128, quadrics=True, archive=True
     ),
+    "shipped": Case(dictionary_bits=12, n_dictionary=512, atom_size=16, n_turns=8, coarsest_size=4, shipped=True),
     "runs-of-batches": Case(runs=True, cliplines=True, ellipsoids=True, size_bits=3, atom_size=8, color_step=100),
 }
 

@@ -19,6 +19,7 @@ from pipeline.coding.subspace import lift
 from pipeline.stages.texture.atoms import load_atoms, store_atoms
 from pipeline.stages.texture.training import training_part
 from pipeline.summaries import InParts, Quantised
+from storage.packed.dictionaries.shipped import shipped
 from storage.packed.schema import MIP_SIZES, PATCH_SIZE
 from storage.work import arrays, work
 
@@ -43,7 +44,7 @@ class Quantisation:
     """
 
     training: Path  # in components
-    learned: Path
+    learned: Path | None  # None: atoms are those that ship with the program
     max_atoms: int
     tolerance: float
     weight_bits: int
@@ -52,13 +53,16 @@ class Quantisation:
     form: AtomForm | None = (
         None  # None: in components, atoms are learned from whole patches and have even weight levels
     )
+    shipped: str = ""  # the name of these
     name = "quantise"
 
     def init(self, folder: Path) -> int:
-        learned = arrays.read(self.learned, self.learned_array)
-        texels, scale = (
-            self._of_components(folder, learned) if self.form is None else self._of_coefficients(folder, learned)
-        )
+        if self.learned is None:
+            texels, scale = self._of_shipped(folder)
+        else:
+            learned = arrays.read(self.learned, self.learned_array)
+            make = self._of_components if self.form is None else self._of_coefficients
+            texels, scale = make(folder, learned)
         contents = {"atom_scale": scale}
         sizes = MIP_SIZES if self.form is None else MIP_SIZES[MIP_SIZES.index(self.form.size) :]
         contents |= {f"atoms_{s}": level for s, level in zip(sizes, mip_levels(texels))}
@@ -81,6 +85,12 @@ class Quantisation:
         scale = (1 / np.linalg.norm(decoded, axis=1)).astype(np.float32)  # such that what is shown is a unit vector
         store_atoms(folder, (decoded * scale[:, None]).astype(np.float32), self.form)
         return texels, scale
+
+    def _of_shipped(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+        found = shipped(self.shipped)
+        texels = found.texels.reshape(len(found.texels), -1)
+        store_atoms(folder, coefficients_of_texels(texels, self.form.size) * found.scale[:, None], self.form)
+        return texels, found.scale
 
     def run(self, folder: Path, index: int) -> PartQuantised:
         patches, rest = training_part(self.training, index)

@@ -179,6 +179,11 @@ def _summary(report: dict, out: Path) -> str:
     lines = [
         f"splats           {report['splats']:,}",
         f"size             {sizes['bytes_per_splat']:.2f} bytes a splat on the GPU, file {sizes['file_bytes']:,} bytes",
+        *(
+            [f"atoms            ship with the program: {shipped:,} bytes on the GPU, none in the file"]
+            if (shipped := sizes.get("shipped_bytes"))
+            else []
+        ),
     ]
     if quality["texture_psnr_db"] is not None:
         from renderer.report.report_words import decibels

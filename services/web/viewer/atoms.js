@@ -1,6 +1,7 @@
 // The dictionary in GPU memory: an atlas of all atoms at all of their mip levels, and what weight codes stand for. Mirrors renderer/splats/atlas.py.
 
 import { MIP_SIZES } from "./packed.js";
+import { shippedAtoms } from "./shipped.js";
 import { Words } from "./words.js";
 
 /** Where an atom's texels lie: bands of the levels one below the other. */
@@ -17,7 +18,9 @@ export function atlasLayout({ n_dictionary, atom_size, coarsest_size }) {
 /** The texture of the atlas, and the words of `weights`. */
 export async function loadAtoms(gl, packed, layout) {
   const { header } = packed, sizes = MIP_SIZES.filter((s) => s <= header.atom_size && s >= header.coarsest_size);
-  const found = await packed.readWhole(["weight_levels", "atom_scale", ...sizes.map((s) => `atoms_${s}`)]);
+  const own = header.shipped ? [] : ["atom_scale", ...sizes.map((s) => `atoms_${s}`)];
+  const found = await packed.readWhole(["weight_levels", ...own]);
+  if (header.shipped) Object.assign(found, shippedAtoms(await packed.source.dictionary(header.shipped), header, sizes));
   const levels = header.n_ranks << header.weight_bits, floats = new Float32Array(levels + header.n_dictionary);
   floats.set(found.weight_levels.subarray(0, levels));
   floats.set(found.atom_scale.subarray(0, header.n_dictionary), levels);

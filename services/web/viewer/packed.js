@@ -105,7 +105,7 @@ function valuesOf(array, bytes) {
 }
 
 // What a zstd frame says that its contents are (RFC 8878, 3.1.1.1).
-function promised(bytes) {
+export function promised(bytes) {
   const view = viewOf(bytes), kind = bytes[4] >> 6, single = (bytes[4] >> 5) & 1;
   const at = 5 + (single ? 0 : 1) + [0, 1, 2, 4][bytes[4] & 3];
   return kind === 0 ? bytes[at] : kind === 1 ? view.getUint16(at, true) + 256 : view.getUint32(at, true);

@@ -58,6 +58,17 @@ export class HttpSource {
     if (known < last) onBytes(known, this.end.slice(known - this.size + this.end.length, last - this.size + this.end.length));
   }
 
+  /** The file of a dictionary that ships with the program, which browsers keep: its name says what it holds. */
+  async dictionary(name) {
+    return this.patiently(async () => {
+      const answer = await fetch(`/web/viewer/${name.slice(0, 16)}.atoms`);
+      if (!answer.ok) throw new Error(`the file has atoms of the dictionary ${name.slice(0, 16)}, which this viewer does not have`);
+      const bytes = new Uint8Array(await answer.arrayBuffer());
+      this.received += bytes.length;
+      return bytes;
+    });
+  }
+
   // Again where the connection is lost, TRIES times since something last arrived.
   async patiently(what) {
     for (let tries = 0; ;) {
@@ -81,8 +92,9 @@ export class HttpSource {
 
 /** A file that is here already. */
 export class BytesSource {
-  constructor(bytes) {
+  constructor(bytes, atoms) {
     this.bytes = bytes;
+    this.atoms = atoms;
     this.size = bytes.length;
     this.requests = 0;
     this.received = bytes.length;
@@ -90,6 +102,10 @@ export class BytesSource {
 
   async tail(n) {
     return this.bytes.subarray(Math.max(0, this.size - n));
+  }
+
+  async dictionary() {
+    return this.atoms;
   }
 
   async stream(start, stop, onBytes) {

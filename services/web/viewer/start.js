@@ -9,8 +9,8 @@ function fail(error) {
   problem.hidden = false;
 }
 
-/** `bytes` of a file that the page holds, else the address's `content` is asked for, on this host alone. */
-export async function begin(shaders, bytes = null) {
+/** `bytes` of a file that the page holds, and of the dictionary that the file names if it does, else the address's `content` is asked for, on this host alone. */
+export async function begin(shaders, bytes = null, atoms = null) {
   const parameters = new URLSearchParams(location.search);
   document.body.classList.toggle("noui", parameters.has("noui"));
   const poster = parameters.get("poster");
@@ -18,7 +18,7 @@ export async function begin(shaders, bytes = null) {
   try {
     const number = (name) => (parameters.has(name) ? Number(parameters.get(name)) : undefined);
     const viewer = (globalThis.viewer = new Viewer(shaders, { ownDepth: parameters.has("own-depth"), budget: number("budget"), settled: number("settled") }));
-    await viewer.load(bytes ? new BytesSource(bytes) : new HttpSource(contentOf(parameters), sessionToken()));
+    await viewer.load(bytes ? new BytesSource(bytes, atoms) : new HttpSource(contentOf(parameters), sessionToken()));
   } catch (error) {
     fail(error);
   }

@@ -21,7 +21,8 @@ from storage.packed.archive.coder import (
     signed,
     within,
 )
-from storage.packed.schema import MIP_SIZES, Header
+from storage.packed.dictionaries.levels import levels_of
+from storage.packed.schema import Header
 
 _PEAK, _SPREADS, _OFF = 127, 10, 4
 _CHANNELS = np.array([1, 0, 2])
@@ -76,14 +77,3 @@ def unpack_atoms(header: Header, data: np.ndarray) -> dict[str, np.ndarray]:
         raise ValueError(f"{len(data)} bytes of atoms that are not those of {header.n_dictionary}")
     finest = texels.astype(np.int8)
     return {f"atoms_{s}": level for s, level in zip(header.mip_sizes, levels_of(finest, header.mip_sizes), strict=True)}
-
-
-def levels_of(finest: np.ndarray, sizes: tuple[int, ...]) -> list[np.ndarray]:
-    """Levels of sizes of MIP_SIZES, the finest first: means of its texels, rounded, halves to the even number."""
-    assert set(sizes) <= set(MIP_SIZES)
-    levels = []
-    for s in sizes:
-        factor = finest.shape[1] // s
-        mean = finest.reshape(-1, s, factor, s, factor, 3).mean(axis=(2, 4))
-        levels.append(np.round(mean).astype(np.int8))
-    return levels

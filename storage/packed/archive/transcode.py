@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from storage.errors import InvalidPackedFile
-from storage.packed.archive.atoms import levels_of, pack_atoms
+from storage.packed.archive.atoms import pack_atoms
 from storage.packed.archive.coder import MOST_USES
 from storage.packed.archive.group import code_group, fresh_models, pack_group, unpack_group
+from storage.packed.dictionaries.levels import levels_of
 from storage.packed.groups import ragged_in
 from storage.packed.packed import PackedFile
-from storage.packed.schema import Archived, Header
+from storage.packed.schema import Archived, Header, arrays_of
 from storage.packed.writing.joined import lay_out, seal_packed
 from storage.packed.writing.writer import begin_packed, group_of, groups_a_piece, n_pieces, write_array, write_piece
 from storage.whole import aside
@@ -72,8 +73,9 @@ def _write(header: Header, target: Path, rows_of, shared: dict[str, np.ndarray])
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             list(pool.map(write, range(n_pieces(header))))
-        for name, rows in shared.items():
-            write_array(folder, name, rows)
+        for array in arrays_of(header):
+            if array.name in shared:  # of atoms that ship with the program the file has none
+                write_array(folder, array.name, shared[array.name])
         lay_out(folder, header)
         seal_packed(folder, target)
 
@@ -84,7 +86,7 @@ def _is_level(name: str) -> bool:
 
 def _atoms(header: Header, shared: dict[str, np.ndarray]) -> np.ndarray | None:
     """The bytes of the dictionary's atoms; none where there are none, or their levels are not means of the finest."""
-    if not header.n_dictionary:
+    if not header.n_dictionary or header.shipped:
         return None
     finest = shared[f"atoms_{header.atom_size}"]
     for size, level in zip(header.mip_sizes, levels_of(finest, header.mip_sizes), strict=True):

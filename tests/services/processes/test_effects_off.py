@@ -43,6 +43,7 @@ TRACES = {
     "depth_margin": Traces(),
     "accumulation": Traces(),
     "mip_levels": Traces(arrays=("atoms_4", "atoms_2", "atoms_1"), words=("levels",), define="LEVELS"),
+    "shipped_dictionary": Traces(),
     "level_blending": Traces(words=("blended",), define="BLENDED"),
     "antialiasing": Traces(),
     "relighting": Traces(words=("lit",), define="LIT"),
@@ -50,7 +51,7 @@ TRACES = {
 }
 
 
-SETTINGS = settings_for("draft", target_psnr_db=50.0, max_atoms=2, atom_size=8, training_splats=256, iterations=1)
+SETTINGS = settings_for("draft", target_psnr_db=50.0, max_atoms=2, atom_size=16, training_splats=256, iterations=1)
 
 
 @pytest.fixture(scope="module")

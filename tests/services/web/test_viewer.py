@@ -13,6 +13,7 @@ from renderer.effects.relighting import AS_PHOTOGRAPHED, USUAL_LAMP, lamp
 from renderer.splats.scene import GpuScene
 from renderer.splats.views import orbit_views, up_direction
 from storage.maps import IN_PART
+from storage.packed.dictionaries.shipped import NEWEST, shipped
 from storage.packed.schema import GROUP, MAX_ATOMS
 from tests.mapped_scenes import STATION, moved, wall_map, with_maps
 from tests.packed_files import write_arrays
@@ -64,15 +65,15 @@ def scene_of(name: str, smallest: float = 0.02):
     axes[rng.random(500) < 0.7] = np.nan
     line = np.tile([0.8, 0.6, 0.1], (500, 1))
     line[(rng.random(500) < 0.6) | ~np.isnan(axes[:, 0, 0])] = np.nan
-    means = dictionary.atoms.reshape(20, 16, 2, 16, 2, 3).mean(axis=(2, 4)).round().astype(np.int8)
-    turned = Dictionary(means, dictionary.scale, dictionary.weight_levels, n_turns=8)
+    texels, scale = shipped().texels[:20], shipped().scale[:20]  # bytes that none of the file hold
+    turned = Dictionary(texels, scale, 4 * dictionary.weight_levels, n_turns=8)
     size = 0.07 * 2 ** rng.random(500)
     codes = coded(rng, 500, 160, max_atoms=16)
     codes["n_atoms"] = np.array([0, 1, 6, 16])[codes["n_atoms"] % 4]  # each number is a shader of its own
     splats = sheet(rng, 500, size=size, axes=axes, clipline=line, **codes)
     scene = build_scene(splats, Settings(radius=0.1, color_step=112), turned)
     effects = dict.fromkeys(("level_blending", "relighting", "normal_smoothing", "accumulation"), {})
-    return replace(scene, header=replace(scene.header, effects=effects))
+    return replace(scene, header=replace(scene.header, effects=effects, shipped=NEWEST))
 
 
 @pytest.fixture(scope="module")
