@@ -59,7 +59,7 @@ def one_page(packed: bytes, title: str, atoms: bytes = b"") -> bytes:
     body = page[page.index("<body>") + len("<body>") : page.index("</body>")]
     program = rjsmin.jsmin(f"{bundle('start.js')}\nexport const begin = modules['start.js'].begin;")
     viewer = json.dumps([style, body, program, shader_document()], separators=(",", ":"))
-    parts = {"viewer": zlib.compress(viewer.encode(), 9), "packed": packed} | ({"atoms": atoms} if atoms else {})
+    parts = {"viewer": zlib.compress(viewer.encode(), 9), "packed": packed} | ({"shipped": atoms} if atoms else {})
     return "\n".join(
         [
             '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">',
@@ -109,7 +109,7 @@ const [style, body, program, shaders] = await new Response(stream).json();
 document.head.append(Object.assign(document.createElement("style"), { textContent: style }));
 document.body.insertAdjacentHTML("afterbegin", body);
 const { begin } = await import(URL.createObjectURL(new Blob([program], { type: "text/javascript" })));
-begin(shaders, bytesOf("packed"), document.getElementById("atoms") && bytesOf("atoms"));
+begin(shaders, bytesOf("packed"), document.getElementById("shipped") && bytesOf("shipped"));
 """
 
 

@@ -3,15 +3,18 @@
 import numpy as np
 import pytest
 
+from pipeline.effects.plan.request import parse_request
+from pipeline.effects.shipped_dictionary import own_bytes_a_splat
 from pipeline.execution.executors import SerialExecutor
 from pipeline.planning.settings import settings_for
 from services.flow.textures import affordable_size
 from services.processes.compress import compress
+from storage.packed.dictionaries.shipped import NEWEST
 from storage.packed.packed import PackedFile
 from tests.pipeline.execution.test_stage import Heard
 from tests.services.scans import photo_scan
 
-WANTED = {"training_splats": 4000, "iterations": 2, "effects": "all=off"}
+WANTED = {"dictionary": "own", "training_splats": 4000, "iterations": 2, "effects": "all=off"}
 
 
 @pytest.fixture(scope="module")
@@ -23,11 +26,12 @@ def made(tmp_path_factory) -> dict[str, dict]:
         "paper": {"coder": "paper", "dictionary_bits": 8, "target_psnr_db": 30.0},
         "default": {"target_psnr_db": 33.0},
         "lower": {"target_psnr_db": 31.0},
+        "shipped": {"target_psnr_db": 33.0, "dictionary": "auto", "effects": "all=off,shipped_dictionary=auto"},
         "large": {"target_psnr_db": 32.0, "atom_size": 32, "dictionary_bits": 8},
     }
     reports = {}
     for name, changes in jobs.items():
-        settings = settings_for("draft", **WANTED, **changes)
+        settings = settings_for("draft", **(WANTED | changes))
         reports[name] = compress(
             scan, folder / name, settings, SerialExecutor(), Heard(), render=False, work=folder / "work"
         )
@@ -81,3 +85,36 @@ def test_coders__atoms_are_no_larger_than_splats_pay_for_them():
     """A dictionary of 32 atoms with its mip levels is 8, 33 or 131 kB."""
     sizes = {n: affordable_size(n) for n in (1, 4_000, 16_383, 16_384, 65_535, 65_536)}
     assert sizes == {1: 8, 4_000: 8, 16_383: 8, 16_384: 16, 65_535: 16, 65_536: 32}
+
+
+def test_coders__few_splats_take_the_atoms_that_ship_and_learn_none(made):
+    own, report = made["default"], made["shipped"]
+    assert report["header"].shipped == NEWEST and not own["header"].shipped
+    learning = {"dictionary-seed", "ksvd-update"}
+    assert not report["learning"] and not learning & {stage["name"] for stage in report["stages"]}
+    row = next(row for row in report["effects"] if row["effect"] == "shipped_dictionary")
+    assert row["enabled"] and row["measure"] == own_bytes_a_splat(report["splats"]) >= row["threshold"]
+    assert report["sizes"]["shipped_bytes"] > 400_000 and own["sizes"]["shipped_bytes"] == 0
+    assert report["quality"]["texture_psnr_db"] > own["quality"]["texture_psnr_db"] - 0.1
+    assert report["sizes"]["file_bytes"] < own["sizes"]["file_bytes"]
+
+
+def test_coders__what_asks_for_other_atoms_learns_its_own():
+    asked = {
+        name: parse_request(settings_for(**changes).asked_effects)["shipped_dictionary"]
+        for name, changes in {
+            "auto": {},
+            "high": {"preset": "high"},
+            "paper": {"coder": "paper"},
+            "texels": {"atom_size": 8},
+            "bits": {"dictionary_bits": 10},
+            "budget": {"budget_bytes": 12.0},
+            "own": {"dictionary": "own", "effects": "shipped_dictionary=on"},
+            "shipped": {"dictionary": "shipped", "effects": "all=off"},
+        }.items()
+    }
+    assert asked == {"auto": "auto", "high": "auto", "shipped": "on"} | dict.fromkeys(
+        ("paper", "texels", "bits", "budget", "own"), "off"
+    )
+    with pytest.raises(ValueError, match="dictionary is shipped with coder paper"):
+        settings_for(dictionary="shipped", coder="paper")

@@ -27,7 +27,7 @@ from tests.pipeline.readers.workspace import write_workspace
 from tests.services.processes.published_schemas import misfits
 from tests.services.scans import photo_scan, point_scan
 
-SETTINGS = settings_for("draft", target_psnr_db=32.0, training_splats=2000, iterations=2)
+SETTINGS = settings_for("draft", dictionary="own", target_psnr_db=32.0, training_splats=2000, iterations=2)
 REPORT_KEYS = {
     "sizes": {
         "geometry_bytes",
@@ -173,7 +173,9 @@ def test_workflow__the_packed_file_measures_what_the_coder_said(scan, packed_ser
 def test_workflow__what_a_change_does_not_touch_is_used_again(scan, packed_serially, tmp_path):
     first, second = Heard(), Heard()
     compress(scan, tmp_path / "a", SETTINGS, SerialExecutor(), first, render=False, work=tmp_path / "work")
-    other = settings_for("draft", target_psnr_db=32.0, training_splats=2000, iterations=2, weight_bits=8)
+    other = settings_for(
+        "draft", dictionary="own", target_psnr_db=32.0, training_splats=2000, iterations=2, weight_bits=8
+    )
     better = compress(scan, tmp_path / "b", other, SerialExecutor(), second, render=False, work=tmp_path / "work")
     reused = {s["name"]: s["reused"] for s in better["stages"]}
     assert reused["resample"] and reused["ksvd-update"] and not reused["quantise"] and not reused["encode"]
@@ -182,7 +184,7 @@ def test_workflow__what_a_change_does_not_touch_is_used_again(scan, packed_seria
 
 
 def test_workflow__another_seed_gives_another_dictionary(scan, packed_serially, tmp_path):
-    other = settings_for("draft", target_psnr_db=32.0, training_splats=2000, iterations=2, seed=1)
+    other = settings_for("draft", dictionary="own", target_psnr_db=32.0, training_splats=2000, iterations=2, seed=1)
     compress(scan, tmp_path / "out", other, SerialExecutor(), Heard(), render=False)
     atoms = []
     for folder in (packed_serially[0], tmp_path / "out"):
@@ -266,7 +268,9 @@ def test_workflow__a_report_against_other_photographs_is_refused(packed_serially
 
 
 def test_workflow__what_is_asked_to_be_off_has_no_stage_and_leaves_no_trace(scan, packed_serially, tmp_path):
-    settings = settings_for("draft", target_psnr_db=32.0, training_splats=2000, iterations=1, effects="all=off")
+    settings = settings_for(
+        "draft", dictionary="own", target_psnr_db=32.0, training_splats=2000, iterations=1, effects="all=off"
+    )
     made = compress(scan, tmp_path / "out", settings, SerialExecutor(), Heard(), render=False)
     assert "measure-effects" not in [s["name"] for s in made["stages"]]
     assert not any(row["enabled"] for row in made["effects"]) and {row["request"] for row in made["effects"]} == {"off"}

@@ -33,7 +33,9 @@ from tests.services.processes.published_schemas import misfits
 from tests.services.scans import photo_scan, point_scan
 
 SAMPLE = 24 * CHUNK
-SETTINGS = settings_for("draft", target_psnr_db=30.0, training_splats=4000, iterations=2, effects="pages=on")
+SETTINGS = settings_for(
+    "draft", dictionary="own", target_psnr_db=30.0, training_splats=4000, iterations=2, effects="pages=on"
+)
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from tests.renderer.report.test_report import Elements
 from tests.services.processes.published_schemas import misfits
 from tests.services.scans import photo_scan, point_scan
 
-SETTINGS = settings_for("draft", target_psnr_db=32.0, training_splats=1500, iterations=2)
+SETTINGS = settings_for("draft", dictionary="own", target_psnr_db=32.0, training_splats=1500, iterations=2)
 ROWS = ("lod0", "lod0-bc7", "lod1", "lod1-bc1", "d8w4", "average", "per-splat", "jpeg")
 KEYS = {
     "name",
@@ -97,7 +97,10 @@ def test_evaluate__our_rows_are_what_compress_makes(made, scan, tmp_path):
     report = compress(
         scan,
         tmp_path / "out",
-        settings_for("draft", **{k: getattr(SETTINGS, k) for k in ("target_psnr_db", "training_splats", "iterations")}),
+        settings_for(
+            "draft",
+            **{k: getattr(SETTINGS, k) for k in ("dictionary", "target_psnr_db", "training_splats", "iterations")},
+        ),
         SerialExecutor(),
         Heard(),
         render=False,

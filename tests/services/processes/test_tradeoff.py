@@ -23,7 +23,7 @@ from tests.renderer.report.test_report import Elements
 from tests.services.processes.published_schemas import misfits
 from tests.services.scans import photo_scan, point_scan
 
-SETTINGS = settings_for("draft", target_psnr_db=28.0, training_splats=600, iterations=2)
+SETTINGS = settings_for("draft", dictionary="own", target_psnr_db=28.0, training_splats=600, iterations=2)
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +176,7 @@ def test_tradeoff__measures_what_compress_makes(made, scan, tmp_path):
     report = compress(
         scan,
         tmp_path / "out",
-        settings_for("draft", target_psnr_db=26.0, training_splats=600, iterations=2),
+        settings_for("draft", dictionary="own", target_psnr_db=26.0, training_splats=600, iterations=2),
         SerialExecutor(),
         Heard(),
         render=False,
@@ -299,7 +299,9 @@ def test_knobs__the_stage_that_a_row_names_is_the_first_to_run_again(scan, tmp_p
 
     def ran(changes: dict) -> list[str]:
         run = Run(tmp_path / "work", SerialExecutor(), Heard())
-        settings = settings_for("draft", **{"target_psnr_db": 28.0, "training_splats": 600, "iterations": 1} | changes)
+        settings = settings_for(
+            "draft", **{"dictionary": "own", "target_psnr_db": 28.0, "training_splats": 600, "iterations": 1} | changes
+        )
         code(run, prepare(run, scan, settings.radius, settings.effects, density=settings.density), settings)
         return [r.name for r in run.records if not r.reused]
 
