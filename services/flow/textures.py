@@ -92,16 +92,8 @@ def code_patches(
     stop = Stop(tolerance) if settings.coder == "paper" else Stop(0.0, WHILE_LEARNING * tolerance)
     colors = run.do(Colors(patches.folder, color_step(settings)))
     map_texels = patches.summary.map_texels
-    training = run.do(
-        TrainingSet(
-            patches.folder,
-            colors.folder,
-            max(stop.tolerance, stop.multiplier),
-            settings.training_splats + n_held(settings),
-            settings.seed,
-            tolerance,
-        )
-    )
+    least, n_wanted = max(stop.tolerance, stop.multiplier), settings.training_splats + n_held(settings)
+    training = run.do(TrainingSet(patches.folder, colors.folder, least, n_wanted, settings.seed, tolerance))
     if not (settings.max_atoms and training.summary.n_patches):
         return Coded(patches, colors, encode(run, patches.folder, colors.folder, None, settings), None, (), 0, 0)
     if map_texels is not None:
