@@ -11,7 +11,6 @@ from pipeline.effects.effect import Effect, Measured, Worth
 from pipeline.planning.settings import Settings
 from storage.packed.dictionaries.shipped import ATOM_BYTES, N_ATOMS
 
-
 MOST_SPLATS = 50_000  # that gain by it without taking longer
 
 

@@ -104,10 +104,11 @@ def code_patches(
         space: StageRecord = run.do(Components(training.folder, tolerance * 10 ** (-settings.subspace_floor_db / 10)))
     else:
         space = run.do(Coefficients(training.folder, form.size))
+    learning: tuple[LearningPass, ...] = ()
     if shipped:
         settled = settings.max_atoms, stop.tolerance, settings.weight_bits
         quantising = Quantisation(space.folder, None, *settled, multiplier=stop.multiplier, form=form, shipped=shipped)
-        quantised, learning, n_taken_back = run.do(quantising), (), 0
+        quantised, n_taken_back = run.do(quantising), 0
     else:
         bits = index_bits(settings, form, n_of_all, map_texels is not None)
         learned, learning = _learn(run, training, space, settings, stop, form, bits)
