@@ -66,7 +66,8 @@ class Settings:
     def fits_shipped(self) -> bool:
         """Whether nothing asks for other atoms than those that ship with the program, or for their bytes on the GPU."""
         as_they_are = self.atom_size in ("auto", 16) and self.dictionary_bits in ("auto", 12)
-        return self.coder == "default" and as_they_are and self.budget_bytes is None and self.dictionary != "own"
+        has_atoms = self.coder == "default" and self.max_atoms > 0
+        return has_atoms and as_they_are and self.budget_bytes is None and self.dictionary != "own"
 
     @property
     def choice(self) -> Choice:

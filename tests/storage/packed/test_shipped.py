@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.shipped_dictionary import learned, quantised, training
 from pipeline.coding.grid import coefficients_of_texels
 from storage.errors import InternalError, InvalidPackedFile
 from storage.packed.archive.transcode import archive_packed, plain_packed
@@ -138,3 +139,14 @@ def test_shipped__headers_that_do_not_fit_are_refused(changes, words, tmp_path):
     path = write_arrays(wrong, arrays_for(CASE, wrong), tmp_path / "a.splatpress")
     with pytest.raises(InvalidPackedFile, match=words), PackedFile(path) as packed:
         packed.load()
+
+
+def test_shipped__is_made_the_same_again(tmp_path):
+    made = []
+    for name in ("a", "b"):
+        folder = tmp_path / name
+        folder.mkdir()
+        rows = training(200, 3, ("chelsea", "brick"), n_leaves=1)
+        path = write_shipped(folder, *quantised(learned(rows, 4, 1, 3, folder)))[1]
+        made.append((path.name, path.read_bytes(), rows.shape))
+    assert made[0] == made[1] and made[0][2] == (200, 768)
