@@ -45,6 +45,8 @@ TARGETS = {  # file: tests that ought to notice
     "pipeline/coding/omp_kernels.py": PURSUIT,
     "pipeline/coding/beam/scores.py": BEAM,
     "pipeline/coding/beam/nodes.py": BEAM,
+    "pipeline/coding/beam/passes.py": BEAM,
+    "pipeline/coding/beam/weights.py": BEAM,
     "pipeline/coding/beam/by_gram.py": BEAM,
     "pipeline/coding/beam/by_steps.py": BEAM,
     "pipeline/coding/ksvd.py": LEARNING,

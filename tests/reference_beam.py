@@ -9,29 +9,54 @@ LEAST_OUTSIDE = 2e-3  # of an atom's squared norm that lies outside the span of 
 
 
 def beam(patch, dictionary, max_atoms, width, candidates, tolerance=0.0, multiplier=0.0, levels=None):
-    """The best support of the last step, its weights, and what the best of 0, 1, ... atoms leaves."""
+    """The best support of the last step by rank, its weights, and what the best of 0, 1, ... atoms leaves."""
     patch, dictionary = patch.astype(np.float64), dictionary.astype(np.float64)
-    path, nodes, best = [float(patch @ patch)], [()], ((), np.empty(0))
+    path, nodes, best = [float(patch @ patch)], [((), ())], None
     while len(path) <= max_atoms and path[-1] > tolerance:
-        children = []
-        for support in nodes:
+        kept: list[tuple] = []  # what is left, support, ranks of its atoms, weights
+        n_kept = width if len(path) < max_atoms else 1
+        for support, ranks in nodes:
             n_tried = max(width, candidates) if not support else candidates
             for atom in by_what_they_leave(patch, dictionary, support)[:n_tried]:
-                child = (*support, atom)
-                weight = fitted(patch, dictionary[list(child)])
-                if levels is not None:
-                    weight = settled(patch, dictionary[list(child)], weight, levels)
-                children.append((left(patch, dictionary[list(child)], weight), child, weight))
-        kept: dict[frozenset, tuple] = {}
-        for child in sorted(children, key=lambda child: child[0]):
-            if child[0] < path[-1] - multiplier and len(kept) < width:
-                kept.setdefault(frozenset(child[1]), child)
+                most = kept[-1][0] if len(kept) == n_kept else path[-1] - multiplier
+                child = valued(patch, dictionary, (*support, atom), (*ranks, len(ranks)), levels)
+                same = [other for other in kept if set(other[1]) == set(child[1])]
+                if child[0] < most and not (same and same[0][0] <= child[0]):
+                    kept = sorted([other for other in kept if other not in same] + [child], key=lambda c: c[0])[:n_kept]
         if not kept:
             break
-        nodes = [support for _, support, _ in kept.values()]
-        error, *best = next(iter(kept.values()))
-        path.append(error)
-    return list(best[0]), best[1], path
+        nodes, best = [(support, ranks) for _, support, ranks, _ in kept], kept[0]
+        path.append(best[0])
+    if best is None:
+        return [], np.empty(0), path
+    order = np.argsort(best[2])
+    return [best[1][i] for i in order], np.array(best[3])[order], path
+
+
+def valued(patch, dictionary, support, ranks, levels):
+    """What a support leaves, with itself, its ranks and its weights, at `levels` if there are any."""
+    atoms = dictionary[list(support)]
+    weight = fitted(patch, atoms)
+    if levels is not None:
+        weight = settled(patch, atoms, nearest(weight, levels[list(ranks)]), levels[list(ranks)])
+        ranks, weight = exchanged(patch, atoms, weight, ranks, levels)
+    return left(patch, atoms, weight), support, ranks, tuple(weight)
+
+
+def exchanged(patch, atoms, weight, ranks, levels):
+    """Each atom, the last first, with the rank of that of those before it with which this leaves least, if less."""
+    for i in range(len(ranks) - 1, 0, -1):
+        tried = [(left(patch, atoms, weight), ranks, weight)]
+        for j in range(i):
+            swapped, other = list(ranks), weight.copy()
+            swapped[i], swapped[j] = ranks[j], ranks[i]
+            for a in (i, j):
+                other[a] = best_level(patch, atoms, other, a, levels[swapped[a]])
+            tried.append((left(patch, atoms, other), tuple(swapped), other))
+        least = min(tried, key=lambda found: found[0])
+        if least is not tried[0]:
+            ranks, weight = least[1], settled(patch, atoms, least[2], levels[list(least[1])])
+    return ranks, weight
 
 
 def by_what_they_leave(patch, dictionary, support) -> list[int]:
@@ -54,12 +79,19 @@ def left(patch, atoms, weight) -> float:
     return float(((patch - weight @ atoms) ** 2).sum())
 
 
+def nearest(weight, levels):
+    return np.array([row[np.abs(row - w).argmin()] for w, row in zip(weight, levels)])
+
+
+def best_level(patch, atoms, weight, j, row):
+    tried = [left(patch, atoms, np.where(np.arange(len(weight)) == j, level, weight)) for level in row]
+    return row[int(np.argmin(tried))]
+
+
 def settled(patch, atoms, weight, levels):
-    """Each weight at the nearest level of its rank; then twice each in turn at the level that leaves least, given the
-    others."""
-    weight = np.array([row[np.abs(row - w).argmin()] for w, row in zip(weight, levels)])
+    """Twice each weight in turn at the level that leaves least, given the others."""
+    weight = weight.copy()
     for _ in range(2):
-        for j, row in enumerate(levels[: len(weight)]):
-            tried = [left(patch, atoms, np.where(np.arange(len(weight)) == j, level, weight)) for level in row]
-            weight[j] = row[int(np.argmin(tried))]
+        for j, row in enumerate(levels):
+            weight[j] = best_level(patch, atoms, weight, j, row)
     return weight
