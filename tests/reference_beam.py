@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 LEAST_OUTSIDE = 2e-3  # of an atom's squared norm that lies outside the span of the support, else it is passed over
+HOPE = 0.4  # of what the best support's last atom mended of it with exact weights, what another's next is taken to mend
 
 
 def beam(patch, dictionary, max_atoms, width, candidates, tolerance=0.0, multiplier=0.0, levels=None):
@@ -25,12 +26,21 @@ def beam(patch, dictionary, max_atoms, width, candidates, tolerance=0.0, multipl
                     kept = sorted([other for other in kept if other not in same] + [child], key=lambda c: c[0])[:n_kept]
         if not kept:
             break
-        nodes, best = [(support, ranks) for _, support, ranks, _ in kept], kept[0]
+        best = kept[0]
+        before, now = (unrounded(patch, dictionary, support) for support in (nodes[0][0], best[1]))
+        hoped = best[0] - multiplier + HOPE * (before - now)
+        nodes = [best[1:3], *(c[1:3] for c in kept[1:] if unrounded(patch, dictionary, c[1]) < hoped)]
         path.append(best[0])
     if best is None:
         return [], np.empty(0), path
     order = np.argsort(best[2])
     return [best[1][i] for i in order], np.array(best[3])[order], path
+
+
+def unrounded(patch, dictionary, support) -> float:
+    """What a support leaves with exact weights."""
+    atoms = dictionary[list(support)]
+    return left(patch, atoms, fitted(patch, atoms))
 
 
 def valued(patch, dictionary, support, ranks, levels):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numba
-from numba.core import cgutils
+from llvmlite import ir
+from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 from storage.compile_once import compile_once
@@ -44,3 +45,30 @@ def _borrowed(typing_context, array):
 
 
 borrowed = _as_it_is if numba.config.DISABLE_JIT else _borrowed  # type: ignore[attr-defined]
+
+
+def _no_hint(array, start, n):
+    return None
+
+
+@intrinsic
+def _fetched(typing_context, array, start, n):
+    """In compiled code: a hint that n elements of a contiguous array, from `start`, are read soon."""
+    n_line = 64 // (array.dtype.bitwidth // 8)
+
+    def with_hints(context, builder, signature, arguments):
+        made = context.make_array(array)(context, builder, arguments[0])
+        byte = ir.IntType(8).as_pointer()
+        hint = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(ir.VoidType(), [byte] + 3 * [ir.IntType(32)]), "llvm.prefetch.p0"
+        )
+        counted = ir.IntType(64)
+        with cgutils.for_range_slice(builder, counted(0), arguments[2], counted(n_line)) as (at, _):
+            element = builder.gep(made.data, [builder.add(arguments[1], at)])
+            builder.call(hint, [builder.bitcast(element, byte), *(ir.IntType(32)(x) for x in (0, 3, 1))])
+        return context.get_dummy_value()
+
+    return types.none(array, types.uintp, types.uintp), with_hints
+
+
+fetched = _no_hint if numba.config.DISABLE_JIT else _fetched  # type: ignore[attr-defined]

@@ -103,8 +103,8 @@ def _pursue(
             if n_kept == 0:
                 break
             store_best(nodes, t, pool, atom[i], weight[i], code[i])
-            make_nodes(nodes, t, pool, n_kept, children)
-            t, n_nodes = t + 1, n_kept
+            n_nodes = make_nodes(nodes, t, pool, n_kept, multiplier, children)
+            t += 1
             path[i, t] = pool.error[pool.order[0]]
             nodes, children = children, nodes
         n_atoms[i] = t

@@ -146,7 +146,7 @@ def _advance(
         n_nodes[i] = n_kept
         if n_nodes[i] > 0:
             store_best(nodes, t, pool, atom[i], weight[i], code[i])
-            make_nodes(nodes, t, pool, n_kept, children)
+            n_nodes[i] = make_nodes(nodes, t, pool, n_kept, multiplier, children)
             n_atoms[i], path[i, t + 1] = t + 1, pool.error[pool.order[0]]
             if t + 1 == most or path[i, t + 1] <= max(tolerance[i], multiplier):
                 n_nodes[i] = 0

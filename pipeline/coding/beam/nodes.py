@@ -20,6 +20,10 @@ from pipeline.execution.compiled import part
 # Share of a patch's squared norm within which two residuals count as one: a support that is found in two orders leaves
 # the same but for rounding, which must not choose.
 TIE = 1e-6
+# Of what the best support's last atom mended of it with exact weights, the share that another's next atom is taken to
+# mend: a support that would not end below the best then is not followed. Of `fountain_p11` and `monstree` 4x2 takes 19
+# and 14 % less time and 0.01 and 0.02 dB less; at 0.3, 22 and 21 %, 0.04 and 0.05 dB; at 0.5, 12 and 10 %, 0.00 and 0.01.
+HOPE = 0.4
 
 
 class Nodes(NamedTuple):
@@ -179,10 +183,16 @@ def _keep(pool, at, n_kept, most, tie):
 
 
 @part()
-def make_nodes(nodes, t, pool, n_kept, children):
-    """Make nodes, of t + 1 atoms, of the children in the pool, that which leaves least first."""
-    for c in range(n_kept):
-        at = pool.order[c]
+def make_nodes(nodes, t, pool, n_kept, multiplier, children):
+    """Make nodes, of t + 1 atoms, of the children in the pool, that which leaves least first, but for those that will
+    hardly be the best. Returns how many."""
+    best, n_made = pool.order[0], 0
+    hoped = pool.error[best] - multiplier + HOPE * (nodes.exact[0] - pool.exact[best])
+    for m in range(n_kept):
+        at, c = pool.order[m], n_made
+        if m > 0 and pool.exact[at] >= hoped:
+            continue
+        n_made += 1
         b = pool.parent[at]
         for j in range(t):
             children.support[c, j], children.target[c, j] = nodes.support[b, j], nodes.target[b, j]
@@ -195,6 +205,7 @@ def make_nodes(nodes, t, pool, n_kept, children):
             children.rank[c, j], children.code[c, j] = pool.rank[at, j], pool.code[at, j]
         children.support[c, t], children.target[c, t], children.slot[c, t] = pool.atom[at], pool.target[at], b
         children.along[c, t], children.exact[c], children.key[c] = pool.along[at], pool.exact[at], pool.key[at]
+    return n_made
 
 
 @part()

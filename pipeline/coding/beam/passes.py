@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.coding.omp_kernels import SMALLEST_PIVOT
-from pipeline.execution.compiled import FAST, borrowed, part
+from pipeline.execution.compiled import FAST, borrowed, fetched, part
 
 MOST = 4  # earlier vectors of a pass; more are folded into `folded` before
 
@@ -149,7 +149,6 @@ def score_beside(s, t, nodes, n_nodes, unit, last):
     together, while the rows that they share are in the first-level cache.
     """
     k, width = s.initial.shape[0], nodes.exact.shape[0]
-    straight = k // t.quotients.shape[0]
     for b in range(n_nodes):
         for j in range(last):
             t.at[b, j] = np.uint64((j * width + nodes.slot[b, j]) * k)
@@ -163,10 +162,20 @@ def score_beside(s, t, nodes, n_nodes, unit, last):
     for m in range(s.tiles.start.shape[0]):
         at, n = np.uintp(s.tiles.start[m]), np.uintp(s.tiles.length[m])
         for b in range(n_nodes):
-            a, turn = nodes.support[b, last] % straight, nodes.support[b, last] // straight
-            other = s.tiles.start[m] // straight
-            at_gram = np.uintp(a * k + (t.quotients[turn, other] - other) * straight) + at
+            if m + 1 < s.tiles.start.shape[0]:
+                fetched(t.gram, _in_gram(s, t, nodes.support[b, last], m + 1), np.uintp(s.tiles.length[m + 1]))
+            at_gram = _in_gram(s, t, nodes.support[b, last], m)
             _score_tile(s, t, b, last, at, n, np.float32(nodes.chol[b, last, last]), at_gram)
+
+
+@part()
+def _in_gram(s, t, atom, m):
+    """Where the products of an atom with tile m begin."""
+    k = s.initial.shape[0]
+    straight = k // t.quotients.shape[0]
+    other = s.tiles.start[m] // straight
+    turned = t.quotients[atom // straight, other] - other
+    return np.uintp(atom % straight * k + turned * straight + s.tiles.start[m])
 
 
 @part()
