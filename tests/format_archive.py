@@ -10,7 +10,8 @@ SHIFTS = [1] + [2] * 2 + [3] * 4 + [4] * 8 + [5] * 16 + [6] * 32
 TABLES = {
     "box_low": (4, 3), "box_size": (4, 3), "box_bits": (1, 3), "size_scale": (1, 2), "frame_origin": (4, 3),
     "frame_turn": (1, 3), "frame_step": (2, 1), "frame_cells": (2, 2), "frame_curve": (1, 3), "frame_bits": (1, 1),
-    "normal_low": (2, 2), "normal_cells": (1, 2), "normal_slope": (1, 4), "color_low": (2, 3), "color_size": (1, 3),
+    "normal_low": (2, 2), "normal_cells": (1, 2), "normal_slope": (1, 4), "normal_grid": (1, 1), "color_low": (2, 3),
+    "color_size": (1, 3),
 }  # fmt: skip
 
 

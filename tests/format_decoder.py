@@ -233,8 +233,8 @@ class Packed:
             at += -at % 32
         raise AssertionError(i)
 
-    def quadric_cell(self, i: int) -> tuple[np.ndarray, tuple[int, int]]:
-        """Position against the origin and octahedral normal of a splat of quadrics."""
+    def quadric_cell(self, i: int) -> tuple[np.ndarray, tuple[int, int], int]:
+        """Position against the origin, octahedral normal and the steps of its map, of a splat of quadrics."""
         of = {
             name: np.array(values[i // 128]).astype(float)
             for name, values in self.arrays.items()
@@ -255,12 +255,13 @@ class Packed:
         p = np.array([digits[2] + 0.5, digits[3] + 0.5, number + 0.5 + rise]) * step
         p = p + 2 * np.cross(q[:3], np.cross(q[:3], p) + q[3] * p)
         slope = of["normal_slope"].reshape(2, 2) @ [x, y] // 256
-        a, b = np.clip(of["normal_low"] + digits[:2] + slope, -254, 254).astype(int).tolist()
-        if abs(a) > 127:
-            a, b = int(np.sign(a)) * 254 - a, -b
-        if abs(b) > 127:
-            a, b = -a, int(np.sign(b)) * 254 - b
-        return of["frame_origin"] + p, (a, b)
+        s = 175 - 8 * int(of["normal_grid"])
+        a, b = np.clip(of["normal_low"] + digits[:2] + slope, -2 * s, 2 * s).astype(int).tolist()
+        if abs(a) > s:
+            a, b = int(np.sign(a)) * 2 * s - a, -b
+        if abs(b) > s:
+            a, b = -a, int(np.sign(b)) * 2 * s - b
+        return of["frame_origin"] + p, (a, b), s
 
     def position(self, i: int) -> np.ndarray:
         if self.header.get("geometry") == "quadrics":
@@ -277,10 +278,11 @@ class Packed:
 
     def frame(self, i: int) -> np.ndarray:
         cell = {"runs": self.run_cell, "quadrics": self.quadric_cell}.get(self.header.get("geometry"))
-        a, b = cell(i)[1] if cell else self.arrays["normal"][i].tolist()
-        c = 127 - abs(a) - abs(b)
+        _, (a, b), *steps = cell(i) if cell else (0, self.arrays["normal"][i].tolist())
+        s = steps[0] if steps else 127
+        c = s - abs(a) - abs(b)
         sign = (1 if a >= 0 else -1), (1 if b >= 0 else -1)
-        p = np.array([a, b, c] if c >= 0 else [sign[0] * (127 - abs(b)), sign[1] * (127 - abs(a)), c])
+        p = np.array([a, b, c] if c >= 0 else [sign[0] * (s - abs(b)), sign[1] * (s - abs(a)), c])
         up, ahead = np.array(self.header["up"]), np.array(self.header["ahead"])
         reference = ahead if 100 * int(p @ up) ** 2 > 81 * int(p @ p) * int(up @ up) else up
         normal = p / np.linalg.norm(p)

@@ -315,6 +315,7 @@ def _quadrics(case: Case, header: Header, batch_count: np.ndarray) -> dict[str, 
         "normal_low": (noise(2 * c, 35, 400) - 200).reshape(c, 2).astype(np.int16),
         "normal_cells": (np.stack([normals, np.full(c, 256)], axis=1) - 1).astype(np.uint8),
         "normal_slope": (noise(4 * c, 37, 255) - 127).reshape(c, 4).astype(np.int8),
+        "normal_grid": noise(c, 40, 16).astype(np.uint8),
     }
     splat, words = 0, []
     for chunk in range(c):

@@ -115,9 +115,9 @@ def decode_run_cell(scene: PackedScene, splat: int) -> tuple[list[float], list[i
 
 
 def normal_code(scene: PackedScene, splat: int) -> np.ndarray:
-    """(1, 2) int8"""
+    """(1, 2) int8; over quadrics (1, 3) int16"""
     if scene.header.geometry == "quadrics":
-        return np.array([decode_cell(scene, splat)[1]], np.int8)
+        return np.array([decode_cell(scene, splat)[1]], np.int16)
     code = decode_run_cell(scene, splat)[1] if scene.header.runs else scene.arrays["normal"][splat].tolist()
     return np.array([code], np.int8)
 
@@ -174,12 +174,16 @@ def decode_cell(scene: PackedScene, splat: int) -> tuple[list[float], list[int]]
     slope = of["normal_slope"]
     p = a + of["normal_low"][0] + math.floor((slope[0] * x + slope[1] * y) / 256)
     q = b + of["normal_low"][1] + math.floor((slope[2] * x + slope[3] * y) / 256)
-    p, q = max(-254, min(254, p)), max(-254, min(254, q))
-    if abs(p) > 127:
-        p, q = int(math.copysign(254, p)) - p, -q
-    if abs(q) > 127:
-        p, q = -p, int(math.copysign(254, q)) - q
-    return position.tolist(), [p, q]
+    s = 175 - 8 * of["normal_grid"]
+    p, q = max(-2 * s, min(2 * s, p)), max(-2 * s, min(2 * s, q))
+    if abs(p) > s:
+        p, q = int(math.copysign(2 * s, p)) - p, -q
+    if abs(q) > s:
+        p, q = -p, int(math.copysign(2 * s, q)) - q
+    c = s - abs(p) - abs(q)
+    if c < 0:
+        p, q = (s - abs(q)) * (1 if p >= 0 else -1), (s - abs(p)) * (1 if q >= 0 else -1)
+    return position.tolist(), [p, q, c]
 
 
 def decode_color(scene: PackedScene, splat: int) -> list[float]:

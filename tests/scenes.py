@@ -148,7 +148,7 @@ def build_scene_and_order(
     if settings.quadric_error:
         radii = (np.full(n, settings.radius) if splats.size is None else splats.size)[order]
         asked = asked_steps(radii, settings.quadric_error)
-        number, frames = encode_quadrics(local[order], encode_normals(splats.normal[order]), asked)
+        number, frames = encode_quadrics(local[order], splats.normal[order], asked)
         keys = [number, *keys]
     sorted_ = np.lexsort(keys)
     order = order[sorted_]

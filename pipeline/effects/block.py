@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.geometry.frame import Direction, tangent_frames
 from pipeline.splats.coarser import first_finest
-from pipeline.splats.decoded import decoded_centres, seen_by_cameras, splat_radii
+from pipeline.splats.decoded import decoded_centres, decoded_normals, seen_by_cameras, splat_radii
 from pipeline.summaries import Counted, Points, ScanRead
 from storage.packed.schema import NO_CAMERA, Camera
 from storage.work import arrays, work
@@ -91,7 +91,9 @@ class Block:
     @cached_property
     def frame(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Tangent u, tangent v and normal, (n, 3) float64 each, as the renderer decodes them."""
-        return tangent_frames(self.read(self.sources.splats, "normal_code"), self.sources.up, self.sources.ahead)
+        return tangent_frames(
+            decoded_normals(self.sources.splats, *self.rows), self.sources.up, self.sources.ahead
+        )
 
     @cached_property
     def camera(self) -> np.ndarray:  # (n,) uint16, NO_CAMERA where there is none

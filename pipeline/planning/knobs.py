@@ -337,8 +337,8 @@ KNOBS = (
         str,
         "how positions and normals are coded: in boxes of 128; over a quadric that is fitted to each 128; as runs of cells in a hexagonal close "
         "packed grid; auto: boxes, or what takes fewer bytes at the error that is asked for, with `cell` runs, with `geometry_error` quadrics",
-        "quadrics: 27 to 29.4 bits a splat for 42; runs: 9.5 to 15, and 1.6 points a splat",
-        "quadrics: positions 1/30 of a radius off on average for 1/50 to 1/70, normals are the same; runs: positions at most cell / sqrt(2) off, "
+        "quadrics: 27 to 29 bits a splat for 42; runs: 9.5 to 15, and 1.6 points a splat",
+        "quadrics: positions 1/30 of a radius off on average for 1/50 to 1/70, normals .32 degrees for .26 to .32; runs: positions at most cell / sqrt(2) off, "
         "normals by 2 to 4 degrees; no ellipsoids and no levels",
         "run-grid",
         choices=("auto", "boxes", "quadrics", "runs"),
@@ -352,6 +352,17 @@ KNOBS = (
         "splats",
         low=0.001,
         high=0.5,
+        optional=True,
+    ),
+    Knob(
+        "normal_error",
+        float,
+        "how far normals over quadrics are off on average, in degrees; by default 0.32, what boxes have where normals look all round",
+        "larger: 2 bits a splat fewer for each factor of 2, on the GPU and on disk",
+        "larger: textures lie more askew; what a lamp shows is rougher",
+        "splats",
+        low=0.2,
+        high=0.8,
         optional=True,
     ),
     Knob(

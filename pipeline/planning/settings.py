@@ -39,6 +39,7 @@ class Settings:
     iso: str = ""  # of a volume, as pipeline.volumes.request writes it; "" leaves the value to the volume
     geometry: str = "auto"  # boxes, quadrics, runs, or auto
     geometry_error: float | None = None
+    normal_error: float | None = None
     archive: str = "off"
     run_length: int = 25
     cell: float | None = None

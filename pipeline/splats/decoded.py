@@ -45,7 +45,7 @@ def decoded_squares(
     """Middles and tangents (n, 3) of the squares that the splats of a block of whole chunks are textured on, and their
     radii (n,), which the tangents are in; `radius` is that of all, or what their sizes are steps of."""
     radii = splat_radii(splats, radius, start, stop)
-    normal_code = arrays.read(splats, "normal_code", start, stop)
+    normal_code = decoded_normals(splats, start, stop)
     centre, (u, v, _) = decoded_centres(splats, start, stop), tangent_frames(normal_code, up, ahead)
     if arrays.exists(splats, "has_ellipsoid"):
         has = np.flatnonzero(arrays.read(splats, "has_ellipsoid", start, stop))
@@ -84,7 +84,7 @@ def scene_positions(scene: PackedScene) -> np.ndarray:
 
 
 def scene_normal_codes(scene: PackedScene) -> np.ndarray:
-    """The octahedral normals (n, 2) int8 of the splats of a packed file."""
+    """The octahedral normals (n, 2) int8 of the splats of a packed file; over quadrics points of octahedra (n, 3) int16."""
     return scene.arrays["normal"] if scene.header.geometry == BOXES else _decoded_splats(scene)[1]
 
 
@@ -113,6 +113,12 @@ def _decoded_splats(scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
         else:
             scene.decoded["splats"] = decode_quadrics(scene.numbers, frames_of_arrays(scene.arrays))
     return scene.decoded["splats"]
+
+
+def decoded_normals(splats: Path, start: int, stop: int) -> np.ndarray:
+    """Octahedral codes (n, 2) of a block of whole chunks, over quadrics points of octahedra (n, 3)."""
+    name = "normal_point" if arrays.exists(splats, "normal_point") else "normal_code"
+    return arrays.read(splats, name, start, stop)
 
 
 def decoded_centres(splats: Path, start: int, stop: int) -> np.ndarray:

@@ -1,10 +1,10 @@
 layout(std430, binding = 14) readonly buffer DecodedSplats { uvec4 decoded_splats[]; };  // of decode_quadrics.comp.glsl
 uniform uint first_decoded;
 
-// The octahedral normal of a splat, and where it was decoded to.
-uint read_splat(uint splat, out ivec2 normal) {
+// The normal of a splat, as a point of an octahedron, and where it was decoded to.
+uint read_splat(uint splat, out ivec3 normal) {
     uint code = splat - first_decoded, word = decoded_splats[code].w;
-    normal = ivec2(int(word << 24) >> 24, int(word << 16) >> 24);
+    normal = ivec3(int(word << 23) >> 23, int(word << 14) >> 23, int(word << 5) >> 23);
     return code;
 }
 

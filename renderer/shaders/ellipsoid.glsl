@@ -19,10 +19,10 @@ flat out float eye_distance;  // 0 where the eye is inside
 flat out mat3 facing;         // axes x, y, z of the disc in those of the ball
 
 Ellipsoid decode_ellipsoid(uint splat, uint word) {
-    ivec2 normal_code;
-    uint cell = read_splat(splat, normal_code);
+    ivec3 normal;
+    uint cell = read_splat(splat, normal);
     vec3 u, v;
-    decode_frame(normal_code, u, v);
+    decode_frame(normal, u, v);
     float turn = float(word & 255u) * (3.14159265358979 / 256.0);
     float radius = radius_of(splat);
     vec3 lengths = radius * exp2((vec3((uvec3(word) >> uvec3(8u, 16u, 24u)) & 255u) - 191.0) / 32.0);

@@ -25,7 +25,7 @@ void set_map(uint splat, vec3 u, vec3 v, vec3 middle) {
     uint at = map * MAP_WORDS;
     vec3 high = vec3(map_frames[at], map_frames[at + 1u], map_frames[at + 2u]);
     vec3 low = vec3(map_frames[at + 3u], map_frames[at + 4u], map_frames[at + 5u]);
-    ivec2 normal;
+    ivec3 normal;
     from_station = position_against(high, low, splat, read_splat(splat, normal));
     map_u = camera_to_world(u);
     map_v = camera_to_world(v);

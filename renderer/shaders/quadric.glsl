@@ -1,6 +1,6 @@
 // Position and normal of a splat as a cell over its chunk's quadric: numbers as storage/packed/quadrics.py packs them, decoded as
-// pipeline/geometry/quadrics/frames.py does. Needs view.glsl, splat_word and `boxes` with BOX_WORDS a chunk: origin (0 to 2), turn and bits of
-// numbers (3), step and steps of normals (4), curve and high parts of cells (5), low parts of cells and scale of sizes (6), slopes of
+// pipeline/geometry/quadrics/frames.py does. Needs view.glsl, splat_word and `boxes` with BOX_WORDS a chunk: origin (0 to 2), turn, bits of
+// numbers and low bits of the normals' map (3), step, high bit of the map and steps of normals (4), curve and high parts of cells (5), low parts of cells and scale of sizes (6), slopes of
 // normals (7), where their steps begin and the chunk's first word in its group (8).
 
 #include "running_counts.glsl"
@@ -31,7 +31,7 @@ uint high_bits(uint n, uint bits) {
 
 // The number of a splat: its bits above the lowest 16, and these.
 uvec2 number_of(uint splat) {
-    uint chunk = splat / CHUNK, place = splat % CHUNK, box = chunk * BOX_WORDS, bits = boxes[box + 3u] >> 24;
+    uint chunk = splat / CHUNK, place = splat % CHUNK, box = chunk * BOX_WORDS, bits = (boxes[box + 3u] >> 24 & 31u) + LEAST_BITS;
     uint first = splat_word(chunk / CHUNKS_PER_GROUP) + (boxes[box + 8u] >> 18);
     uint at = 0u, begin = 0u, n = 0u, high = 0u;
     for (uint batch_above = 1u; batch_above <= scene.n_batches; ++batch_above) {
@@ -73,10 +73,10 @@ uvec2 cells_of(uint box) {
 
 ivec4 bytes_of(uint word) { return ivec4(int(word << 24) >> 24, int(word << 16) >> 24, int(word << 8) >> 24, int(word) >> 24); }
 
-// What left the octahedral map over an edge, where it comes in again.
-ivec2 wrapped(ivec2 p) {
-    if (abs(p.x) > 127) p = ivec2(p.x > 0 ? 254 - p.x : -254 - p.x, -p.y);
-    if (abs(p.y) > 127) p = ivec2(-p.x, p.y > 0 ? 254 - p.y : -254 - p.y);
+// What left the octahedral map of so many steps over an edge, where it comes in again.
+ivec2 wrapped(ivec2 p, int steps) {
+    if (abs(p.x) > steps) p = ivec2(p.x > 0 ? 2 * steps - p.x : -2 * steps - p.x, -p.y);
+    if (abs(p.y) > steps) p = ivec2(-p.x, p.y > 0 ? 2 * steps - p.y : -2 * steps - p.y);
     return p;
 }
 
@@ -88,8 +88,8 @@ uvec3 digits_of(uint number, uvec2 radix) {
 
 vec3 turned_by(vec4 q, vec3 p) { return p + 2.0 * cross(q.xyz, cross(q.xyz, p) + q.w * p); }
 
-// The octahedral normal of a splat, and its cell as one number: the quotient of its number by the steps of normals, two digits of it.
-uint read_splat(uint splat, out ivec2 normal) {
+// The normal of a splat, as a point of its chunk's octahedron, and its cell as one number: the quotient of its number by the steps of normals, two digits of it.
+uint read_splat(uint splat, out ivec3 normal) {
     uint box = splat / CHUNK * BOX_WORDS;
     uvec2 number = number_of(splat), steps = (uvec2(boxes[box + 4u]) >> uvec2(16u, 24u) & 0xFFu) + 1u, cells = cells_of(box);
     uint states = steps.x * steps.y, above = number.x / states, rest = (number.x - above * states) << 16 | number.y;
@@ -99,7 +99,8 @@ uint read_splat(uint splat, out ivec2 normal) {
     ivec2 sloped = ivec2(slope.x * across.x + slope.y * across.y, slope.z * across.x + slope.w * across.y) >> 8;
     ivec2 begin = ivec2(low & 0x1FFu, low >> 9 & 0x1FFu) - 256;
     uint row = which / steps.x;
-    normal = wrapped(clamp(begin + ivec2(which - row * steps.x, row) + sloped, -254, 254));
+    int map = 175 - 8 * int(boxes[box + 3u] >> 29 | boxes[box + 4u] >> 12 & 8u);
+    normal = octahedron_of(wrapped(clamp(begin + ivec2(which - row * steps.x, row) + sloped, -2 * map, 2 * map), map), map);
     return cell;
 }
 
@@ -110,7 +111,7 @@ vec3 place_in_frame(uint box, uint code) {
     vec2 across = vec2(2u * cell.xy + 1u) - vec2(cells);
     vec3 curve = vec3(bytes_of(boxes[box + 5u]).xyz) / float(1u << (bit_length(max(cells.x, cells.y)) + 7u));
     float height = curve.x * across.x * across.x + curve.y * across.x * across.y + curve.z * across.y * across.y;
-    vec3 along = (vec3(cell) + vec3(0.5, 0.5, 0.5 + height)) * uintBitsToFloat(boxes[box + 4u] << 16);
+    vec3 along = (vec3(cell) + vec3(0.5, 0.5, 0.5 + height)) * uintBitsToFloat(boxes[box + 4u] << 16 & 0x7FFFFFFFu);
     vec4 turn = normalize(vec4(bytes_of(boxes[box + 3u]).xyz, 117));
     return turned_by(turn, along);
 }

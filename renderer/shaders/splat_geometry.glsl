@@ -82,6 +82,14 @@ struct Disc {
     float radius;
 };
 
+// The point on the octahedron |x| + |y| + |z| = steps that a code names.
+ivec3 octahedron_of(ivec2 code, int steps) {
+    int c = steps - abs(code.x) - abs(code.y);
+    if (c >= 0) return ivec3(code, c);
+    return ivec3(code.x >= 0 ? steps - abs(code.y) : abs(code.y) - steps,
+                 code.y >= 0 ? steps - abs(code.x) : abs(code.x) - steps, c);
+}
+
 #ifdef QUADRICS
 #ifdef DECODED
 #include "decoded_quadric.glsl"
@@ -110,33 +118,25 @@ vec3 position_against(vec3 place_high, vec3 place_low, uint splat, uint code) {
 #endif
 
 #ifndef QUADRICS
-// The octahedral normal of a splat, and its cell as one number.
-uint read_splat(uint splat, out ivec2 normal) {
+// The normal of a splat, as a point of the octahedron, and its cell as one number.
+uint read_splat(uint splat, out ivec3 normal) {
     uvec2 words = splat_words(splat);
-    normal = ivec2(int(words.x) >> 24, int(words.y << 24) >> 24);
+    normal = octahedron_of(ivec2(int(words.x) >> 24, int(words.y << 24) >> 24), 127);
     return words.x & 0xFFFFFFu;
 }
 #endif
 
 vec3 decode_position(uint splat, uint code) { return position_against(view.eye_high.xyz, view.eye_low.xyz, splat, code); }
 
-ivec3 octahedron_of(ivec2 code) {
-    int c = 127 - abs(code.x) - abs(code.y);
-    if (c >= 0) return ivec3(code, c);
-    return ivec3(code.x >= 0 ? 127 - abs(code.y) : abs(code.y) - 127,
-                 code.y >= 0 ? 127 - abs(code.x) : abs(code.x) - 127, c);
-}
-
 int dot_of(ivec3 a, ivec3 b) {
     ivec3 products = a * b;
     return products.x + products.y + products.z;
 }
 
-void decode_frame(ivec2 code, out vec3 u, out vec3 v) {
-    ivec3 point = octahedron_of(code);
+void decode_frame(ivec3 point, out vec3 u, out vec3 v) {
     ivec3 up = scene.up.xyz;
     int along_up = dot_of(point, up);
-    bool near_pole = 100 * along_up * along_up > 81 * dot_of(point, point) * dot_of(up, up);
+    bool near_pole = 100u * uint(along_up * along_up) > 81u * uint(dot_of(point, point) * dot_of(up, up));
     vec3 reference = vec3(near_pole ? scene.ahead.xyz : up);
     vec3 normal = normalize(vec3(point));
     u = normalize(cross(reference, normal));
@@ -144,10 +144,10 @@ void decode_frame(ivec2 code, out vec3 u, out vec3 v) {
 }
 
 Disc decode_disc(uint splat) {
-    ivec2 normal_code;
-    uint cell = read_splat(splat, normal_code);
+    ivec3 normal;
+    uint cell = read_splat(splat, normal);
     vec3 u, v;
-    decode_frame(normal_code, u, v);
+    decode_frame(normal, u, v);
     float radius = radius_of(splat);
     return Disc(world_to_camera(decode_position(splat, cell)),
                 world_to_camera(u) * radius, world_to_camera(v) * radius, radius);

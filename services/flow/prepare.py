@@ -60,7 +60,7 @@ class Prepared:
     maps: StationMaps | None = None  # of a laser scan's stations, where they texture its splats
     runs: RunGeometry | None = None  # where its geometry is runs
     geometry: tuple[Row, ...] = ()  # of the plan: where boxes, runs and quadrics were weighed
-    quadric_error: float | None = None  # where its geometry is quadrics: the mean one asked for, in radii
+    quadric_error: tuple[float, float] | None = None  # where its geometry is quadrics: mean ones, radii and degrees
 
     @property
     def photos(self) -> Path:
@@ -183,7 +183,7 @@ def splats_from(
     neighbours = run.do(Neighbourhoods(partition.folder, settle))
     sources = run, ingest, partition, neighbours, scan, radius
 
-    def splats_with(error: float | None) -> Prepared:
+    def splats_with(error: tuple[float, float] | None) -> Prepared:
         return _sized_splats(*sources, request, held_out, levels, quadric_error=error)
 
     if geometry.form != RUNS and (geometry.form != AUTO or geometry.cell is None):
@@ -202,7 +202,7 @@ def splats_from(
     return replace(made, runs=runs, geometry=(row,))
 
 
-def _over_quadrics_or_in_boxes(asked: GeometryRequest, splats_with: Callable[[float | None], Prepared]) -> Prepared:
+def _over_quadrics_or_in_boxes(asked: GeometryRequest, splats_with: Callable[[tuple[float, float] | None], Prepared]) -> Prepared:
     """Whichever is asked for, or fewer bits at the asked error."""
     made = splats_with(error := quadric_error(asked))
     if error is None:
@@ -222,7 +222,7 @@ def _sized_splats(
     held_out: tuple[int, ...],
     levels: int | None,
     of_runs: bool = False,
-    quadric_error: float | None = None,
+    quadric_error: tuple[float, float] | None = None,
 ) -> Prepared:
     asked_radius, radius = radius, radius_of(neighbours.summary, radius, scan)
     needed, sizes = None, None

@@ -188,8 +188,10 @@ def _scan_record(prepared: Prepared, settings: Settings) -> ScanKnown:
         warnings.append(f"cell {settings.cell:g} is not used: boxes of a scan have no cells")
     if prepared.runs is not None and settings.archive == "on":
         warnings.append("archive on is not used: runs are coded already")
-    if settings.geometry_error is not None and settings.geometry in (BOXES, RUNS):
-        warnings.append(f"geometry_error {settings.geometry_error:g} is not used: it is of quadrics")
+    for name in ("geometry_error", "normal_error"):
+        known, asked = name == "normal_error" or settings.geometry in (BOXES, RUNS), getattr(settings, name)
+        if asked is not None and known and prepared.quadric_error is None:
+            warnings.append(f"{name} {asked:g} is not used: it is of quadrics")
     return ScanKnown(
         unit=scan.unit,
         n_points=scan.n_read,

@@ -20,6 +20,7 @@ from storage.packed.schema import (
     LEAST_NUMBER_BITS,
     MOST_FRAME_CELLS,
     MOST_NUMBER_BITS,
+    NORMAL_GRIDS,
     TURN_W,
     curve_units,
     steps_of,
@@ -148,6 +149,8 @@ def check_frames(arrays: dict[str, np.ndarray]) -> None:
     if step.min() < _FINITE[0] or step.max() > _FINITE[1]:
         raise ValueError("frame_step is not the upper half of a float32 above 0")
     low = arrays["normal_low"].astype(np.int64)
+    if arrays["normal_grid"].max() >= NORMAL_GRIDS:
+        raise ValueError(f"normal_grid has {arrays['normal_grid'].max()}, not 0..{NORMAL_GRIDS - 1}")
     if np.abs(low).max() > 254:
         raise ValueError(f"normal_low has {low.min()}..{low.max()}, not -254..254")
 

@@ -38,6 +38,7 @@ COLUMN_BITS, ROW_BITS, SLICE_BITS, LENGTH_BITS = 11, 11, 5, 5  # of the start of
 MOST_RUNS = 256  # of a section
 LEAST_NUMBER_BITS, MOST_NUMBER_BITS = 16, 47  # of the number of a splat over a quadric
 MOST_FRAME_CELLS = 4096  # along an axis of a quadric's frame
+NORMAL_GRIDS = 16  # of octahedral maps over quadrics: map x has 175 - 8 x steps
 TURN_W = 117  # of quaternions whose other entries are bytes; those of encoders are below 1.083 of it
 SIZE_BITS = (0, 2, 3, 4)  # that a splat's radius may take; without any all have the header's
 SIZE_STEPS_AN_OCTAVE, ONE_SIZE = 16, 128  # of radii: step s is 2^((s - 128) / 16) of the header's
@@ -249,6 +250,7 @@ ARRAYS = (
     Array("normal_low", ("c", "2"), "int16", "geometry", "octahedral coordinates that steps of normals count from"),
     Array("normal_cells", ("c", "2"), "uint8", "geometry", "steps of normals along each coordinate, less 1"),
     Array("normal_slope", ("c", "4"), "int8", "geometry", "256ths by which normals turn a half cell"),
+    Array("normal_grid", ("c",), "uint8", "geometry", "how fine the octahedral map of each chunk is: 175 - 8 x steps"),
     Array("splats", ("g", "e"), "uint32", "geometry", "number of each splat: its normal's steps lowest, then its cell"),
     Array("run_codes", ("g", "u"), "uint8", "geometry", "sections, starts, turns and steps of normals, range coded"),
     Array("run_codebook", ("32", "2"), "int8", "geometry", "steps of normals on the octahedral map"),
@@ -371,6 +373,12 @@ def curve_units(cells: np.ndarray) -> np.ndarray:
 
     longest = cells.max(axis=1).astype(np.int64)
     return 2.0 ** -(7 + np.frexp(longest.astype(np.float64))[1])
+
+
+def normal_steps(grid: np.ndarray) -> np.ndarray:
+    """Steps (c,) int64 from the middle of a chunk's octahedral map to its edges, 55..175, of `normal_grid`. With 175
+    100 (up . point)^2 of the tangent frame is below 2^32."""
+    return 175 - 8 * grid.astype(int)
 
 
 def steps_of(code: np.ndarray) -> np.ndarray:

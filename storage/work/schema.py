@@ -92,6 +92,7 @@ WORK_ARRAYS = (
     WorkArray("position_code", "uint32", ("n",), ("splats",), "8 bits an axis in the box of its chunk"),
     WorkArray("number", "uint64", ("n",), ("splats",), "over the quadric of its chunk"),
     WorkArray("normal_code", "int8", ("n", 2), ("splats", "run-points"), "octahedral"),
+    WorkArray("normal_point", "int16", ("n", 3), ("splats",), "over quadrics: a point of an octahedron"),
     WorkArray("camera", "uint16", ("n",), ("splats",), "that textures a splat; NO_CAMERA for none"),
     WorkArray("box_low", "float32", ("c", 3), ("splats",), "corner of a chunk's box"),
     WorkArray("box_size", "float32", ("c", 3), ("splats",), "its sides"),

@@ -10,15 +10,15 @@ from dataclasses import fields
 
 import numpy as np
 
-from pipeline.geometry.normals import STEPS
 from pipeline.geometry.quadrics.frames import SLOPE_BITS, Frames, curved, sloped
 from pipeline.geometry.quadrics.quaternions import axes_of
-from pipeline.geometry.quadrics.surfaces import Surface, surface
+from pipeline.geometry.quadrics.surfaces import WHOLE, Surface, surface
 from storage.packed.schema import CHUNK, LEAST_NUMBER_BITS, MOST_FRAME_CELLS, MOST_NUMBER_BITS, curve_units, steps_of
 
 MEAN_OF_CELL = 0.4803  # distance of a point in a cube of side 1 from its middle, on average
 ERROR = 1 / 30  # of a radius: mean distance of a decoded position from its own, by default
-MOST_NORMALS = 256  # along a coordinate
+NORMAL_ERROR = 0.32  # degrees: the same of normals; what 127 steps leave of normals that look all round
+MOST_NORMALS, MOST_LOW = 256, 254  # along a coordinate, and where they begin at most
 MOST_PLACES = 2.0**31  # cells of a chunk
 TO_SPARE = (
     1.09  # numbers have half a bit to spare on average, which makes cells so much smaller: measured on three scans
@@ -33,20 +33,23 @@ def asked_steps(radii: np.ndarray, error: float) -> np.ndarray:
     return error / MEAN_OF_CELL / inverse
 
 
-def encode_quadrics(position: np.ndarray, normal_code: np.ndarray, asked: np.ndarray) -> tuple[np.ndarray, Frames]:
-    """Numbers (n,) uint64 and the frames of chunks, of positions (n, 3) float64 against the origin, octahedral normals
-    (n, 2) int8 and sides of cells (c,) as `asked_steps` makes them.
+def encode_quadrics(
+    position: np.ndarray, normal: np.ndarray, asked: np.ndarray, normal_error: float = NORMAL_ERROR
+) -> tuple[np.ndarray, Frames]:
+    """Numbers (n,) uint64 and the frames of chunks, of positions (n, 3) float64 against the origin, unit
+    normals (n, 3), sides of cells (c,) as `asked_steps` makes them, and how far normals may be off, degrees.
 
     Guarantees: the decoded position lies within half a cell of the given one along every axis of its frame, but for
     float32's rounding of `origin`; cells are at most 1.1 as wide as asked where 47 bits, 2^31 cells, 4,096 along an
-    axis and that rounding leave them so; normals come back exactly, though perhaps by another code of the same. A chunk
-    depends on no other.
+    axis and that rounding leave them so; normals are those of the best code on their chunk's map, whose mean error is the
+    one asked for within 4 %, where 55 to 175 steps do, and 127 in chunks that look all round. A chunk depends on no
+    other.
     """
     n, n_chunks = len(position), -(-len(position) // CHUNK)
     rows = np.minimum(np.arange(n_chunks * CHUNK), n - 1).reshape(
         n_chunks, CHUNK
     )  # the last splat fills up the last chunk
-    piece = surface(position[rows], normal_code[rows].astype(np.int64))
+    piece = surface(position[rows], normal[rows], normal_error)
     least = np.maximum(_least_steps(piece), piece.smallest)
     step = _up(np.maximum(asked * TO_SPARE, least))
     frames, number, largest = _coded(piece, step)
@@ -88,9 +91,9 @@ def _coded(piece: Surface, step: np.ndarray) -> tuple[Frames, np.ndarray, np.nda
     frames = _positioned(piece, step)
     cell, half = _cells(piece.point, frames)
     low, many = _normal_range(half, piece.unfolded, frames)
-    folded = ((many > MOST_NORMALS) | (np.abs(low) > 2 * STEPS)).any(axis=1)
+    folded = ((many > MOST_NORMALS) | (np.abs(low) > MOST_LOW)).any(axis=1)
     frames.normal_slope[folded] = 0
-    codes = np.where(folded[:, None, None], piece.normal, piece.unfolded)
+    codes = np.where((folded & (piece.grid >= WHOLE))[:, None, None], piece.normal, piece.unfolded)
     low, many = _normal_range(half, codes, frames)
     frames.normal_low[:], frames.normal_cells[:] = low, many - 1
     digit = codes - sloped(half, frames.normal_slope[:, None]) - low[:, None]
@@ -136,6 +139,7 @@ def _positioned(piece: Surface, step: np.ndarray) -> Frames:
         two.astype(np.int16),
         two.astype(np.uint8),
         slope.reshape(-1, 4),
+        piece.grid,
     )
 
 

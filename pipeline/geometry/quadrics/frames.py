@@ -19,16 +19,16 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from pipeline.geometry.normals import STEPS
+from pipeline.geometry.normals import octahedron_of
 from pipeline.geometry.quadrics.quaternions import axes_of
-from storage.packed.schema import CHUNK, FRAMES, curve_units, steps_of
+from storage.packed.schema import CHUNK, FRAMES, curve_units, normal_steps, steps_of
 
 SLOPE_BITS = 8  # slopes of normals are in 2^-8 steps a half cell
 
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames of consecutive chunks, against the scan's origin, in the order of storage.packed.schema.FRAMES; 33
+    """The frames of consecutive chunks, against the scan's origin, in the order of storage.packed.schema.FRAMES; 34
     bytes a chunk."""
 
     origin: np.ndarray  # (c, 3) float32: lowest corner of the cells
@@ -42,6 +42,7 @@ class Frames:
     normal_slope: (
         np.ndarray
     )  # (c, 4) int8: 2^-SLOPE_BITS a half cell, of the first coordinate along x and y, then the second
+    normal_grid: np.ndarray  # (c,) uint8: how fine the octahedral map is, see normal_steps
 
     def at(self, rows: np.ndarray) -> Frames:
         """Those of some chunks."""
@@ -58,21 +59,21 @@ def frames_of_arrays(arrays: dict[str, np.ndarray]) -> Frames:
     return Frames(*(arrays[name] for name in FRAMES))
 
 
-def wrapped(code: np.ndarray) -> np.ndarray:
-    """Octahedral coordinates (..., 2) int64 in -254..254 that left the map over an edge, brought back to where they
-    come in."""
+def wrapped(code: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Octahedral coordinates (..., 2) int64 within twice the steps (...,) of their map that left it over an edge,
+    brought back to where they come in."""
     a, b = code[..., 0], code[..., 1]
-    over = np.abs(a) > STEPS
-    a, b = np.where(over, 2 * STEPS * np.sign(a) - a, a), np.where(over, -b, b)
-    over = np.abs(b) > STEPS
-    return np.stack([np.where(over, -a, a), np.where(over, 2 * STEPS * np.sign(b) - b, b)], axis=-1)
+    over = np.abs(a) > steps
+    a, b = np.where(over, 2 * steps * np.sign(a) - a, a), np.where(over, -b, b)
+    over = np.abs(b) > steps
+    return np.stack([np.where(over, -a, a), np.where(over, 2 * steps * np.sign(b) - b, b)], axis=-1)
 
 
 def decode_quadrics(
     number: np.ndarray, frames: Frames, chunk: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (n, 3) float64 against the origin and octahedral normals (n, 2) int8. `chunk` (n,) names each splat's
-    frame; by default i // CHUNK."""
+    """Positions (n, 3) float64 against the origin, and normals (n, 3) int16: points of octahedra, not of unit length.
+    `chunk` (n,) names each splat's frame; by default i // CHUNK."""
     chunk = np.arange(len(number)) // CHUNK if chunk is None else chunk
     left, digits = number.astype(np.int64), []
     radix = (*(frames.normal_cells.astype(np.int64) + 1).T, *frames.cells.astype(np.int64).T)
@@ -86,7 +87,9 @@ def decode_quadrics(
     along *= steps_of(frames.step)[chunk, None]
     position = frames.origin[chunk] + np.einsum("ni,nij->nj", along, axes_of(frames.turn)[chunk])
     normal = np.stack(digits[:2], axis=1) + frames.normal_low[chunk] + sloped(half, frames.normal_slope[chunk])
-    return position, wrapped(normal.clip(-2 * STEPS, 2 * STEPS)).astype(np.int8)
+    steps = normal_steps(frames.normal_grid)[chunk]
+    code = wrapped(normal.clip(-2 * steps[:, None], 2 * steps[:, None]), steps)
+    return position, octahedron_of(code, steps).astype(np.int16)
 
 
 def curved(half: np.ndarray, curve: np.ndarray, unit: np.ndarray) -> np.ndarray:

@@ -7,12 +7,14 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from pipeline.geometry.normals import STEPS, decode_normals, encode_normals, octahedron_of
+from pipeline.geometry.normals import decode_normals, encode_normals, octahedron_of
 from pipeline.geometry.quadrics.frames import wrapped
 from pipeline.geometry.quadrics.quaternions import axes_of, quaternions_of
+from storage.packed.schema import NORMAL_GRIDS, normal_steps
 
 ANGLES = np.radians(np.arange(0, 90, 5.625))  # of U about N, of which that of the smallest area is taken
 SMALLEST_STEP = 1e-30
+WHOLE, WIDEST = 6, 200  # the finest map whose 255 codes along an axis a byte counts; what normals of finer ones span
 
 
 @dataclass(frozen=True)
@@ -20,6 +22,7 @@ class Surface:
     """Chunks as they lie in their frames."""
 
     point: np.ndarray  # (c, CHUNK, 3)
+    grid: np.ndarray  # (c,) uint8: the octahedral map of normals, see normal_steps
     normal: np.ndarray  # (c, CHUNK, 2) int64 octahedral codes
     unfolded: (
         np.ndarray
@@ -36,10 +39,14 @@ class Surface:
         return replace(self, **{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
 
-def surface(point: np.ndarray, normal: np.ndarray) -> Surface:
-    """Chunks of points (c, CHUNK, 3) float64 with octahedral normals (c, CHUNK, 2) int64, whatever they are a piece
-    of."""
-    turn, unfolded = _turns(point), _unfolded(normal)
+def surface(point: np.ndarray, direction: np.ndarray, normal_error: float) -> Surface:
+    """Chunks of points (c, CHUNK, 3) float64 with unit normals (c, CHUNK, 3) that may be off by `normal_error` degrees
+    on average, whatever they are a piece of."""
+    turn, grid = _turns(point), _grids(direction, normal_error)
+    normal, unfolded = _coded(direction, grid)
+    wide = (grid < WHOLE) & ((np.ptp(unfolded, axis=1) > WIDEST) | (np.abs(unfolded).max(axis=1) > WIDEST)).any(axis=1)
+    grid[wide] = WHOLE
+    normal[wide], unfolded[wide] = _coded(direction[wide], grid[wide])
     along = np.einsum("cij,ckj->cik", point - point.mean(axis=1, keepdims=True), axes_of(turn))
     scale = np.maximum(np.abs(along[..., :2]).max(axis=(1, 2)), SMALLEST_STEP)[:, None]
     a, b = along[..., 0] / scale, along[..., 1] / scale
@@ -50,7 +57,7 @@ def surface(point: np.ndarray, normal: np.ndarray) -> Surface:
     over = along[..., 2] - (quadric[:, :1] * a * a + quadric[:, 1:2] * a * b + quadric[:, 2:] * b * b)
     extent = np.stack([np.ptp(a, axis=1), np.ptp(b, axis=1), np.ptp(over, axis=1)], axis=1)
     smallest = np.maximum(2.0**-22 * np.abs(point).max(axis=(1, 2)), SMALLEST_STEP)
-    return Surface(point, normal, unfolded, turn, along, quadric, plane / scale[..., None], extent, smallest)
+    return Surface(point, grid, normal, unfolded, turn, along, quadric, plane / scale[..., None], extent, smallest)
 
 
 def _turns(point: np.ndarray) -> np.ndarray:
@@ -69,9 +76,30 @@ def _turns(point: np.ndarray) -> np.ndarray:
     return quaternions_of(cosine * u + sine * v, across)
 
 
-def _points(code: np.ndarray) -> np.ndarray:
+def _grids(direction: np.ndarray, error: float) -> np.ndarray:
+    """The map (c,) uint8 on which the normals of each chunk are `error` degrees off on average.
+
+    Codes of s steps lie on a face of the octahedron in a hexagonal grid sqrt(2) apart, of whose cells a point is 0.351
+    spacings from the middle on average. With m = |x| + |y| + |z| of a unit normal the face lies s / m from the centre,
+    and is seen along one of its axes by m / sqrt(3): 0.351 sqrt(2) (m / s) (1 + m / sqrt(3)) / 2 radians.
+    """
+    m = np.abs(direction).sum(axis=2)
+    steps = (0.351 * np.sqrt(0.5) * m * (1 + m / np.sqrt(3))).mean(axis=1) / np.radians(error)
+    return np.floor((normal_steps(np.zeros(1)) - steps) / 8 + 0.5).clip(0, NORMAL_GRIDS - 1).astype(np.uint8)
+
+
+def _coded(direction: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Octahedral codes (c, CHUNK, 2) int64, and these unfolded."""
+    shape, steps = direction.shape[:2], normal_steps(grid)
+    code = encode_normals(direction.reshape(-1, 3), np.repeat(steps, shape[1]))
+    normal = code.reshape(*shape, 2).astype(np.int64)
+    return normal, _unfolded(normal, steps)
+
+
+def _points(code: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """On the octahedron (..., 3), where two codes on an edge of the map may be one."""
-    return octahedron_of(code.reshape(-1, 2)).reshape(*code.shape[:-1], 3)
+    each = np.broadcast_to(steps, code.shape[:-1]).ravel()
+    return octahedron_of(code.reshape(-1, 2), each).reshape(*code.shape[:-1], 3)
 
 
 def _least_squares(design: np.ndarray, wanted: np.ndarray) -> np.ndarray:
@@ -80,20 +108,23 @@ def _least_squares(design: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return np.linalg.solve(normal, np.einsum("cmp,cmq->cpq", design, wanted))
 
 
-def _unfolded(normal: np.ndarray) -> np.ndarray:
+def _unfolded(normal: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Octahedral codes (c, CHUNK, 2) as they lie next to that of the chunk's mean normal, beyond the map's edges where
     that is nearer."""
-    mean = decode_normals(normal.reshape(-1, 2)).reshape(*normal.shape[:2], 3).sum(axis=1)
+    point, end = _points(normal, steps[:, None]), 2 * steps[:, None]
+    mean = decode_normals(point.reshape(-1, 3)).reshape(point.shape).sum(axis=1)
     mean[np.linalg.norm(mean, axis=1) < 1e-6] = (0, 0, 1)
-    middle = encode_normals(mean / np.linalg.norm(mean, axis=1, keepdims=True)).astype(np.int64)[:, None]
-    best, off, point = normal, np.abs(normal - middle).sum(axis=2), _points(normal)
-    a, b, end = normal[..., 0], normal[..., 1], 2 * STEPS
+    middle = encode_normals(mean / np.linalg.norm(mean, axis=1, keepdims=True), steps).astype(np.int64)[:, None]
+    best, off = normal, np.abs(normal - middle).sum(axis=2)
+    a, b = normal[..., 0], normal[..., 1]
     for s in (-end, end):
         for other in ((s - a, -b), (-a, s - b), (s + a, end + b), (s + a, b - end)):
             place = np.stack(other, axis=2)
             distance = np.abs(place - middle).sum(axis=2)
             nearer = (
-                (np.abs(place).max(axis=2) <= end) & (distance < off) & (_points(wrapped(place)) == point).all(axis=2)
+                (np.abs(place).max(axis=2) <= end)
+                & (distance < off)
+                & (_points(wrapped(place, steps[:, None]), steps[:, None]) == point).all(axis=2)
             )
             best, off = np.where(nearer[..., None], place, best), np.where(nearer, distance, off)
     return best

@@ -53,7 +53,7 @@ class Sampled:
         """That of the source, as far as others than the progress read it."""
         if arrays.exists(self.source, "position"):
             return Points
-        return SplatsMade if arrays.exists(self.source, "normal_code") else Counted
+        return SplatsMade if arrays.exists(self.source, "camera") else Counted
 
 
 def chosen_rows(n: int, n_wanted: int) -> np.ndarray:

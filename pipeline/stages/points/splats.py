@@ -40,8 +40,8 @@ class SplatsBlock:
 @dataclass(frozen=True)
 class Splats:
     """A task a block. Arrays by splat: position_code (n,) uint32, normal_code (n, 2) int8, camera (n,) uint16, color
-    (n, 3) uint8; by chunk: box_low, box_size (c, 3) float32, box_bits (c, 3) uint8; of quadrics in the place of codes
-    and boxes number (n,) uint64 and storage.packed.schema.FRAMES, of runs centre (n, 3) float32; with sizes size_code
+    (n, 3) uint8; by chunk: box_low, box_size (c, 3) float32, box_bits (c, 3) uint8; of quadrics in the place of these
+    number (n,) uint64, normal_point (n, 3) int16 and storage.packed.schema.FRAMES, of runs centre (n, 3) float32; with sizes size_code
     (n,) and size_scale (c, 2) uint8."""
 
     ingest: Path
@@ -53,14 +53,14 @@ class Splats:
     ellipsoids: Path | None = None  # has_ellipsoid, centre and axes: these lie and look as their ellipsoids do
     sizes: Path | None = None  # size_code and size_scale: each splat has a radius of its own
     of_runs: bool = False  # the points are decoded cells of runs, in the place that they have in the file
-    quadric_error: float | None = None  # mean one of positions over quadrics, in radii; None: in boxes
+    quadric_error: tuple[float, float] | None = None  # mean ones over quadrics, radii and degrees; None: in boxes
     name = "splats"
 
     def init(self, folder: Path) -> int:
         n = work.summary(self.partition, Points).n_splats
         for name, shape, dtype in (
             ("centre", (n, 3), "float32") if self.of_runs else self._coded(n),
-            ("normal_code", (n, 2), "int8"),
+            self._normals(n),
             ("camera", (n,), "uint16"),
             ("color", (n, 3), "uint8"),
         ):
@@ -77,6 +77,9 @@ class Splats:
 
     def _coded(self, n: int) -> tuple[str, tuple[int, ...], str]:
         return ("position_code", (n,), "uint32") if self.quadric_error is None else ("number", (n,), "uint64")
+
+    def _normals(self, n: int) -> tuple[str, tuple[int, ...], str]:
+        return ("normal_code", (n, 2), "int8") if self.quadric_error is None else ("normal_point", (n, 3), "int16")
 
     def run(self, folder: Path, index: int) -> SplatsBlock:
         scan, points = work.summary(self.ingest, ScanRead), work.summary(self.partition, Points)
@@ -102,9 +105,8 @@ class Splats:
                 arrays.write(folder, name, start, rows.astype(arrays.layout_of(folder, name).dtype))
         else:
             normal = turned_to(normal, towards)
-            normal_code = encode_normals(normal)
-            centre, bits = self._write_geometry(folder, start, stop, position, normal_code)
-            for name, rows in (("normal_code", normal_code), ("camera", camera), ("color", color)):
+            centre, normal_code, bits = self._write_geometry(folder, start, stop, position, normal)
+            for name, rows in (("camera", camera), ("color", color)):
                 arrays.write(folder, name, start, rows)
         if self.sizes:
             self._write_sizes(folder, start, stop)
@@ -134,26 +136,27 @@ class Splats:
         )
 
     def _write_geometry(
-        self, folder: Path, start: int, stop: int, position: np.ndarray, normal_code: np.ndarray
-    ) -> tuple[np.ndarray, int]:
-        """Code positions, and normals with them where that is the form. Returns the positions (n, 3) as they will be
-        decoded, and the bits of all numbers of quadrics before they are sorted."""
+        self, folder: Path, start: int, stop: int, position: np.ndarray, normal: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, int]:
+        """Code positions (n, 3) and unit normals (n, 3). Returns them as they will be decoded, normals as codes or
+        points, and the bits of all numbers of quadrics before they are sorted."""
         if self.quadric_error is not None:
-            number, frames = encode_quadrics(
-                position, normal_code, asked_steps(self._radii(start, stop), self.quadric_error)
-            )
+            error, normal_error = self.quadric_error
+            asked = asked_steps(self._radii(start, stop), error)
+            number, frames = encode_quadrics(position, normal, asked, normal_error)
             coded, of_chunks = ("number", number), arrays_of_frames(frames)
-            decoded = decode_quadrics(number, frames)[0]
+            decoded, normal_code = decode_quadrics(number, frames)
             bits = int(frames.bits[np.arange(stop - start) // CHUNK].sum())
         else:
             boxes = fit_boxes(position)
             coded = "position_code", encode_positions(position, boxes)
             of_chunks = dict(zip(BOX_ARRAYS, (boxes.low, boxes.size, boxes.bits)))
-            decoded, bits = decode_positions(coded[1], boxes), 0
+            decoded, normal_code, bits = decode_positions(coded[1], boxes), encode_normals(normal), 0
         arrays.write(folder, coded[0], start, coded[1])
+        arrays.write(folder, self._normals(0)[0], start, normal_code)
         for name, rows in of_chunks.items():
             arrays.write(folder, name, start // CHUNK, rows)
-        return decoded, bits
+        return decoded, normal_code, bits
 
     def _write_sizes(self, folder: Path, start: int, stop: int) -> None:
         arrays.write(folder, "size_code", start, arrays.read(self.sizes, "size_code", start, stop))

@@ -14,7 +14,7 @@ from pipeline.geometry.normals import decode_normals
 from pipeline.splats.decoded import scene_bounds, scene_normal_codes, scene_radii
 from storage.packed.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.packed.packed import PackedScene
-from storage.packed.schema import GROUP, color_bits
+from storage.packed.schema import GROUP, LEAST_NUMBER_BITS, color_bits
 
 ROUNDING = 1e-5  # of a cone's cosine: so much wider, or float32 might narrow it
 
@@ -42,16 +42,18 @@ def box_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def _frame_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """Origin; turn and bits; step and steps of normals; curve and high parts of cells; low parts of cells and the scale
+    """Origin; turn, bits of numbers and the map of normals; step and steps of normals; curve and high parts of cells; low parts of cells and the scale
     of sizes; slopes; where normals begin and the first word."""
     cells, step = arrays["frame_cells"].astype(np.uint32) - 1, arrays["frame_step"].astype(np.uint32)
     low, many = (arrays["normal_low"] + 256).astype(np.uint32), arrays["normal_cells"].astype(np.uint32)
+    bits = arrays["frame_bits"].astype(np.uint32) - LEAST_NUMBER_BITS
+    grid = arrays["normal_grid"].astype(np.uint32)
     in_group = arrays["splat_word"] - np.repeat(arrays["splat_word"][::CHUNKS_PER_GROUP], CHUNKS_PER_GROUP)[: len(low)]
     return np.column_stack(
         [
             arrays["frame_origin"].view(np.uint32),
-            _bytes_word(arrays["frame_turn"], arrays["frame_bits"]),
-            step | many[:, 0] << 16 | many[:, 1] << 24,
+            _bytes_word(arrays["frame_turn"], bits | (grid & 7) << 5),
+            step | grid >> 3 << 15 | many[:, 0] << 16 | many[:, 1] << 24,
             _bytes_word(arrays["frame_curve"], cells[:, 0] >> 8 | cells[:, 1] >> 8 << 4),
             cells[:, 0] & 0xFF | (cells[:, 1] & 0xFF) << 8,
             np.ascontiguousarray(arrays["normal_slope"]).view(np.uint32)[:, 0],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pipeline.effects.plan.plan import Row
-from pipeline.geometry.quadrics.codes import ERROR
+from pipeline.geometry.quadrics.codes import ERROR, NORMAL_ERROR
 from pipeline.summaries import SplatsMade
 from services.flow.points.runs import AUTO, BOX_BITS, GeometryRequest
 from storage.packed.schema import CHUNK, QUADRICS
@@ -11,11 +11,11 @@ from storage.packed.schema import CHUNK, QUADRICS
 FRAME_BITS = 9 * 32 / CHUNK  # a splat, of its chunk's frame on a graphics card
 
 
-def quadric_error(asked: GeometryRequest) -> float | None:
-    """The mean error of positions over quadrics, in radii; None where boxes are meant."""
-    if asked.form == QUADRICS:
-        return asked.error or ERROR
-    return asked.error if asked.form == AUTO else None
+def quadric_error(asked: GeometryRequest) -> tuple[float, float] | None:
+    """The mean errors over quadrics, of positions in radii and of normals in degrees; None where boxes are meant."""
+    if asked.form == QUADRICS or (asked.form == AUTO and asked.error):
+        return asked.error or ERROR, asked.normal_error or NORMAL_ERROR
+    return None
 
 
 def quadrics_row(asked: GeometryRequest, made: SplatsMade) -> Row:

@@ -33,6 +33,7 @@ class GeometryRequest:
     cell: float | None = None
     run_length: int = Settings().run_length
     error: float | None = None  # mean one of positions over quadrics, in radii
+    normal_error: float | None = None  # the same of normals, in degrees
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,8 @@ class RunGeometry:
 
 def geometry_request(settings: Settings) -> GeometryRequest:
     """What settings say of it."""
-    return GeometryRequest(settings.geometry, settings.cell, settings.run_length, settings.geometry_error)
+    s = settings
+    return GeometryRequest(s.geometry, s.cell, s.run_length, s.geometry_error, s.normal_error)
 
 
 def grid_for(run: Run, asked: GeometryRequest, ingest: ScanRead, points: Path, splats: Path) -> StageRecord[GridFound]:

@@ -3,7 +3,7 @@
 
 import { CHUNK } from "./packed.js";
 
-export const FRAMES = ["frame_origin", "frame_turn", "frame_step", "frame_cells", "frame_curve", "frame_bits", "normal_low", "normal_cells", "normal_slope"];
+export const FRAMES = ["frame_origin", "frame_turn", "frame_step", "frame_cells", "frame_curve", "frame_bits", "normal_low", "normal_cells", "normal_slope", "normal_grid"];
 export const FRAME_WORDS = 9;
 const LEAST_BITS = 16, TURN_W = 117;
 
@@ -33,8 +33,9 @@ export function putFrame(words, at, chunk, arrays, first) {
   const turn = of("frame_turn", 3), curve = of("frame_curve", 3), [u, v] = of("frame_cells", 2).map((n) => n - 1), many = of("normal_cells", 2);
   const low = of("normal_low", 2), slope = of("normal_slope", 4);
   new Float32Array(words.buffer).set(of("frame_origin", 3), at);
-  words[at + 3] = bytesWord(...turn, arrays.frame_bits[chunk]);
-  words[at + 4] = arrays.frame_step[chunk] | (many[0] << 16) | (many[1] << 24);
+  const grid = arrays.normal_grid[chunk];
+  words[at + 3] = bytesWord(...turn, (arrays.frame_bits[chunk] - LEAST_BITS) | ((grid & 7) << 5));
+  words[at + 4] = arrays.frame_step[chunk] | ((grid >> 3) << 15) | (many[0] << 16) | (many[1] << 24);
   words[at + 5] = bytesWord(...curve, (u >> 8) | ((v >> 8) << 4));
   words[at + 6] = (u & 0xff) | ((v & 0xff) << 8);
   words[at + 7] = bytesWord(...slope);

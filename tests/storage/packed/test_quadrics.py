@@ -48,6 +48,7 @@ WRONG = {
     "an infinite step": ("frame_step", 0x7F80, "."),
     "a negative step": ("frame_step", 0xBF80, "frame_step"),
     "normals beyond both edges": ("normal_low", 255, "normal_low"),
+    "a map of normals too coarse": ("normal_grid", 16, "normal_grid"),
     "a turn of -128": ("frame_turn", -128, "-128"),
     "an origin that is not finite": ("frame_origin", np.inf, "."),
     "a vector without ones": ("splats", 0, "bit vector"),

@@ -20,15 +20,15 @@ layout(std430, binding = 15) buffer Found { ivec4 found[]; };
 void main() {
     uint splat = gl_GlobalInvocationID.x;
     if (splat >= scene.n_splats) return;
-    ivec2 normal;
+    ivec3 normal;
     uint cell = read_splat(splat, normal);
-    found[splat] = ivec4(normal, int(cell), 0);
+    found[splat] = ivec4(normal, int(cell));
 }
 """
 
 
 def read_by_shader(context, scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
-    """Octahedral normals (n, 2) and cells (n,) of all splats."""
+    """Normals (n, 3) and cells (n,) of all splats."""
     n = scene.header.n_splats
     gpu_scene = GpuScene(scene, context)
     with context:
@@ -43,7 +43,7 @@ def read_by_shader(context, scene: PackedScene) -> tuple[np.ndarray, np.ndarray]
         for resource in (shader, buffer):
             resource.release()
     gpu_scene.release()
-    return found[:, :2], found[:, 2].view(np.uint32)
+    return found[:, :3], found[:, 3].view(np.uint32)
 
 
 @pytest.mark.parametrize(
