@@ -91,9 +91,7 @@ class Block:
     @cached_property
     def frame(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Tangent u, tangent v and normal, (n, 3) float64 each, as the renderer decodes them."""
-        return tangent_frames(
-            decoded_normals(self.sources.splats, *self.rows), self.sources.up, self.sources.ahead
-        )
+        return tangent_frames(decoded_normals(self.sources.splats, *self.rows), self.sources.up, self.sources.ahead)
 
     @cached_property
     def camera(self) -> np.ndarray:  # (n,) uint16, NO_CAMERA where there is none

@@ -202,7 +202,9 @@ def splats_from(
     return replace(made, runs=runs, geometry=(row,))
 
 
-def _over_quadrics_or_in_boxes(asked: GeometryRequest, splats_with: Callable[[tuple[float, float] | None], Prepared]) -> Prepared:
+def _over_quadrics_or_in_boxes(
+    asked: GeometryRequest, splats_with: Callable[[tuple[float, float] | None], Prepared]
+) -> Prepared:
     """Whichever is asked for, or fewer bits at the asked error."""
     made = splats_with(error := quadric_error(asked))
     if error is None:
