@@ -206,6 +206,8 @@ def _estimate_lines(found: EstimateDocument) -> str:
         if (figure := getattr(found, name))
     ]
     lines.append(f"{'Bytes a splat':<24} {found.bytes_per_splat:>14.2f}")
+    if found.sizes.dictionary_bytes and not {"ksvd-update"} & {stage.name for stage in found.stages}:
+        lines.append("atoms ship with the program: no time of learning, and none in the file")
     return "\n".join(
         [
             *lines,
