@@ -1,6 +1,6 @@
 """Makes the dictionary that ships with the program, of free photographs and procedural pictures, none of a scan.
 
-    python -m benchmarks.shipped_dictionary [--atoms 512] [--patches 60000] [--passes 16] [--out FOLDER]
+    python -m benchmarks.shipped_dictionary [--atoms 512] [--patches 150000] [--passes 16] [--out FOLDER]
 
 Eight photographs that scikit-image brings, CC0 or in the public domain (docs/DICTIONARY.md names their authors), are
 three quarters of the patches, four pictures of dead leaves (Lee, Mumford, Huang 2001) the others. A patch is a square
@@ -144,7 +144,7 @@ def quantised(atoms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--atoms", type=int, default=512)
-    parser.add_argument("--patches", type=int, default=60_000)
+    parser.add_argument("--patches", type=int, default=150_000)
     parser.add_argument("--passes", type=int, default=16)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=FOLDER)
