@@ -14,6 +14,14 @@ import numpy as np
 from pipeline.coding.grid import SYMMETRIES, AtomForm
 from pipeline.execution.stage import StageRecord
 from pipeline.numerics.accuracy import psnr_db, squared_error_at
+from pipeline.planning.dictionary_size import (
+    FEWEST_INDEX_BITS,
+    PATCHES_AN_ATOM,
+    affordable_size,
+    bits_for_codes,
+    codes_bytes_a_splat,
+    index_bits,
+)
 from pipeline.planning.settings import Settings
 from pipeline.stages.texture.colors import Colors
 from pipeline.stages.texture.dictionary import DictionarySeed, KsvdUpdate
@@ -30,27 +38,14 @@ from storage.packed.dictionaries.shipped import ATOM_SIZE
 from storage.packed.schema import ATOM_SIZES, PATCH_SIZE
 
 SHIPPED_FORM = AtomForm(ATOM_SIZE, SYMMETRIES)  # of atoms that ship with the program
-PATCHES_AN_ATOM = 4  # a dictionary that a scan can fill: fewer training patches an atom would only be stored
 # Squared error of a scan at its target that atoms of a size may leave, whatever their number: 6 dB below it. 8 texels
 # are then taken for fountain_p11 (51 dB), 16 for monstree (41 and 51 dB), each the better one there at the bytes of its
 # target.
 BEYOND_ATOMS = 0.25
-# `auto`: with 256 atoms for 512 `balanced` of fountain_p11 has 40.53 dB for 40.54 at 10.92 bytes a splat for 11.06, of
-# the demo's stereo pair at full density 41.72 for 41.72 in 2.61 MB for 2.66.
-DICTIONARY_BYTES_A_SPLAT = 0.25
 # 255ths that cells of average colours may span at 40 dB, and in proportion to the error elsewhere: at 1.4, 2, 3 and 4
 # `balanced` of fountain_p11 has 40.47, 40.48, 40.46 and 40.40 dB at 6.00, 5.91, 5.91 and 5.94 bytes of textures. Beyond
 # the last, flat walls show them.
 COLOR_STEP_AT_40_DB, MOST_COLOR_STEP = 2.0, 3.2
-# Of atoms of station maps, which are as small as their texels: atoms of conference_room (a tenth, `balanced`) are 0.62 dB
-# below patches that are not coded in a picture from near the station with half a byte (659 kB), 0.35 with 1.5 (758 kB).
-MAP_DICTIONARY_BYTES_A_SPLAT = 1.5
-FEWEST_INDEX_BITS, MOST_INDEX_BITS = 8, 12
-# Bytes a splat that the fewest atoms of a size may take with their mip levels, 8x8 excepted. Thinned, `balanced`, bytes
-# of the file a splat: fountain_p11 of 2,014 splats with 32x32, 16x16, 8x8 texels 90.2, 46.5, 36.7 at 27.34, 27.30,
-# 26.73 dB; of 5,000 45.8, 28.8, 23.1 at 28.73, 28.71, 28.07; of 19,997 22.9, 18.9, 17.2 at 31.92, 31.90, 31.48;
-# monstree of 5,015 47.4, 31.1, 26.2 at 24.03, 24.02, 23.91.
-MOST_BYTES_OF_FEWEST = 2.0
 
 
 @dataclass(frozen=True)
@@ -112,7 +107,8 @@ def code_patches(
         quantised, n_taken_back = run.do(quantising), 0
     else:
         bits = index_bits(settings, form, n_of_all, map_texels is not None)
-        learned, learning = _learn(run, training, space, settings, stop, form, bits)
+        counted = n_of_all if form is not None and map_texels is None and settings.dictionary_bits == "auto" else None
+        learned, learning = _learn(run, training, space, settings, stop, form, bits, counted)
         quantised, quantising, n_taken_back = _quantise_best(run, space, learned, settings, stop, form)
     n_taken_back += sum(not row.accepted for row in learning)
     multiplier = 0.0
@@ -151,28 +147,6 @@ def _form(training: Training, settings: Settings, tolerance: float, most_texels:
     if settings.atom_size != "auto":
         return AtomForm(int(settings.atom_size), SYMMETRIES)
     return AtomForm(min(*fine, most_texels, affordable_size(n_splats)), SYMMETRIES)
-
-
-def affordable_size(n_splats: int) -> int:
-    """The most texels to a side of which a scan of so many splats pays for the fewest atoms.
-
-    >>> [affordable_size(n) for n in (2_000, 20_000, 330_000)]
-    [8, 16, 32]
-    """
-    fewest = 2**FEWEST_INDEX_BITS // SYMMETRIES
-    paid = [size for size in ATOM_SIZES if 4 * size**2 * fewest <= MOST_BYTES_OF_FEWEST * n_splats]
-    return max([*paid, min(ATOM_SIZES)])
-
-
-def index_bits(settings: Settings, form: AtomForm | None, n_splats: int, of_maps: bool = False) -> int:
-    """Bits of an index: those asked for, or as many as the scan pays for; `of_maps` of stations, not photographs."""
-    if settings.dictionary_bits != "auto":
-        return int(settings.dictionary_bits)
-    if form is None:
-        return FEWEST_INDEX_BITS
-    paid = MAP_DICTIONARY_BYTES_A_SPLAT if of_maps else DICTIONARY_BYTES_A_SPLAT
-    affordable = n_splats * paid / (4 * form.size**2) * form.n_turns
-    return int(np.clip(np.log2(max(1.0, affordable)), FEWEST_INDEX_BITS, MOST_INDEX_BITS))
 
 
 def encode(
@@ -215,20 +189,31 @@ def _learn(
     stop: Stop,
     form: AtomForm | None,
     bits: int,
+    n_splats: int | None,
 ) -> tuple[StageRecord[Updated], tuple[LearningPass, ...]]:
     """The last iteration, and the learning curve as estimates for the whole scan: of the best dictionary so far.
 
-    Ends early where an iteration gains less than `least_gain_db`.
+    Ends early where an iteration gains less than `least_gain_db`. Of `n_splats` there are fewer atoms than `bits` name
+    where the codes that the first iteration counts do not pay for them.
     """
     seconds = 0.0  # of the passes as they were made, now or by an earlier run
     of_turns = form or AtomForm()
-    n_atoms = max(1, min(2**bits // of_turns.n_turns, space.summary.n_patches // PATCHES_AN_ATOM))
-    learned = run.do(DictionarySeed(space.folder, n_atoms, settings.seed, of_turns)).folder
+
+    def updated(previous: Path, iteration: int) -> StageRecord[Updated]:
+        stops = settings.max_atoms, stop.tolerance, iteration, stop.multiplier, of_turns
+        return run.do(KsvdUpdate(space.folder, previous, *stops))
+
+    def seeded(bits: int) -> Path:
+        n_atoms = max(1, min(2**bits // of_turns.n_turns, space.summary.n_patches // PATCHES_AN_ATOM))
+        return run.do(DictionarySeed(space.folder, n_atoms, settings.seed, of_turns)).folder
+
+    learned = seeded(bits)
+    if n_splats and bits > FEWEST_INDEX_BITS:
+        codes = codes_bytes_a_splat(bits + settings.weight_bits, training.summary, updated(learned, 0).summary)
+        learned = seeded(bits_for_codes(form, bits, n_splats, codes))
     curve: list[LearningPass] = []
     for iteration in range(settings.iterations):
-        record = run.do(
-            KsvdUpdate(space.folder, learned, settings.max_atoms, stop.tolerance, iteration, stop.multiplier, of_turns)
-        )
+        record = updated(learned, iteration)
         seconds += record.made_seconds
         learned, found = record.folder, record.summary
         curve.append(

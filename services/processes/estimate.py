@@ -20,6 +20,7 @@ import numpy as np
 from pipeline.coding.grid import SYMMETRIES, AtomForm
 from pipeline.execution.stage import Executor, Progress, Stage, StageRecord
 from pipeline.numerics.accuracy import squared_error_at
+from pipeline.planning.dictionary_size import PATCHES_AN_ATOM, index_bits
 from pipeline.planning.settings import Settings
 from pipeline.stages.points.sampled import Sampled, chosen_rows
 from pipeline.stages.texture.contrast_octaves import shares
@@ -41,7 +42,7 @@ from services.flow.maps import Mapped
 from services.flow.pack import pack
 from services.flow.prepare import Prepared, wants_texture
 from services.flow.run import Run
-from services.flow.textures import PATCHES_AN_ATOM, Coded, index_bits
+from services.flow.textures import Coded
 from services.processes.estimate_gaps import Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
 from services.processes.estimate_pages import PagesEstimated, estimate_pages
 from storage.errors import ResourceExhausted
@@ -286,7 +287,8 @@ def _learning(pilot: _Pilot, settings: Settings) -> dict:
     of_maps = pilot.coded.patches.summary.map_texels is not None
     most = 2 ** index_bits(settings, form, pilot.n_splats, of_maps) // found.n_turns
     n_atoms = max(1, min(most, int(n_patches) // PATCHES_AN_ATOM))
-    n_atoms = pilot.coded.n_dictionary if pilot.coded.shipped else n_atoms
+    if pilot.coded.shipped or pilot.coded.n_dictionary < min(most, training.n_patches // PATCHES_AN_ATOM):
+        n_atoms = pilot.coded.n_dictionary  # its codes pay for no more, nor will the job's
     return {
         "n_wanted": settings.training_splats,
         "n_active": int(n_active),

@@ -10,9 +10,10 @@ from pipeline.costs.costs import TASKS, known_costs, known_dispatch, known_probe
 from pipeline.costs.job import Dispatch, Job, StageCost, StagePlan
 from pipeline.costs.limits import first_limit
 from pipeline.effects.shipped_dictionary import takes_shipped
+from pipeline.planning.dictionary_size import index_bits
 from pipeline.planning.settings import Settings
 from renderer.report.report_words import duration, size
-from services.flow.textures import SHIPPED_FORM, index_bits
+from services.flow.textures import SHIPPED_FORM
 from storage.packed.dictionaries.shipped import N_ATOMS
 from storage.packed.schema import ATOM_SIZES, PATCH_SIZE
 

@@ -6,8 +6,8 @@ import pytest
 from pipeline.effects.plan.request import parse_request
 from pipeline.effects.shipped_dictionary import own_bytes_a_splat
 from pipeline.execution.executors import SerialExecutor
+from pipeline.planning.dictionary_size import affordable_size
 from pipeline.planning.settings import settings_for
-from services.flow.textures import affordable_size
 from services.processes.compress import compress
 from storage.packed.dictionaries.shipped import ATOM_BYTES, N_ATOMS, NEWEST
 from storage.packed.packed import PackedFile
@@ -95,7 +95,7 @@ def test_coders__few_splats_take_the_atoms_that_ship_and_learn_none(made):
     row = next(row for row in report["effects"] if row["effect"] == "shipped_dictionary")
     assert row["enabled"] and row["measure"] == own_bytes_a_splat(report["splats"]) >= row["threshold"]
     assert report["sizes"]["shipped_bytes"] >= N_ATOMS * ATOM_BYTES and own["sizes"]["shipped_bytes"] == 0
-    assert report["quality"]["texture_psnr_db"] > own["quality"]["texture_psnr_db"] - 0.1
+    assert report["quality"]["texture_psnr_db"] > 32.9, "what was asked for"
     assert report["sizes"]["file_bytes"] < own["sizes"]["file_bytes"]
 
 
