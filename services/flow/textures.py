@@ -207,13 +207,15 @@ def _learn(
         n_atoms = max(1, min(2**bits // of_turns.n_turns, space.summary.n_patches // PATCHES_AN_ATOM))
         return run.do(DictionarySeed(space.folder, n_atoms, settings.seed, of_turns)).folder
 
-    learned = seeded(bits)
+    learned, first = seeded(bits), None
     if n_splats and bits > FEWEST_INDEX_BITS:
-        codes = codes_bytes_a_splat(bits + settings.weight_bits, training.summary, updated(learned, 0).summary)
-        learned = seeded(bits_for_codes(form, bits, n_splats, codes))
+        first = updated(learned, 0)
+        codes = codes_bytes_a_splat(bits + settings.weight_bits, training.summary, first.summary)
+        if (fewer := bits_for_codes(form, bits, n_splats, codes)) < bits:
+            learned, first = seeded(fewer), None
     curve: list[LearningPass] = []
     for iteration in range(settings.iterations):
-        record = updated(learned, iteration)
+        record = first if first and iteration == 0 else updated(learned, iteration)
         seconds += record.made_seconds
         learned, found = record.folder, record.summary
         curve.append(
