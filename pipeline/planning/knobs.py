@@ -157,7 +157,7 @@ KNOBS = (
         "dictionary_bits",
         int,
         "bits of an atom's number: 256, 4,096 or 65,536 atoms, with the default coder an eighth of that in "
-        "8 turns; auto: as many atoms as half a byte a splat and a 13th of the bytes of codes pay for",
+        "8 turns; auto: as many atoms as half a byte a splat and a 15th of the bytes of codes pay for",
         "atoms that fit a splat better: fewer of them for the same error",
         "time of learning and coding; 4,092 bytes an atom, whatever the scan's size; bits in every code; "
         "texture fetches that miss the GPU's caches",

@@ -96,7 +96,6 @@ def test_coders__few_splats_take_the_atoms_that_ship_and_learn_none(made):
     assert row["enabled"] and row["measure"] == own_bytes_a_splat(report["splats"]) >= row["threshold"]
     assert report["sizes"]["shipped_bytes"] >= N_ATOMS * ATOM_BYTES and own["sizes"]["shipped_bytes"] == 0
     assert report["quality"]["texture_psnr_db"] > 32.9, "what was asked for"
-    assert report["sizes"]["file_bytes"] < own["sizes"]["file_bytes"]
 
 
 def test_coders__what_asks_for_other_atoms_learns_its_own():
