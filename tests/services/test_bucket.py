@@ -11,7 +11,7 @@ from tests.services.bucket import BUCKET, bucket_environment, s3_server, stumbli
 from tests.services.scans import packed_by_compress, photo_scan
 from tests.services.service_process import service, until
 
-OPTIONS = {"target_psnr_db": 32.0, "training_splats": 1000, "iterations": 3}
+OPTIONS = {"dictionary": "own", "target_psnr_db": 32.0, "training_splats": 1000, "iterations": 3}
 CACHE_BYTES = 8 << 20  # of each process; the patches of 2,304 splats alone are 7 MB
 
 

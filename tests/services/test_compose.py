@@ -18,7 +18,7 @@ from tests.services.composed import COMPOSE, OURS, composed_in
 from tests.services.scans import packed_by_compress, photo_scan
 from tests.services.service_process import ROOT, until
 
-OPTIONS = {"target_psnr_db": 32.0, "training_splats": 2000, "iterations": 40, "least_gain_db": 0.0}
+OPTIONS = {"dictionary": "own", "target_psnr_db": 32.0, "training_splats": 2000, "iterations": 40, "least_gain_db": 0.0}
 
 
 def test_compose__only_the_api_is_published_and_every_service_has_a_health_check_and_restarts():

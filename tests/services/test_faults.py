@@ -16,7 +16,7 @@ import pytest
 from tests.services.scans import packed_by_compress, photo_scan
 from tests.services.service_process import ROOT, free_port, service, until
 
-OPTIONS = {"target_psnr_db": 32.0, "training_splats": 2000, "iterations": 2}
+OPTIONS = {"dictionary": "own", "target_psnr_db": 32.0, "training_splats": 2000, "iterations": 2}
 DISK_BYTES = 96 << 20
 
 

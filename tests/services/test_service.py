@@ -23,7 +23,7 @@ from tests.services.chromium import Page, chromium_path
 from tests.services.scans import packed_by_compress, photo_scan
 from tests.services.service_process import service, until
 
-OPTIONS = {"target_psnr_db": 32.0, "training_splats": 2000, "iterations": 2, "effects": "pages=on"}
+OPTIONS = {"dictionary": "own", "target_psnr_db": 32.0, "training_splats": 2000, "iterations": 2, "effects": "pages=on"}
 LONG = {**OPTIONS, "iterations": 400}
 
 
@@ -337,6 +337,7 @@ def test_service__the_page_uploads_runs_and_shows_a_job(served, scan, tmp_path):
         page.look(
             "document.getElementById('preset').value = 'draft'; document.querySelector('[name=iterations]').value = 3"
         )
+        page.look("document.querySelector('[name=dictionary]').value = 'own'")
         page.look("document.getElementById('start').click()")
         page.until("/%/.test(document.getElementById('job-live').textContent)")
         page.until("/ksvd-update/.test(document.getElementById('log').textContent)")

@@ -21,7 +21,7 @@ from tests.services.scans import packed_by_compress, photo_scan, point_scan
 from tests.services.service_process import service
 from tests.services.store.test_migrate import postgres, url  # noqa: F401 (fixtures)
 
-OPTIONS = {"target_psnr_db": 32.0, "training_splats": 2000}
+OPTIONS = {"dictionary": "own", "target_psnr_db": 32.0, "training_splats": 2000}
 LONG = {**OPTIONS, "iterations": 60, "least_gain_db": 0.0}
 
 
