@@ -14,19 +14,21 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from storage.packed.archive.coder import EVEN, WRITING, begin, end
+from storage.packed.archive.coder import WRITING, begin, end
 from storage.packed.archive.columns import axis_of_heights, chunks_of, form_of, kinds_of, splats_of
+from storage.packed.archive.mixing import SIGNED_SETS, fresh_models
 from storage.packed.archive.splats import (
     BATCH,
     N_BATCHES,
     N_CAMERAS,
     N_COLORS,
+    N_SETS,
     N_STATIONS,
     SIZE_BITS,
     code_splats,
     models_of,
 )
-from storage.packed.archive.tables import bytes_of, code_tables, columns_of, tables_in
+from storage.packed.archive.tables import MODELS_A_COLUMN, code_tables, columns_of, numbers_of, tables_in
 from storage.packed.archive.transcode import archive_packed
 from storage.packed.packed import PackedFile
 from storage.packed.schema import BOXES, Header
@@ -47,13 +49,12 @@ def forms_of(header: Header) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def part_bits(packed: PackedFile) -> tuple[np.ndarray, dict[str, float]]:
-    """Bits a splat of PARTS, models learning from group to group, and of tables of chunks by their first words."""
+    """Bits a splat of PARTS, models learning from group to group, and of tables of chunks."""
     groups = [packed.group(index) for index in range(0, packed.header.n_groups, STRIDE)]
     n = sum(group.header.n_splats for group in groups)
     sums = np.zeros(len(PARTS))
     for part, (form, kinds) in enumerate(forms_of(packed.header)):
-        models = np.zeros((2, int(models_of(form)[-1])), np.int64)
-        models[0] = EVEN
+        models = fresh_models(int(models_of(form)[-1]), N_SETS)
         for group in groups:
             axis = axis_of_heights(group) if group.header.geometry == BOXES else np.zeros(group.header.n_chunks, int)
             chunks, steps = chunks_of(group.header, group.arrays, axis)
@@ -62,27 +63,41 @@ def part_bits(packed: PackedFile) -> tuple[np.ndarray, dict[str, float]]:
             out = np.empty(1 << 16 | 1024 * len(order), np.uint8)
             state = begin(WRITING, out)
             code_splats(
-                state, out, models, models_of(form), form, chunks, steps, kinds, s.fields, s.first, s.entries, order
+                state,
+                out,
+                *models.pair,
+                models_of(form),
+                form,
+                chunks,
+                steps,
+                kinds,
+                s.fields,
+                s.first,
+                s.entries,
+                order,
             )
             sums[part] += 8 * end(state, out)
     return np.diff(sums / n, prepend=0), _table_bits(packed.header, groups, n)
 
 
 def _table_bits(header: Header, groups: list, n: int) -> dict[str, float]:
-    modelled, found, at = columns_of(header), {}, 0
-    for array in tables_in(header):
-        width = int(np.prod([int(dim) for dim in array.dims[1:]])) * np.dtype(array.dtype).itemsize
-        models = np.zeros((2, width << 8), np.int64)
-        models[0] = EVEN
+    """Of frames or boxes, and of all other tables of chunks: the columns of each alone."""
+    columns, found = columns_of(header), {}
+    names = [array.name for array in tables_in(header) for _ in range(int(array.dims[1]) if len(array.dims) > 1 else 1)]
+    of_geometry = np.array([name.startswith(("box_", "frame_", "normal_")) for name in names])
+    for part, chosen in (("geometry", of_geometry), ("others", ~of_geometry)):
+        some = columns[chosen].copy()
+        if not len(some):
+            continue
+        models = fresh_models(MODELS_A_COLUMN * len(some), SIGNED_SETS * len(some))
         total = 0
         for group in groups:
             out = np.empty(1 << 20, np.uint8)
             state = begin(WRITING, out)
-            rows = np.ascontiguousarray(bytes_of(group.header, group.arrays)[:, at : at + width])
-            code_tables(state, out, models, 0, modelled[at : at + width].copy(), rows)
+            rows = numbers_of(group.header, group.arrays)[:, np.append(chosen, True)]
+            code_tables(state, out, *models.pair, 0, 0, some, np.ascontiguousarray(rows))
             total += end(state, out)
-        found[array.name] = 8 * total / n
-        at += width
+        found[part] = 8 * total / n
     return found
 
 
@@ -106,8 +121,8 @@ def main() -> None:
             print(f"  loaded in {min(seconds[path]):.2f} and {min(seconds[archive]):.2f} s")
             bits, tables = part_bits(packed)
             print("  bits: " + ", ".join(f"{name} {b:.2f}" for name, b in zip(PARTS, bits, strict=True)))
-            of_frames = sum(b for name, b in tables.items() if name.startswith(("box_", "frame_", "normal_")))
-            print(f"  boxes or frames {of_frames:.2f}, other tables {sum(tables.values()) - of_frames:.2f}")
+            of_frames = tables["geometry"]
+            print(f"  boxes or frames {of_frames:.2f}, other tables {tables.get('others', 0):.2f}")
             print(f"  geometry on disk {bits[0] + of_frames:.2f}, with batches {bits[0] + bits[1] + of_frames:.2f}")
 
 

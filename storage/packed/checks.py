@@ -32,6 +32,7 @@ from storage.packed.levels import MOST_LEVELS, are_levels
 from storage.packed.schema import (
     ATOM_SIZES,
     COARSEST_COLOR_STEP,
+    CODER,
     FINEST_COLOR_STEP,
     FORMAT_NAME,
     FORMAT_VERSION,
@@ -49,7 +50,7 @@ from storage.packed.schema import (
 )
 from storage.packed.seal import SEAL, SEAL_BYTES
 
-MOST_MODELS = 1 << 18  # above what any header calls for
+MOST_MODELS = 1 << 22  # above what any header calls for
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 ZSTD_HEADER_BYTES = 18  # of a frame, at most
 
@@ -120,7 +121,7 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
             "archive",
             h.archive,
             h.archive is None or _archive_is_sound(h),
-            f"0 bytes or more, models {MOST_MODELS} or fewer, no runs",
+            f"coder {CODER}, 0 bytes or more, models {MOST_MODELS} or fewer, no runs",
         ),
         ("size_bits", h.size_bits, h.size_bits in SIZE_BITS, f"one of {SIZE_BITS}"),
         ("dictionary_bits", h.dictionary_bits, 0 <= h.dictionary_bits <= 16, "0..16"),
@@ -193,7 +194,13 @@ def _archive_is_sound(header: Header) -> bool:
     form = header.archive
     assert form is not None
     has_atoms = form.dictionary_bytes == 0 or header.n_dictionary > 0
-    return form.dictionary_bytes >= 0 and 0 <= form.n_models <= MOST_MODELS and has_atoms and not header.runs
+    return (
+        form.coder == CODER
+        and form.dictionary_bytes >= 0
+        and 0 <= form.n_models <= MOST_MODELS
+        and has_atoms
+        and not header.runs
+    )
 
 
 def check_layout(archive: ZipFile, header: Header) -> None:

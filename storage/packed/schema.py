@@ -111,12 +111,16 @@ class RunGrid:
     n_runs: int
 
 
+CODER = 2  # of archives: models that are mixed; files of any other are refused
+
+
 @dataclass(frozen=True)
 class Archived:
     """What a file holds of itself in fewer bytes than a GPU takes (storage/packed/archive)."""
 
     dictionary_bytes: int  # of all atoms' texels; 0 where the levels of atoms are arrays as in other files
     n_models: int  # that groups begin with; 0 where they know nothing
+    coder: int  # CODER
 
 
 @dataclass(frozen=True)
@@ -279,7 +283,7 @@ ARRAYS = (
     Array("map_colors", ("y",), "uint8", "maps", "a WebP picture of each map's colours, one after the other"),
     Array("map_depth_low", ("x",), "uint8", "maps", "low bytes of what depth codes are above those a row before"),
     Array("map_depth_high", ("x",), "uint8", "maps", "high bytes of that"),
-    Array("archive_models", ("m",), "uint8", "provenance", "256ths of how likely a 0 is; 0 where nothing is known"),
+    Array("archive_models", ("m",), "uint8", "provenance", "what is known of each model; 0 where nothing is"),
     Array("archive_atoms", ("z",), "uint8", "dictionary", "texels of the atoms' finest level, range coded"),
     Array("archive", ("g", "u"), "uint8", "provenance", "all that the group has but its row of the table, range coded"),
     Array("camera", ("n",), "uint16", "provenance", "the camera each splat was textured from; 65535 none"),
@@ -373,6 +377,14 @@ def curve_units(cells: np.ndarray) -> np.ndarray:
 
     longest = cells.max(axis=1).astype(np.int64)
     return 2.0 ** -(7 + np.frexp(longest.astype(np.float64))[1])
+
+
+def origin_quanta(code: np.ndarray) -> np.ndarray:
+    """What encoders make origins of frames whole multiples of, (c,) float64: half the power of two below the side of
+    the cells, of which `frame_step` (c,) has the upper half of the float32."""
+    import numpy as np
+
+    return np.exp2((code.astype(np.int64) >> 7) - 128.0)
 
 
 def normal_steps(grid: np.ndarray) -> np.ndarray:

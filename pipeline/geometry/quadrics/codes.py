@@ -13,16 +13,22 @@ import numpy as np
 from pipeline.geometry.quadrics.frames import SLOPE_BITS, Frames, curved, sloped
 from pipeline.geometry.quadrics.quaternions import axes_of
 from pipeline.geometry.quadrics.surfaces import WHOLE, Surface, surface
-from storage.packed.schema import CHUNK, LEAST_NUMBER_BITS, MOST_FRAME_CELLS, MOST_NUMBER_BITS, curve_units, steps_of
+from storage.packed.schema import (
+    CHUNK,
+    LEAST_NUMBER_BITS,
+    MOST_FRAME_CELLS,
+    MOST_NUMBER_BITS,
+    curve_units,
+    origin_quanta,
+    steps_of,
+)
 
 MEAN_OF_CELL = 0.4803  # distance of a point in a cube of side 1 from its middle, on average
 ERROR = 1 / 30  # of a radius: mean distance of a decoded position from its own, by default
 NORMAL_ERROR = 0.32  # degrees: the same of normals; what 127 steps leave of normals that look all round
 MOST_NORMALS, MOST_LOW = 256, 254  # along a coordinate, and where they begin at most
 MOST_PLACES = 2.0**31  # cells of a chunk
-TO_SPARE = (
-    1.09  # numbers have half a bit to spare on average, which makes cells so much smaller: measured on three scans
-)
+TO_SPARE = 1.1  # numbers have half a bit to spare on average, which makes cells so much smaller: by three scans
 MOST_ATTEMPTS = 400  # at cells whose numbers fit; the third nearly always does
 
 
@@ -40,7 +46,7 @@ def encode_quadrics(
     normals (n, 3), sides of cells (c,) as `asked_steps` makes them, and how far normals may be off, degrees.
 
     Guarantees: the decoded position lies within half a cell of the given one along every axis of its frame, but for
-    float32's rounding of `origin`; cells are at most 1.1 as wide as asked where 47 bits, 2^31 cells, 4,096 along an
+    float32's rounding of `origin`; cells are at most 1.11 as wide as asked where 47 bits, 2^31 cells, 4,096 along an
     axis and that rounding leave them so; normals are those of the best code on their chunk's map, whose mean error is the
     one asked for within 4 %, where 55 to 175 steps do, and 127 in chunks that look all round. A chunk depends on no
     other.
@@ -117,21 +123,40 @@ def _least_steps(piece: Surface) -> np.ndarray:
 
 
 def _positioned(piece: Surface, step: np.ndarray) -> Frames:
-    """Frames with cells of `step` (c,) uint16; of normals they have the slopes."""
+    """Frames with cells of `step` (c,) uint16; of normals they have the slopes. Origins are whole multiples of half the
+    power of two below the step, which archives keep in few bytes, where all splats stay within the cells so."""
+    quantum = origin_quanta(step)
+    frames = _at_corners(piece, step, np.sqrt(0.75) * quantum)
+    frames.origin[:] = np.rint(frames.origin.astype(np.float64) / quantum[:, None]) * quantum[:, None]
+    along, half = _along(piece.point, frames)
+    height = along[..., 2] - curved(half, frames.curve[:, None], curve_units(frames.cells)[:, None])
+    flat = along[..., :2]
+    within = (flat >= 0) & (flat < frames.cells.astype(np.int64)[:, None])
+    outside = ~(within.all(axis=(1, 2)) & (height >= 0).all(axis=1))
+    if outside.any():
+        others = _at_corners(piece.at(outside), step[outside], np.zeros(int(outside.sum())))
+        for field in fields(frames):
+            getattr(frames, field.name)[outside] = getattr(others, field.name)
+    return frames
+
+
+def _at_corners(piece: Surface, step: np.ndarray, slack: np.ndarray) -> Frames:
+    """Frames whose origins are so far (c,) below the lowest splats along every axis."""
     wide, flat = steps_of(step)[:, None], piece.along[..., :2]
-    low = flat.min(axis=1)
-    cells = (np.floor(np.ptp(flat, axis=1) / wide) + 1).clip(1, MOST_FRAME_CELLS).astype(np.uint16)
+    low = flat.min(axis=1) - slack[:, None]
+    extent = np.ptp(flat, axis=1) + 2 * slack[:, None]
+    cells = (np.floor(extent / wide) + 1).clip(1, MOST_FRAME_CELLS).astype(np.uint16)
     many, unit = cells.astype(np.int64)[:, None], curve_units(cells)[:, None]
     curve = np.rint(piece.quadric * wide / 4 / unit).clip(-127, 127).astype(np.int8)
     slope = np.rint(piece.plane * wide[..., None] / 2 * 2**SLOPE_BITS).clip(-127, 127).astype(np.int8)
     cell = np.floor((flat - low[:, None]) / wide[:, None]).clip(0, many - 1)
     height = piece.along[..., 2] / wide - curved(2 * cell + 1 - many, curve[:, None], unit)
-    corner = np.concatenate([low, height.min(axis=1, keepdims=True) * wide], axis=1)
+    corner = np.concatenate([low, height.min(axis=1, keepdims=True) * wide - slack[:, None]], axis=1)
     origin = piece.point.mean(axis=1) + np.einsum("ci,cij->cj", corner, axes_of(piece.turn))
     two = np.zeros((len(step), 2))
     return Frames(
         origin.astype(np.float32),
-        piece.turn,
+        piece.turn.copy(),
         step.copy(),
         cells,
         curve,
@@ -139,17 +164,22 @@ def _positioned(piece: Surface, step: np.ndarray) -> Frames:
         two.astype(np.int16),
         two.astype(np.uint8),
         slope.reshape(-1, 4),
-        piece.grid,
+        piece.grid.copy(),
     )
+
+
+def _along(point: np.ndarray, frames: Frames) -> tuple[np.ndarray, np.ndarray]:
+    """Positions along the axes of frames as they are stored, in cells, (c, CHUNK, 3), and half cells (c, CHUNK, 2)."""
+    along = np.einsum("cij,ckj->cik", point - frames.origin[:, None].astype(np.float64), axes_of(frames.turn))
+    along /= steps_of(frames.step)[:, None, None]
+    many = frames.cells.astype(np.int64)[:, None]
+    return along, 2 * np.floor(along[..., :2]).clip(0, many - 1).astype(np.int64) + 1 - many
 
 
 def _cells(point: np.ndarray, frames: Frames) -> tuple[np.ndarray, np.ndarray]:
     """Cells (c, CHUNK, 3) int64 and half cells (c, CHUNK, 2) of positions, in frames as they are stored."""
-    along = np.einsum("cij,ckj->cik", point - frames.origin[:, None].astype(np.float64), axes_of(frames.turn))
-    along /= steps_of(frames.step)[:, None, None]
-    many = frames.cells.astype(np.int64)[:, None]
-    flat = np.floor(along[..., :2]).clip(0, many - 1).astype(np.int64)
-    half = 2 * flat + 1 - many
+    along, half = _along(point, frames)
+    flat = (half - 1 + frames.cells.astype(np.int64)[:, None]) >> 1
     height = along[..., 2] - curved(half, frames.curve[:, None], curve_units(frames.cells)[:, None])
     deep = np.floor(height).clip(0, 2.0**32).astype(np.int64)
     return np.concatenate([flat, deep[..., None]], axis=2), half

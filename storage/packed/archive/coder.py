@@ -62,7 +62,8 @@ def within(state, value, n):
 
 
 @compiled
-def _bit(state, data, p, value):
+def coded_bit(state, data, p, value):
+    """A bit that is 0 with the probability p, 4,096ths."""
     bound = (state[1] >> MODEL_BITS) * p
     if not state[_MODE]:
         value = 0 if state[0] < bound else 1
@@ -84,7 +85,7 @@ def _bit(state, data, p, value):
 def bit(state, data, models, at, value):
     """A bit by the model at a place, which learns from it. `models` (2, m): probabilities of 0, uses."""
     p, uses = models[0, at], models[1, at]
-    value = _bit(state, data, p >> _PRECISION, value)
+    value = coded_bit(state, data, p >> _PRECISION, value)
     if value:
         models[0, at] = p - ((p - _LEAST) >> SHIFTS[uses])
     else:
@@ -96,7 +97,7 @@ def bit(state, data, models, at, value):
 @compiled
 def share(state, data, part, whole, value):
     """A bit that is 0 with the probability part / whole, where 0 < part < whole."""
-    return _bit(state, data, min(max(4096 * part // whole, 1), 4095), value)
+    return coded_bit(state, data, min(max(4096 * part // whole, 1), 4095), value)
 
 
 @compiled
@@ -104,7 +105,7 @@ def even(state, data, bits, value):
     """A number of bits that are as likely 0 as 1, the highest first."""
     found = 0
     for k in range(bits - 1, -1, -1):
-        found = 2 * found + _bit(state, data, 2048, (value >> k) & 1)
+        found = 2 * found + coded_bit(state, data, 2048, (value >> k) & 1)
     return found
 
 

@@ -33,6 +33,7 @@ from storage.packed.archive.splats import (
     SIZE,
     SIZE_BITS,
     STATION,
+    TURN_BITS,
     WEIGHT_BITS,
     A,
     B,
@@ -68,6 +69,7 @@ def form_of(header: Header) -> np.ndarray:
         header.weight_bits,
         header.geometry == BOXES,
     )
+    form[TURN_BITS] = header.n_turns.bit_length() - 1
     return form
 
 

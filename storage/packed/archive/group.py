@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from storage.packed.archive.coder import EVEN, READING, WRITING, begin, compiled, end, tree, within
+from storage.packed.archive.coder import READING, WRITING, begin, compiled, end, within
 from storage.packed.archive.columns import (
     Splats,
     arrays_of_splats,
@@ -22,70 +22,70 @@ from storage.packed.archive.columns import (
     kinds_of,
     splats_of,
 )
-from storage.packed.archive.splats import N_FIELDS, code_splats, models_of
-from storage.packed.archive.tables import bytes_of, code_tables, columns_of, of_bytes
+from storage.packed.archive.mixing import MOST_PLACES, SIGNED_SETS, Models, fresh_models, mixed_tree
+from storage.packed.archive.splats import N_FIELDS, N_SETS, code_splats, models_of
+from storage.packed.archive.tables import MODELS_A_COLUMN, code_tables, columns_of, numbers_of, of_numbers
 from storage.packed.scene import PackedScene
 from storage.packed.schema import BOXES, Header, arrays_of, dimensions_of
 
 CODED, AS_THEY_STAND = 0, 1  # the first byte of a group
 _AXIS_MODELS = 4  # of the axis of heights
-PRIOR_USES = 7  # that a model counts for which a file knows
 _ROOM, _ROOM_A_SPLAT = 1 << 16, 1024  # bytes that no group takes: a bit by a model takes at most 12
 
 
-def n_models(header: Header) -> int:
-    """How many models a file has."""
-    return int(models_of(form_of(header))[-1]) + _AXIS_MODELS + (len(columns_of(header)) << 8)
+_AXIS_SET = N_SETS
+_TABLE_SETS = N_SETS + 4
 
 
-def fresh_models(header: Header, priors: np.ndarray | None = None) -> np.ndarray:
-    """Models (2, m) int64 as every group begins with them: `priors` (m,) uint8 are probabilities in 256ths, 0 where
-    nothing is known."""
-    models = np.zeros((2, n_models(header)), np.int64)
-    models[0] = EVEN
-    if priors is not None:
-        known = priors > 0
-        models[0, known], models[1, known] = priors[known].astype(np.int64) << 8, PRIOR_USES
-    return models
+def group_models(header: Header, priors: np.ndarray | None = None) -> Models:
+    """The models as every group begins with them, with what a file knows of them (`Models.known`)."""
+    n_columns = len(columns_of(header))
+    n = int(models_of(form_of(header))[-1]) + _AXIS_MODELS + MODELS_A_COLUMN * n_columns
+    models = fresh_models(n, _TABLE_SETS + SIGNED_SETS * n_columns)
+    return models if priors is None else models.begun(priors)
 
 
 @compiled
-def _code_axes(state, data, models, base, axis):
+def _code_axes(state, data, models, weights, base, axis):
+    bases = np.full(MOST_PLACES, base)
     for chunk in range(len(axis)):
-        axis[chunk] = within(state, tree(state, data, models, base, 2, axis[chunk]), 3)
+        found = mixed_tree(state, data, models, weights, bases, 1, _AXIS_SET, 2, axis[chunk])
+        axis[chunk] = within(state, found, 3)
 
 
-def code_group(scene: PackedScene, models: np.ndarray) -> np.ndarray:
-    """The bytes (m,) uint8 of a group's splats and chunks; the models (2, m) learn from it."""
+def code_group(scene: PackedScene, models: Models) -> np.ndarray:
+    """The bytes (m,) uint8 of a group's splats and chunks; the models learn from it."""
     header, at = scene.header, models_of(form_of(scene.header))
     out = np.empty(_ROOM + _ROOM_A_SPLAT * header.n_splats, np.uint8)
     state = begin(WRITING, out)
-    tables, axis = bytes_of(header, scene.arrays), np.zeros(header.n_chunks, np.int64)
-    code_tables(state, out, models, at[-1] + _AXIS_MODELS, columns_of(header), tables)
+    tables, axis = numbers_of(header, scene.arrays), np.zeros(header.n_chunks, np.int64)
+    code_tables(state, out, *models.pair, at[-1] + _AXIS_MODELS, _TABLE_SETS, columns_of(header), tables)
     if header.geometry == BOXES:
         axis = axis_of_heights(scene)
-        _code_axes(state, out, models, at[-1], axis)
+        _code_axes(state, out, *models.pair, at[-1], axis)
     chunks, steps = chunks_of(header, scene.arrays, axis)
     s, form = splats_of(scene, chunks), form_of(header)
     order = np.arange(header.n_splats)
-    code_splats(state, out, models, at, form, chunks, steps, kinds_of(header), s.fields, s.first, s.entries, order)
+    code_splats(
+        state, out, *models.pair, at, form, chunks, steps, kinds_of(header), s.fields, s.first, s.entries, order
+    )
     return out[: end(state, out)].copy()
 
 
-def _read_group(header: Header, data: np.ndarray, models: np.ndarray) -> dict[str, np.ndarray]:
+def _read_group(header: Header, data: np.ndarray, models: Models) -> dict[str, np.ndarray]:
     """The way back of `code_group`, with the models as they were."""
     at, n = models_of(form_of(header)), header.n_splats
-    state, modelled = begin(READING, data), columns_of(header)
-    rows, axis = np.zeros((header.n_chunks, len(modelled)), np.int64), np.zeros(header.n_chunks, np.int64)
-    code_tables(state, data, models, at[-1] + _AXIS_MODELS, modelled, rows)
-    tables = of_bytes(header, rows)
+    state, columns = begin(READING, data), columns_of(header)
+    rows, axis = np.zeros((header.n_chunks, len(columns) + 1), np.int64), np.zeros(header.n_chunks, np.int64)
+    code_tables(state, data, *models.pair, at[-1] + _AXIS_MODELS, _TABLE_SETS, columns, rows)
+    tables = of_numbers(header, rows)
     if header.geometry == BOXES:
-        _code_axes(state, data, models, at[-1], axis)
+        _code_axes(state, data, *models.pair, at[-1], axis)
     check_chunks(header, tables)
     chunks, steps = chunks_of(header, tables, axis)
     fields, first, form = np.zeros((n, N_FIELDS), np.int64), np.zeros(n, np.int64), form_of(header)
     entries, order = np.zeros((n * header.n_ranks, 2), np.int64), np.arange(n)
-    code_splats(state, data, models, at, form, chunks, steps, kinds_of(header), fields, first, entries, order)
+    code_splats(state, data, *models.pair, at, form, chunks, steps, kinds_of(header), fields, first, entries, order)
     if not end(state, data):
         raise ValueError(f"{len(data)} bytes of a group that are not those of its {n} splats")
     return arrays_of_splats(header, tables, chunks, Splats(fields, first, entries))
@@ -93,7 +93,7 @@ def _read_group(header: Header, data: np.ndarray, models: np.ndarray) -> dict[st
 
 def pack_group(scene: PackedScene, arrays: dict[str, np.ndarray], priors: np.ndarray | None) -> np.ndarray:
     """The bytes (m,) uint8 of a group: `scene` is it alone, `arrays` are its rows that count."""
-    coded = code_group(scene, fresh_models(scene.header, priors))
+    coded = code_group(scene, group_models(scene.header, priors))
     stood = _as_they_stand(scene.header, arrays)
     kind, data = (CODED, coded) if len(coded) <= len(stood) else (AS_THEY_STAND, stood)
     return np.concatenate([np.array([kind], np.uint8), data])
@@ -111,7 +111,7 @@ def unpack_group(
         raise ValueError(f"a group that begins with {data[:1].tolist()}, not {CODED} or {AS_THEY_STAND}")
     if data[0] == AS_THEY_STAND:
         return _stood(header, data[1:], n_rows)
-    return _read_group(header, np.array(data[1:]), fresh_models(header, priors))
+    return _read_group(header, np.array(data[1:]), group_models(header, priors))
 
 
 def _as_they_stand(header: Header, arrays: dict[str, np.ndarray]) -> np.ndarray:

@@ -1,128 +1,163 @@
-"""What the splats of a group are, one after the other, each by the three nearest of its chunk that are known already.
+"""What the splats of a group are, one after the other, each by the nearest of its chunk that are known already.
 
-Heights, steps of normals and colours are told by how far they are from the mean of those three, the nearest counted
-twice, with models by how far the three are apart. Heights of boxes are not meant themselves but where the planes through
-the neighbours, tilted as their normals and the splat's own, pass below the splat. Batches, sizes, cameras and stations
-are told by those of the neighbours.
+Steps of normals, heights and colours are told by how far they are from what those mean (near.py). Heights of boxes are
+not meant themselves but where the planes through the neighbours, tilted as their normals and the splat's own, pass
+below the splat. Batches, sizes, cameras, stations, atoms and weights are told by several models each, of what
+neighbours and the same splat have.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from storage.packed.archive.coder import SIGNED, bit, compiled, even, length_of, signed, tree, within
-from storage.packed.archive.tree import COUNT_MODELS, MANY_MODELS, code_cells, nearest
+from storage.packed.archive.coder import compiled, even, length_of, within
+from storage.packed.archive.mixing import MOST_PLACES, TREE_SETS, mixed, mixed_tree
+from storage.packed.archive.near import N_VALUE_MODELS, N_VALUE_SETS, NEAREST, code_value, nearest, weigh
+from storage.packed.archive.tree import COUNT_MODELS, MANY_MODELS, code_cells
 
 # Columns of a splat.
 U, V, HEIGHT, A, B, BATCH, SIZE, RED, GREEN, BLUE, CAMERA, STATION, LINE, ELLIPSOID = range(14)
 N_FIELDS = 14
 
 # What holds for all splats of a file, (N_FORMS,) int64.
-N_BATCHES, SIZE_BITS, N_COLORS, IS_BYTES, N_CAMERAS, N_STATIONS, INDEX_BITS, WEIGHT_BITS, IS_BOXES = range(9)
-N_FORMS = 9
+N_BATCHES, SIZE_BITS, N_COLORS, IS_BYTES, N_CAMERAS, N_STATIONS, INDEX_BITS, WEIGHT_BITS, IS_BOXES, TURN_BITS = range(
+    10
+)
+N_FORMS = 10
 
 # Of a chunk, (c, N_CHUNK) int64: splats, cells along its axes, steps of its normals, cells of its colours, and of boxes
 # which axes are the first, the second and the height.
 COUNT, CELLS, N_A, N_B, COLORS, AXES = 0, 1, 4, 5, 6, 9
 N_CHUNK = 12
 
-SPREADS = 12  # how far apart neighbours are, in octaves
-NEAR = 4  # sizes, in octaves, of what was off in the field before
 TREE_BITS = 8  # bits of a camera or a station that have models; those above are even
-NOWHERE = 63  # a size that no neighbours have
+INDEX_CONTEXT_BITS = 9  # of an atom's index that its weight is told by
+ATOMS, LINES = 17, 8  # how many of its neighbours' atoms, in whole ones, and cliplines, in sixths, a batch is told by
+
+# The first sets of weights of each kind of field.
+W_VALUES = 0
+W_BATCH = 6 * N_VALUE_SETS
+W_SIZE, W_SAME, W_SOURCE, W_LINE, W_ATOM, W_TURN, W_WEIGHT = (W_BATCH + 32 * k for k in (1, 2, 3, 4, 7, 8, 9))
+N_SETS = W_WEIGHT + 4 * 32
+assert TREE_SETS == 32
 
 
 def models_of(form: np.ndarray) -> np.ndarray:
-    """Where the models of each field begin, (12,) int64; the last is how many there are."""
-    batch_bits = length_of(int(form[N_BATCHES]) - 1)
-    levels = 1 << int(form[WEIGHT_BITS])
+    """Where the models of each field begin, (17,) int64; the last is how many there are."""
+    n, batch_bits = int(form[N_BATCHES]), length_of(int(form[N_BATCHES]) - 1)
+    levels, turns = 1 << int(form[WEIGHT_BITS]), 1 << int(form[TURN_BITS])
+    atoms = 1 << int(form[INDEX_BITS]) >> int(form[TURN_BITS])
     counts = [
         COUNT_MODELS + MANY_MODELS,
-        (int(form[N_BATCHES]) + 1) * 2 << batch_bits,
-        64 << 4,
-        (SPREADS + 1) * SIGNED,
-        (SPREADS + 1) * NEAR * SIGNED,
-        (SPREADS + 4) * SIGNED,
-        3 * (SPREADS + 1) * NEAR * SIGNED,
-        2 * (4 + (1 << TREE_BITS)),
-        3 * 16 * 16,
+        *[N_VALUE_MODELS] * 6,
+        (2 * (n + 1) + (n + 1) ** 2 + 2 * 34 * 34) << batch_bits,
+        (64 + 17 * 17 + 2 * 62 * 64) << 4,
+        2 * (4 + 72 + 257 * 9 + 4 * 34 + (1 + 2 * 257 << TREE_BITS)),
+        3 * (16 + 16 * 16) * 16,
         4 << 8,
-        1 << int(form[INDEX_BITS]),
-        16 * 16 * levels,
+        9 * atoms + (1 + atoms) * turns,
+        (16 * 16 + 16 * 16 * 17 + 2 * 16 * 16 + (1 << INDEX_CONTEXT_BITS)) * levels,
     ]
     return np.concatenate([[0], np.cumsum(counts)])
 
 
 @compiled
-def code_splats(state, data, models, at, form, chunks, steps, kinds, fields, first, entries, order):
+def code_splats(state, data, models, weights, at, form, chunks, steps, kinds, fields, first, entries, order):
     """Writes or reads all splats of a group: `fields` (n, N_FIELDS), and of each its atoms and weights, rows of
     `entries` (m, 2) from `first` (n,) on. `order` (n,) becomes that in which they are told."""
-    n_entries, begin = 0, 0
-    near = np.zeros(3, np.int64)
+    n_entries, begin, n_splats = 0, 0, len(fields)
+    near, asked, off = np.zeros(NEAREST, np.int64), np.zeros(4, np.int64), np.zeros((n_splats + 1, N_FIELDS))
+    away, weight, said = np.zeros(NEAREST), np.zeros(NEAREST + 1), np.zeros(NEAREST)
+    bases = np.zeros(MOST_PLACES, np.int64)
     for c in range(len(chunks)):
         chunk, step = chunks[c], steps[c]
         rows = order[begin : begin + chunk[COUNT]]
-        code_cells(state, data, models, at[0], chunk[CELLS : CELLS + 2], step, rows, fields)
+        code_cells(state, data, models, weights, at[0], chunk[CELLS : CELLS + 2], step, rows, fields)
+        area = chunk[CELLS] * step[0] * chunk[CELLS + 1] * step[1] / chunk[COUNT]
         for i in range(len(rows)):
-            splat, known = rows[i], nearest(fields, rows, i, step, near)
-            _code_kind(state, data, models, at, form, splat, known, near, fields)
-            _code_normal(state, data, models, at, chunk, splat, known, near, fields)
-            _code_height(state, data, models, at, form, chunk, step, splat, known, near, fields)
-            _code_color(state, data, models, at, form, chunk, splat, known, near, fields)
+            splat, n = rows[i], nearest(fields, rows, i, step, near, away)
+            asked[1], asked[2] = weigh(away, n, area, weight), min(length_of(i), 7) >> 1
+            _code_kind(state, data, models, weights, at, form, kinds, splat, n, near, weight, asked, fields, off, bases)
+            kind = kinds[fields[splat, BATCH]]
+            asked[0] = asked[3] = 0
+            for f in range(3):  # the normal, then the height
+                column = HEIGHT if f == 2 else A + f
+                n_values = chunk[CELLS + 2] if f == 2 else chunk[N_A + f]
+                for k in range(n):
+                    if f == 2 and form[IS_BOXES]:
+                        said[k] = _height_by(fields, splat, near[k], chunk, step)
+                    else:
+                        said[k] = fields[near[k], column]
+                asked[3] = code_value(
+                    state, data, models, weights, at[1 + f], f * N_VALUE_SETS, fields, column, n_values, splat, near, n,
+                    step, weight, said, asked, off, bases,
+                )  # fmt: skip
+            asked[3] = 0
+            for f in range(form[N_COLORS]):
+                for k in range(n):
+                    said[k] = fields[near[k], RED + f]
+                asked[0] = asked[3] if form[IS_BYTES] else 0  # channels of bytes rise and fall together
+                asked[3] = code_value(
+                    state, data, models, weights, at[4 + f], (3 + f) * N_VALUE_SETS, fields, RED + f, chunk[COLORS + f],
+                    splat, near, n, step, weight, said, asked, off, bases,
+                )  # fmt: skip
             for name in range(2):
                 if form[N_CAMERAS + name]:
-                    _code_source(state, data, models, at[7], name, form[N_CAMERAS + name], splat, known, near, fields)
-            kind = kinds[fields[splat, BATCH]]
+                    _code_source(
+                        state, data, models, weights, at[9], name, form[N_CAMERAS + name], splat, n, near, asked[1],
+                        kind, fields, bases,
+                    )  # fmt: skip
             if kind[1]:
-                _code_line(state, data, models, at[8], splat, fields)
+                _code_line(state, data, models, weights, at[10], splat, fields, bases)
             if kind[2]:
-                word = fields[splat, ELLIPSOID]
-                fields[splat, ELLIPSOID] = 0
-                for f in range(4):
-                    found = tree(state, data, models, at[9] + (f << 8), 8, (word >> 8 * f) & 255)
-                    fields[splat, ELLIPSOID] |= found << 8 * f
+                _code_ellipsoid(state, data, models, weights, at[11], splat, fields, bases)
             if not state[5]:
                 first[splat] = n_entries
-            _code_atoms(state, data, models, at, form, entries, first[splat], kind[0])
+            _code_atoms(state, data, models, weights, at, form, entries, first[splat], kind[0], bases)
             n_entries += kind[0]
         begin += chunk[COUNT]
 
 
 @compiled
-def _code_kind(state, data, models, at, form, splat, known, near, fields):
+def _code_kind(state, data, models, weights, at, form, kinds, splat, n, near, weight, asked, fields, off, bases):
     """Batch and size."""
+    late = off[-1]
+    x, y, z = near[0], near[1], near[2]
     if form[N_BATCHES] > 1:
-        bits = length_of(form[N_BATCHES] - 1)
-        usual, sure = form[N_BATCHES], 0
-        if known:
-            usual, sure = fields[near[0], BATCH], 1 if fields[near[0], BATCH] == fields[near[1], BATCH] else 0
-        found = tree(state, data, models, at[1] + ((2 * usual + sure) << bits), bits, fields[splat, BATCH])
+        bits, none = length_of(form[N_BATCHES] - 1), form[N_BATCHES]
+        first, second, atoms, lines = none, none, 0, 0
+        if n:
+            first, second = fields[x, BATCH], fields[y, BATCH]
+            mean_atoms, mean_lines = 0.0, 0.0
+            for k in range(n):
+                mean_atoms += weight[k] * kinds[fields[near[k], BATCH], 0]
+                mean_lines += weight[k] * kinds[fields[near[k], BATCH], 1]
+            atoms = 1 + np.int64(2 * mean_atoms / weight[NEAREST])
+            lines = 1 + np.int64(6 * mean_lines / weight[NEAREST])
+        bases[0] = at[7] + ((2 * first + (1 if first == second else 0)) << bits)
+        bases[1] = at[7] + ((2 * (none + 1) + first * (none + 1) + second) << bits)
+        base = 2 * (none + 1) + (none + 1) * (none + 1)
+        bases[2] = at[7] + ((base + atoms * 34 + lines) << bits)
+        bases[3] = at[7] + ((base + 34 * 34 + atoms * 34 + np.int64(2 * late[BATCH])) << bits)
+        found = mixed_tree(state, data, models, weights, bases, 4, W_BATCH, bits, fields[splat, BATCH])
         fields[splat, BATCH] = within(state, found, form[N_BATCHES])
+        late[BATCH] += (kinds[fields[splat, BATCH], 0] - late[BATCH]) / 16
     if form[SIZE_BITS]:
-        usual = 2 * fields[near[0], SIZE] + fields[near[1], SIZE] + fields[near[2], SIZE] if known else NOWHERE
-        fields[splat, SIZE] = tree(state, data, models, at[2] + (usual << 4), form[SIZE_BITS], fields[splat, SIZE])
-
-
-@compiled
-def _usual(fields, near, column):
-    """Mean of the neighbours, the nearest counted twice, and how far they are apart as octaves, 1..SPREADS."""
-    x, y, z = fields[near[0], column], fields[near[1], column], fields[near[2], column]
-    return (2 * x + y + z + 2) >> 2, 1 + min(length_of(max(x, y, z) - min(x, y, z)), SPREADS - 1)
-
-
-@compiled
-def _code_normal(state, data, models, at, chunk, splat, known, near, fields):
-    off = 0
-    for f in range(2):
-        n = chunk[N_A + f]
-        usual, spread = n >> 1, 0
-        if known:
-            usual, spread = _usual(fields, near, A + f)
-        base = (
-            at[3] + spread * SIGNED if f == 0 else at[4] + (spread * NEAR + min(length_of(abs(off)), NEAR - 1)) * SIGNED
+        usual, first, second, mean = 63, 16, 16, 61
+        if n:
+            first, second = fields[x, SIZE], fields[y, SIZE]
+            usual, sum_ = 2 * first + second + fields[z, SIZE], 0.0
+            for k in range(n):
+                sum_ += weight[k] * fields[near[k], SIZE]
+            mean = np.int64(4 * sum_ / weight[NEAREST])
+        bases[0] = at[8] + (usual << 4)
+        bases[1] = at[8] + ((64 + first * 17 + second) << 4)
+        bases[2] = at[8] + ((64 + 17 * 17 + mean * 64 + asked[1]) << 4)
+        bases[3] = at[8] + ((64 + 17 * 17 + 62 * 64 + mean * 64 + np.int64(4 * late[SIZE])) << 4)
+        fields[splat, SIZE] = mixed_tree(
+            state, data, models, weights, bases, 4, W_SIZE, form[SIZE_BITS], fields[splat, SIZE]
         )
-        off = signed(state, data, models, base, fields[splat, A + f] - usual)
-        fields[splat, A + f] = within(state, usual + off, n)
+        late[SIZE] += (fields[splat, SIZE] - late[SIZE]) / 8
 
 
 @compiled
@@ -134,80 +169,95 @@ def _octahedral(a, b):
 
 
 @compiled
-def _code_height(state, data, models, at, form, chunk, step, splat, known, near, fields):
+def _height_by(fields, splat, other, chunk, step):
+    """The height of a splat in a box, where the plane through another passes that is tilted as both their normals."""
     n = chunk[CELLS + 2]
-    usual, spread = n >> 1, 0
-    if known and form[IS_BOXES]:
-        own = _octahedral(fields[splat, A] - 127, fields[splat, B] - 127)
-        total, low, high = 0.0, np.inf, -np.inf
-        for k in range(3):
-            other = near[k]
-            at_other = _octahedral(fields[other, A] - 127, fields[other, B] - 127)
-            normal = (own[0] + at_other[0], own[1] + at_other[1], own[2] + at_other[2])
-            rise = (fields[splat, U] - fields[other, U]) * step[0] * normal[chunk[AXES]]
-            rise += (fields[splat, V] - fields[other, V]) * step[1] * normal[chunk[AXES + 1]]
-            across, height = step[2] * normal[chunk[AXES + 2]], np.float64(fields[other, HEIGHT])
-            if abs(rise) < n * abs(across):  # so no division by 0, and nothing beyond the box
-                height = min(max(height - rise / across, 0.0), n - 1.0)
-            low, high = min(low, height), max(high, height)
-            total += 2 * height if k == 0 else height
-        usual = np.int64(np.floor(total / 4 + 0.5))
-        spread = 1 + min(length_of(np.int64(high - low)), SPREADS + 2)
-    elif known:
-        usual, spread = _usual(fields, near, HEIGHT)
-    off = signed(state, data, models, at[5] + spread * SIGNED, fields[splat, HEIGHT] - usual)
-    fields[splat, HEIGHT] = within(state, usual + off, n)
+    own = _octahedral(fields[splat, A] - 127, fields[splat, B] - 127)
+    at_other = _octahedral(fields[other, A] - 127, fields[other, B] - 127)
+    normal = (own[0] + at_other[0], own[1] + at_other[1], own[2] + at_other[2])
+    rise = (fields[splat, U] - fields[other, U]) * step[0] * normal[chunk[AXES]]
+    rise += (fields[splat, V] - fields[other, V]) * step[1] * normal[chunk[AXES + 1]]
+    across, height = step[2] * normal[chunk[AXES + 2]], np.float64(fields[other, HEIGHT])
+    if abs(rise) < n * abs(across):  # so no division by 0, and nothing beyond the box
+        height = min(max(height - rise / across, 0.0), n - 1.0)
+    return height
 
 
 @compiled
-def _code_color(state, data, models, at, form, chunk, splat, known, near, fields):
-    off = 0
-    for f in range(form[N_COLORS]):
-        n = chunk[COLORS + f]
-        usual, spread = n >> 1, 0
-        if known:
-            usual, spread = _usual(fields, near, RED + f)
-            if form[IS_BYTES]:  # channels of bytes rise and fall together, luma and chroma do not
-                usual = min(max(usual + off, 0), 255)
-        base = at[6] + ((f * (SPREADS + 1) + spread) * NEAR + min(length_of(abs(off)), NEAR - 1)) * SIGNED
-        off = signed(state, data, models, base, fields[splat, RED + f] - usual)
-        fields[splat, RED + f] = within(state, usual + off, n)
-
-
-@compiled
-def _code_source(state, data, models, at, name, n, splat, known, near, fields):
+def _code_source(state, data, models, weights, base, name, n_sources, splat, n, near, far, kind, fields, bases):
     """The camera or the station: whether it is the nearest neighbour's, else which."""
-    column, base = CAMERA + name, at + name * (4 + (1 << TREE_BITS))
-    value = fields[splat, column]
-    if known:
+    column, base = CAMERA + name, base + name * (4 + 72 + 257 * 9 + 4 * 34 + (1 + 2 * 257 << TREE_BITS))
+    value, bits = fields[splat, column], length_of(n_sources)
+    low = max(0, bits - TREE_BITS)
+    first = second = 256
+    if n:
         x, y, z = fields[near[0], column], fields[near[1], column], fields[near[2], column]
+        agree, other = 0, x
+        for k in range(n):
+            agree += 1 if fields[near[k], column] == x else 0
+            if other == x:
+                other = fields[near[k], column]
         alike = (1 if x == y else 0) + (2 if x == z else 0)
-        if not bit(state, data, models, base + alike, 1 if value != x else 0):
+        first, second = x >> low, other >> low
+        bases[0] = base + alike
+        bases[1] = base + 4 + agree * 8 + far - 8
+        bases[2] = base + 76 + first * 9 + agree
+        bases[3] = base + 76 + 257 * 9 + alike * 34 + 2 * kind[0] + kind[1]
+        which = W_SAME + name
+        if not mixed(state, data, models, weights, bases, 4, 0, which, 1 if value != x else 0):
             fields[splat, column] = x
             return
-    bits = length_of(n)
-    low = max(0, bits - TREE_BITS)
-    high = tree(state, data, models, base + 4, bits - low, value >> low)
+    trees = base + 76 + 257 * 9 + 4 * 34
+    bases[0] = trees
+    bases[1] = trees + (1 + first << TREE_BITS)
+    bases[2] = trees + (258 + second << TREE_BITS)
+    high = mixed_tree(state, data, models, weights, bases, 3, W_SOURCE, bits - low, value >> low)
     found = (high << low) + even(state, data, low, value & ((1 << low) - 1))
-    fields[splat, column] = within(state, found, n + 1)
+    fields[splat, column] = within(state, found, n_sources + 1)
 
 
 @compiled
-def _code_line(state, data, models, at, splat, fields):
-    """The three fields of a clipline, each by the one before."""
-    word, found, before = fields[splat, LINE], 0, 0
+def _code_line(state, data, models, weights, base, splat, fields, bases):
+    """The three fields of a clipline, each by those before."""
+    word, found, before, earlier = fields[splat, LINE], 0, 0, 0
     for f in range(3):
-        before = tree(state, data, models, at + ((16 * f + before) << 4), 4, (word >> 4 * f) & 15)
+        bases[0] = base + ((16 * f + before) << 4)
+        bases[1] = base + 3 * 256 + ((256 * f + 16 * before + earlier) << 4)
+        earlier = before
+        before = mixed_tree(state, data, models, weights, bases, 2, W_LINE + 32 * f, 4, (word >> 4 * f) & 15)
         found |= before << 4 * f
     fields[splat, LINE] = found
 
 
 @compiled
-def _code_atoms(state, data, models, at, form, entries, first, n_atoms):
-    """Atoms, and weights by rank and by the upper 4 bits of the weight before."""
-    bits, before = form[WEIGHT_BITS], 0
+def _code_ellipsoid(state, data, models, weights, base, splat, fields, bases):
+    word, found = fields[splat, ELLIPSOID], 0
+    for f in range(4):
+        bases[0] = base + (f << 8)
+        found |= mixed_tree(state, data, models, weights, bases, 1, W_LINE, 8, (word >> 8 * f) & 255) << 8 * f
+    fields[splat, ELLIPSOID] = found
+
+
+@compiled
+def _code_atoms(state, data, models, weights, at, form, entries, first, n_atoms, bases):
+    """Atoms by themselves and by rank, and weights by rank, by those before, by how many there are and by the atom."""
+    bits, turn_bits, atom_bits = form[WEIGHT_BITS], form[TURN_BITS], form[INDEX_BITS] - form[TURN_BITS]
+    base, turns, before, earlier = at[13], at[12] + (9 << atom_bits), 0, 0
+    short = max(0, atom_bits - INDEX_CONTEXT_BITS)
     for rank in range(n_atoms):
         entry = entries[first + rank]
-        entry[0] = tree(state, data, models, at[10], form[INDEX_BITS], entry[0])
-        entry[1] = tree(state, data, models, at[11] + ((16 * rank + before) << bits), bits, entry[1])
-        before = entry[1] >> max(0, bits - 4)
+        bases[0] = at[12]
+        bases[1] = at[12] + (1 + min(rank, 7) << atom_bits)
+        atom = mixed_tree(state, data, models, weights, bases, 2, W_ATOM, atom_bits, entry[0] >> turn_bits)
+        bases[0] = turns
+        bases[1] = turns + (1 + atom << turn_bits)
+        turn = entry[0] & ((1 << turn_bits) - 1)
+        turn = mixed_tree(state, data, models, weights, bases, 2, W_TURN, turn_bits, turn)
+        entry[0] = atom << turn_bits | turn
+        place = 16 * rank + before
+        bases[0] = base + (place << bits)
+        bases[1] = base + ((256 + place * 17 + n_atoms) << bits)
+        bases[2] = base + ((256 * 18 + 2 * (16 * earlier + before) + (1 if rank == 0 else 0)) << bits)
+        bases[3] = base + ((256 * 20 + (atom >> short)) << bits)
+        entry[1] = mixed_tree(state, data, models, weights, bases, 4, W_WEIGHT + 32 * min(rank, 3), bits, entry[1])
+        earlier, before = before, entry[1] >> max(0, bits - 4)

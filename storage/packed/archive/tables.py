@@ -1,59 +1,122 @@
-"""What a group's chunks have, as bytes: each byte of a row has a set of models of its own, the highest byte of a number
-comes first. The two lower bytes of floats are as good as random and have no models."""
+"""What a group's chunks have, as whole numbers: each by that of the chunk before, or by the mean of those of late.
+
+Origins of frames are whole multiples of half the power of two below their cells' side, as encoders make them, and are
+told as those; of any others, and of other floats, the upper half is told by that of the chunk before, the lower half as
+it stands.
+"""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from storage.packed.archive.coder import compiled, even, tree
-from storage.packed.schema import Array, Header, arrays_of
+from storage.packed.archive.coder import SIGNED, compiled, even, length_of, within
+from storage.packed.archive.mixing import MOST_PLACES, SIGNED_SETS, mixed, mixed_signed
+from storage.packed.schema import Array, Header, arrays_of, origin_quanta
 
 DERIVED = "batch_count", "sizes"  # what the splats tell
-_MODELLED = 2  # upper bytes of a float
+_BY_MEAN = ("box_bits", "frame_turn", "frame_cells", "frame_curve", "normal_cells", "normal_slope")
+MEAN, PREVIOUS, FLOAT, ORIGIN = range(4)  # kinds of columns
+_ORIGIN = "frame_origin"
+_SIZES = 16  # of what was off, in octaves
+MODELS_A_COLUMN = (1 + 2 * _SIZES) * SIGNED + 1
+_MOST_MULTIPLE = 1 << 32
 
 
 def tables_in(header: Header) -> list[Array]:
-    """The arrays of chunks that are kept as bytes, in the order of the page."""
-    return [a for a in arrays_of(header) if a.dims[0] == "c" and a.name not in DERIVED]
+    """The arrays of chunks that are kept, in the order of the page, but origins of frames last."""
+    found = [a for a in arrays_of(header) if a.dims[0] == "c" and a.name not in DERIVED]
+    return sorted(found, key=lambda array: array.name == _ORIGIN)
+
+
+def _width(array: Array) -> int:
+    return int(array.dims[1]) if len(array.dims) > 1 else 1
 
 
 def columns_of(header: Header) -> np.ndarray:
-    """Whether each byte of a chunk has models, (w,) int64."""
-    flags = []
+    """Of each column its kind, its smallest value, how many there are, and the column of its cells' side, (w, 4)
+    int64."""
+    rows: list[tuple[int, int, int, int]] = []
+    step = 0
     for array in tables_in(header):
-        n_bytes, n = np.dtype(array.dtype).itemsize, int(array.dims[1]) if len(array.dims) > 1 else 1
-        modelled = _MODELLED if array.dtype == "float32" else n_bytes
-        flags += ([1] * modelled + [0] * (n_bytes - modelled)) * n
-    return np.array(flags, np.int64)
+        if array.name == "frame_step":
+            step = len(rows)
+        if array.dtype == "float32":
+            row = (ORIGIN if array.name == _ORIGIN else FLOAT, 0, 1 << 16, step)
+        else:
+            info = np.iinfo(array.dtype)
+            row = (MEAN if array.name in _BY_MEAN else PREVIOUS, int(info.min), 1 << info.bits, step)
+        rows += [row] * _width(array)
+    return np.array(rows, np.int64)
 
 
-def bytes_of(header: Header, arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """The bytes (c, w) int64 of a group's chunks."""
-    parts = []
+def numbers_of(header: Header, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """The numbers (c, w) int64 of a group's chunks, and in one more column whether their origins are no multiples."""
+    parts, odd = [], np.zeros(header.n_chunks, np.int64)
     for array in tables_in(header):
-        values = np.ascontiguousarray(arrays[array.name], np.dtype(array.dtype).newbyteorder(">"))
-        parts.append(values.view(np.uint8).reshape(header.n_chunks, -1))
-    return np.concatenate(parts, axis=1).astype(np.int64)
+        values = np.ascontiguousarray(arrays[array.name].reshape(header.n_chunks, -1))
+        if array.name == _ORIGIN:
+            multiple = values.astype(np.float64) / origin_quanta(arrays["frame_step"])[:, None]
+            odd = ((multiple != np.floor(multiple)) | (np.abs(multiple) >= _MOST_MULTIPLE)).any(axis=1).astype(np.int64)
+            words = values.view(np.uint32).astype(np.int64)
+            parts.append(np.where(odd[:, None], words, np.where(odd[:, None], 0, multiple).astype(np.int64)))
+        else:
+            parts.append((values.view(np.uint32) if array.dtype == "float32" else values).astype(np.int64))
+    return np.concatenate([*parts, odd[:, None]], axis=1)
 
 
-def of_bytes(header: Header, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """The way back of `bytes_of`."""
-    arrays, at = {}, 0
+def of_numbers(header: Header, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """The way back of `numbers_of`."""
+    arrays: dict[str, np.ndarray] = {}
+    at = 0
     for array in tables_in(header):
-        shape = (header.n_chunks, *(int(dim) for dim in array.dims[1:]))
-        width = int(np.prod(shape[1:])) * np.dtype(array.dtype).itemsize
-        values = np.ascontiguousarray(rows[:, at : at + width], np.uint8).view(np.dtype(array.dtype).newbyteorder(">"))
-        arrays[array.name] = values.reshape(shape).astype(array.dtype)
-        at += width
+        shape, width = (header.n_chunks, *(int(dim) for dim in array.dims[1:])), _width(array)
+        values, at = rows[:, at : at + width], at + width
+        if array.dtype == "float32":
+            words = np.ascontiguousarray(values.astype(np.uint32)).view(np.float32)
+            if array.name == _ORIGIN:
+                multiple = (values * origin_quanta(arrays["frame_step"])[:, None]).astype(np.float32)
+                words = np.where(rows[:, -1:] > 0, words, multiple)
+            arrays[array.name] = words.reshape(shape)
+        else:
+            arrays[array.name] = values.reshape(shape).astype(array.dtype)
     return arrays
 
 
 @compiled
-def code_tables(state, data, models, base, modelled, rows):
-    """Writes or reads the bytes `rows` (c, w) int64; models of a byte begin at base + 256 times its place."""
+def code_tables(state, data, models, weights, base, which, columns, rows):
+    """Writes or reads the numbers `rows` (c, w + 1) int64. Models begin at `base`, sets of weights at `which`."""
+    n = len(columns)
+    before, mean, sizes = np.zeros(n, np.int64), np.zeros(n), np.zeros(n, np.int64)
+    place, bases = np.zeros(n), np.empty(MOST_PLACES, np.int64)
     for chunk in range(len(rows)):
-        for column in range(len(modelled)):
-            if modelled[column]:
-                rows[chunk, column] = tree(state, data, models, base + (column << 8), 8, rows[chunk, column])
+        row, left = rows[chunk], 0
+        for c in range(n):
+            kind, least, many = columns[c, 0], columns[c, 1], columns[c, 2]
+            own = base + c * MODELS_A_COLUMN
+            if kind == ORIGIN and columns[c - 1, 0] != ORIGIN:
+                bases[0] = own + MODELS_A_COLUMN - 1
+                row[n] = mixed(state, data, models, weights, bases, 1, 0, which + c * SIGNED_SETS, row[n])
+            bases[0] = own
+            bases[1] = own + (1 + sizes[c]) * SIGNED
+            bases[2] = own + (1 + _SIZES + left) * SIGNED
+            at, sets = row[c], which + c * SIGNED_SETS
+            if kind == ORIGIN and not row[n]:
+                quantum = math.ldexp(1.0, (row[columns[c, 3]] >> 7) - 128)
+                usual = np.int64(np.floor(min(max(place[c] / quantum, -_MOST_MULTIPLE), _MOST_MULTIPLE) + 0.5))
+                off = mixed_signed(state, data, models, weights, bases, 3, sets, at - usual)
+                row[c] = usual + off
+                place[c] = row[c] * quantum
+            elif kind >= FLOAT:
+                off = mixed_signed(state, data, models, weights, bases, 3, sets, (at >> 16) - before[c])
+                upper = within(state, before[c] + off, many)
+                row[c] = upper << 16 | even(state, data, 16, at & 0xFFFF)
+                before[c] = upper
             else:
-                rows[chunk, column] = even(state, data, 8, rows[chunk, column])
+                usual = before[c] if kind == PREVIOUS else np.int64(np.floor(mean[c] + 0.5))
+                off = mixed_signed(state, data, models, weights, bases, 3, sets, at - usual)
+                row[c] = within(state, usual + off - least, many) + least
+                before[c] = row[c]
+                mean[c] += (row[c] - mean[c]) / 8
+            left = sizes[c] = min(length_of(abs(off)), _SIZES - 1)

@@ -12,15 +12,16 @@ import numpy as np
 from storage.errors import InvalidPackedFile
 from storage.packed.archive.atoms import pack_atoms
 from storage.packed.archive.coder import MOST_USES
-from storage.packed.archive.group import code_group, fresh_models, pack_group, unpack_group
+from storage.packed.archive.group import code_group, group_models, pack_group, unpack_group
 from storage.packed.dictionaries.levels import levels_of
 from storage.packed.groups import ragged_in
 from storage.packed.packed import PackedFile
-from storage.packed.schema import Archived, Header, arrays_of
+from storage.packed.schema import CODER, Archived, Header, arrays_of
 from storage.packed.writing.joined import lay_out, seal_packed
 from storage.packed.writing.writer import begin_packed, group_of, groups_a_piece, n_pieces, write_array, write_piece
 from storage.whole import aside
 
+USES_OF_ALL = 3_000  # of a model, in all groups together, for which it pays to be known
 LEARNED_FROM, LEAST_GROUPS = 16, 8  # groups that models learn from; a file of fewer than the second has no models
 
 
@@ -41,7 +42,7 @@ def archive_packed(source: Path, target: Path) -> None:
             raise InvalidPackedFile(str(source), "a geometry of runs, which are coded already", "boxes or quadrics")
         shared, priors = packed.of_all(), _learned(packed)
         atoms = _atoms(header, shared)
-        form = Archived(0 if atoms is None else len(atoms), 0 if priors is None else len(priors))
+        form = Archived(0 if atoms is None else len(atoms), 0 if priors is None else len(priors), CODER)
         if atoms is not None:
             shared = {n: rows for n, rows in shared.items() if not _is_level(n)} | {"archive_atoms": atoms}
         if priors is not None:
@@ -100,8 +101,7 @@ def _learned(packed: PackedFile) -> np.ndarray | None:
     n = packed.header.n_groups
     if n < LEAST_GROUPS:
         return None
-    models = fresh_models(packed.header)
+    models = group_models(packed.header)
     for index in range(0, n, -(-n // LEARNED_FROM)):
         code_group(packed.group(index), models)
-    often = models[1] >= MOST_USES
-    return np.where(often, np.clip(models[0] >> 8, 1, 255), 0).astype(np.uint8)
+    return models.known(max(MOST_USES, USES_OF_ALL // n))

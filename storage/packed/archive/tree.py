@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from storage.packed.archive.coder import SIGNED, compiled, length_of, share, signed, tree, within
+from storage.packed.archive.coder import SIGNED, compiled, length_of, share, within
+from storage.packed.archive.mixing import MOST_PLACES, mixed_signed, mixed_tree
 from storage.packed.schema import CHUNK
 
 FEW = 8  # splats of a cell that have models of their own, by how crowded it is
@@ -20,12 +21,12 @@ _DEEPEST = 64  # of cells that wait: at most one for each cut, and no more than 
 
 
 @compiled
-def code_cells(state, data, models, base, cells, steps, order, fields):
+def code_cells(state, data, models, weights, base, cells, steps, order, fields):
     """Writes or reads the cells of `order` (n,), rows of `fields` whose columns 0 and 1 are cells along two axes with
     `cells` (2,) and sides `steps` (2,). A writer finds `order` put in the order in which a reader finds the cells."""
     n, few, many = len(order), base, base + COUNT_MODELS
     waiting = np.zeros((_DEEPEST, 5), np.int64)
-    second = np.zeros(CHUNK, np.int64)
+    second, bases = np.zeros(CHUNK, np.int64), np.empty(MOST_PLACES, np.int64)
     waiting[0, 0], waiting[0, 2], waiting[0, 4] = n, cells[0], cells[1]
     top, at = 1, 0
     while top:
@@ -46,10 +47,12 @@ def code_cells(state, data, models, base, cells, steps, order, fields):
             k = 1 - share(state, data, half, extent, 1 - k)
         elif m <= FEW:
             crowded = min(length_of(8 * width * height * n // (cells[0] * cells[1] * m)), DENSITIES - 1)
-            k = tree(state, data, models, few + ((m * DENSITIES + crowded) << COUNT_BITS), COUNT_BITS, k)
+            bases[0] = few + ((m * DENSITIES + crowded) << COUNT_BITS)
+            k = mixed_tree(state, data, models, weights, bases, 1, 0, COUNT_BITS, k)
         else:
             usual = (m * half + extent // 2) // extent
-            k = usual + signed(state, data, models, many + length_of(m) * SIGNED, k - usual)
+            bases[0] = many + length_of(m) * SIGNED
+            k = usual + mixed_signed(state, data, models, weights, bases, 1, 0, k - usual)
         k = within(state, k, m + 1)
         for part in range(2):  # the first half is the next to be cut
             inside, begin, length = (k, 0, half) if part else (m - k, half, extent - half)
@@ -76,28 +79,3 @@ def _cut(fields, order, at, m, axis, cut, second):
     for i in range(above):
         order[at + below + i] = second[i]
     return below
-
-
-@compiled
-def nearest(fields, order, i, steps, found):
-    """The three splats nearest to `order[i]` on that plane of those before it, the nearest first, of equals the last
-    one; the nearest again where there are fewer. False where there is none."""
-    first = second = third = np.inf
-    u, v = fields[order[i], 0], fields[order[i], 1]
-    for j in range(i - 1, -1, -1):
-        splat = order[j]
-        off = ((u - fields[splat, 0]) * steps[0]) ** 2 + ((v - fields[splat, 1]) * steps[1]) ** 2
-        if off < third:
-            if off < first:
-                third, second, first = second, first, off
-                found[2], found[1], found[0] = found[1], found[0], splat
-            elif off < second:
-                third, second = second, off
-                found[2], found[1] = found[1], splat
-            else:
-                third, found[2] = off, splat
-    if i == 1:
-        found[1] = found[0]
-    if i < 3:
-        found[2] = found[1]
-    return i > 0

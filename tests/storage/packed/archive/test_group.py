@@ -20,7 +20,8 @@ from storage.packed.archive.coder import (
     signed,
     tree,
 )
-from storage.packed.archive.group import code_group, fresh_models, unpack_group
+from storage.packed.archive.group import code_group, group_models, unpack_group
+from storage.packed.archive.mixing import MOST_PLACES, SIGNED_SETS, TREE_SETS, fresh_models, mixed_signed, mixed_tree
 from storage.packed.packed import PackedFile
 from tests.packed_files import Case, header_of, write_packed_file
 
@@ -63,6 +64,34 @@ def test_coder__numbers_come_back_from_just_as_many_bytes(numbers):
     assert coded(READING, np.append(data[:n], np.uint8(0)), unknown) == (values, 0)  # a byte too many
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.integers(-(2**34) + 1, 2**34 - 1) | st.integers(-3, 3), max_size=60), st.integers(1, MOST_PLACES))
+def test_mixed__numbers_come_back_by_any_number_of_models(values, n):
+    def coded_by(mode, data, given_):
+        models, bases = (
+            fresh_models(MOST_PLACES * SIGNED + 16, SIGNED_SETS + TREE_SETS),
+            SIGNED * np.arange(MOST_PLACES),
+        )
+        state, found = begin(mode, data), []
+        for value in given_:
+            found.append(mixed_signed(state, data, *models.pair, bases, n, 0, value))
+            low = mixed_tree(state, data, *models.pair, bases + 1, n, SIGNED_SETS, 3, abs(value) & 7)
+            assert low == abs(found[-1]) & 7
+        return found, end(state, data)
+
+    data = np.zeros(16 + 64 * len(values), np.uint8)
+    found, size = coded_by(WRITING, data, values)
+    assert found == values
+    assert coded_by(READING, data[:size].copy(), [0] * len(values)) == (values, 1)
+
+
+def test_mixed__tables_are_the_same_on_any_machine():
+    """No entry is within a billionth of where it would be rounded the other way."""
+    x, y = np.arange(-2048, 2048) / 256, np.append(0.5, np.arange(1.0, 4096))
+    for exact in (4096 / (1 + np.exp(-x)), 256 * np.log(y / (4096 - y))):
+        assert np.abs(np.abs(exact - np.floor(exact)) - 0.5).min() > 1e-9
+
+
 @pytest.fixture(scope="module", params=[False, True], ids=["boxes", "quadrics"])
 def group(request, tmp_path_factory):
     """The scene of a group of one file, its arrays, and its bytes."""
@@ -70,7 +99,7 @@ def group(request, tmp_path_factory):
     with PackedFile(write_packed_file(case, tmp_path_factory.mktemp("group") / "a.splatpress")) as opened:
         scene, arrays = opened.group(0), opened.rows_of_group(0)
     n_rows = {name: len(values) for name, values in arrays.items()}
-    return scene, n_rows, np.append(np.uint8(0), code_group(scene, fresh_models(scene.header)))
+    return scene, n_rows, np.append(np.uint8(0), code_group(scene, group_models(scene.header)))
 
 
 def test_group__bytes_that_are_cut_or_longer_are_refused(group):

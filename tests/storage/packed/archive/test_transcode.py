@@ -171,9 +171,11 @@ def test_archive__runs_are_coded_already(tmp_path):
 @pytest.mark.parametrize(
     "edit",
     [
-        {"archive": {"dictionary_bytes": -1, "n_models": 0}},
-        {"archive": {"dictionary_bytes": 0, "n_models": 1 << 40}},
-        {"archive": {"dictionary_bytes": 1 << 60, "n_models": 0}},
+        {"archive": {"dictionary_bytes": -1, "n_models": 0, "coder": 2}},
+        {"archive": {"dictionary_bytes": 0, "n_models": 1 << 40, "coder": 2}},
+        {"archive": {"dictionary_bytes": 1 << 60, "n_models": 0, "coder": 2}},
+        {"archive": {"dictionary_bytes": 0, "n_models": 0}},
+        {"archive": {"dictionary_bytes": 0, "n_models": 0, "coder": 1}},
         {"archive": {"dictionary_bytes": 10}},
         {"archive": 5},
         {"geometry": "runs"},
