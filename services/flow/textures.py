@@ -117,7 +117,9 @@ def code_patches(
         # for these are lost to all others.
         found = partial(_multiplier, run, training, space, settings, tolerance, multiplier_of)
         if math.isfinite(multiplier := found(quantised)):
-            quantised = run.do(replace(quantising, multiplier=multiplier))
+            quantised = run.do(
+                replace(quantising, multiplier=multiplier, pursuit=settings.pursuit, chosen=training.folder)
+            )
             multiplier = found(quantised)
     codes = encode(run, patches.folder, colors.folder, quantised, settings, multiplier)
     return Coded(patches, colors, codes, quantised, learning, quantised.summary.n_atoms, n_taken_back, shipped)

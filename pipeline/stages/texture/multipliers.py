@@ -18,8 +18,7 @@ import numpy as np
 
 from pipeline.coding.omp_kernels import squared_norms
 from pipeline.stages.texture.atoms import load_atoms
-from pipeline.stages.texture.contrast_octaves import octave_of
-from pipeline.stages.texture.training import HELD, held_part
+from pipeline.stages.texture.training import HELD, held_part, stands_for
 from pipeline.summaries import InParts, Ladder, Training
 from storage.work import arrays, work
 
@@ -69,8 +68,7 @@ class Multipliers:
 
     def run(self, folder: Path, index: int) -> PartPriced:
         patches, rest = held_part(self.training, index)
-        share = np.array(work.read_json(self.chosen / "share.json")["share"])
-        weight = 1 / share[octave_of(squared_norms(patches) + rest)].clip(share[share > 0].min())
+        weight = stands_for(self.chosen, squared_norms(patches) + rest)
         atoms, levels = load_atoms(self.quantised), arrays.read(self.quantised, "weight_levels")
         least = min(LADDER) * self.tolerance  # at other multipliers it ends on the way
         found = atoms.pursue(patches, self.max_atoms, 0.0, levels, least, pursuit=self.pursuit)

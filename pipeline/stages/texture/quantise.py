@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coding.grid import AtomForm, coefficients_of_texels, texels_of
+from pipeline.coding.levels import learn_levels
+from pipeline.coding.omp_kernels import squared_norms
 from pipeline.coding.quantise import (
     dequantise_atoms,
     mip_levels,
@@ -17,13 +19,14 @@ from pipeline.coding.quantise import (
 )
 from pipeline.coding.subspace import lift
 from pipeline.stages.texture.atoms import load_atoms, store_atoms
-from pipeline.stages.texture.training import training_part
+from pipeline.stages.texture.training import TrainingPart, stands_for, training_part
 from pipeline.summaries import InParts, Quantised
 from storage.packed.dictionaries.shipped import shipped
 from storage.packed.schema import MIP_SIZES, PATCH_SIZE
 from storage.work import arrays, work
 
 IN_COMPONENTS = "in-components"
+LEARNED_FROM = 2048  # patches, for weight levels: 4,096 gave 0.00 dB more
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,8 @@ class Quantisation:
         None  # None: in components, atoms are learned from whole patches and have even weight levels
     )
     shipped: str = ""  # the name of these
+    pursuit: str = ""  # that of `Encode`, for which levels are then learned in the loop
+    chosen: Path | None = None  # and the training set, which knows how many a patch stands for
     name = "quantise"
 
     def init(self, folder: Path) -> int:
@@ -100,6 +105,24 @@ class Quantisation:
         work.write_parts(work.parts(folder) / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
         return PartQuantised(n_splats=len(codes.n_atoms), squared_error=float((found.residual + rest).sum()))
 
+    def _learned_in_the_loop(self, folder: Path, levels: np.ndarray, n_parts: int) -> np.ndarray:
+        of_each = -(-LEARNED_FROM // n_parts)
+        parts = []
+        for index in range(n_parts):
+            every = training_part(self.training, index)
+            step = max(1, len(every.rest) // of_each)
+            parts.append(TrainingPart(every.coefficients[::step].copy(), every.rest[::step].copy()))
+        patches, rest = (np.concatenate(values) for values in zip(*parts))
+        atoms = load_atoms(folder)
+        return learn_levels(
+            levels,
+            patches,
+            atoms.dictionary,
+            stands_for(self.chosen, squared_norms(patches) + rest),
+            lambda tried: atoms.pursue(patches, self.max_atoms, 0.0, tried, self.multiplier, pursuit=self.pursuit),
+            self.multiplier,
+        )
+
     def finalise(self, folder: Path, results: list[PartQuantised]) -> Quantised:
         samples: list[list[np.ndarray]] = [[] for _ in range(self.max_atoms)]
         for i in range(len(results)):
@@ -109,6 +132,8 @@ class Quantisation:
         ranks = [np.concatenate(s) if s else np.empty(0, np.float32) for s in samples]
         train = uniform_weight_levels if self.form is None else train_weight_levels
         levels = train(ranks, 2**self.weight_bits)
+        if self.pursuit:
+            levels = self._learned_in_the_loop(folder, levels, len(results))
         arrays.store(folder, "weight_levels", levels.astype(np.float32, copy=False))
         return Quantised(
             n_atoms=arrays.layout_of(folder, "atom_scale").shape[0],

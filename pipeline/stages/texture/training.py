@@ -252,6 +252,13 @@ def held_share(n_patches: int) -> float:
     return min(MOST_HELD, HELD / max(1, n_patches))
 
 
+def stands_for(chosen: Path, energy: np.ndarray) -> np.ndarray:
+    """For how many of a scan's patches each of the training set stands, (n,) float64, by squared norms (n,): octaves of
+    contrast with few patches are in the set whole."""
+    share = np.array(work.read_json(chosen / "share.json")["share"])
+    return 1 / share[octave_of(energy)].clip(share[share > 0].min())
+
+
 def membership(stage: TrainingSet, folder: Path, held: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of every splat: whether its average colour leaves it unsettled, whether it is learned from, where a share `held`
     of the training set is not, and its octave."""
