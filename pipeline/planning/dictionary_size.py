@@ -12,9 +12,10 @@ from storage.packed.schema import ATOM_SIZES
 PATCHES_AN_ATOM = 4  # a dictionary that a scan can fill: fewer training patches an atom would only be stored
 # `auto`, at most: on fountain_p11 and monstree four times the atoms gained 0.3 dB where they cost 0.3 bytes a splat more.
 DICTIONARY_BYTES_A_SPLAT = 0.5
-# Of the bytes of codes, as the first pass of learning takes atoms. Bytes a splat on the GPU with 512, 256 and 128 atoms:
-# fountain_p11 (2.6 atoms a splat then) 11.06, 10.92, 10.93 at 40.54, 40.53, 40.54 dB; monstree for 34.5 dB (3.6) 14.48,
-# 14.62 at 35.04, 35.02 dB; not tuned on: the demo's stereo pair (1.6) 9.32, 9.09 at 41.72 dB.
+# Of the bytes of codes, as the first pass of learning takes atoms. Bytes a splat on the GPU with 512, 256 and 128 atoms,
+# `balanced`: fountain_p11 (2.6 atoms a splat then) 11.06, 10.92, 10.93 at 40.54, 40.53, 40.54 dB, over quadrics 9.34, 9.17
+# at 40.43, 40.41; monstree for 34.5 dB (3.6) 14.48, 14.62 at 35.04, 35.02; not tuned on: the demo's stereo pair (1.6)
+# 9.32, 9.08, 9.00 at 41.72, 41.68, 41.68.
 SHARE_OF_CODES = 1 / 15
 # Of atoms of station maps, which are as small as their texels: atoms of conference_room (a tenth, `balanced`) are 0.62 dB
 # below patches that are not coded in a picture from near the station with half a byte (659 kB), 0.35 with 1.5 (758 kB).
