@@ -229,6 +229,7 @@ def test_page__estimates_measures_and_deletes(tmp_path, page, large):
         page.look(
             "document.getElementById('preset').value = 'draft'; document.querySelector('[name=iterations]').value = 1"
         )
+        page.look("document.querySelector('[name=dictionary]').value = 'own'")  # which has a curve of learning
         page.look("document.getElementById('estimate').click()")
         page.until("/texture PSNR/.test(document.getElementById('estimated').innerText)")
         assert "to" in text(page, "estimated") and text(page, "problem") == ""
