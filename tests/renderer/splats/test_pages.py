@@ -70,7 +70,7 @@ def made(tmp_path_factory):
     compress(scan, folder / "out", settings, SerialExecutor(), Heard(), render=False, work=folder / "work")
     form = PageForm("png", 32)
     make_pages(folder / "work", folder / "wall.pages", form, SerialExecutor(), Heard())
-    few = settings_for("draft", training_splats=256, iterations=1, max_atoms=1)
+    few = settings_for("draft", dictionary="own", training_splats=256, iterations=1, max_atoms=1)
     compress(scan, folder / "atoms", few, SerialExecutor(), Heard(), render=False, work=folder / "work")
     scene, with_atoms = (opened_scene(folder / name / "wall.splatpress") for name in ("out", "atoms"))
     places, label = scene_places(scene, 1, 32)
