@@ -155,8 +155,9 @@ def test_archive__groups_of_a_large_file_begin_with_models_that_it_has(files, tm
     with PackedFile(tmp_path / "a") as with_models, PackedFile(files["two groups"][1]) as without:
         assert with_models._priors is not None and with_models._priors.any() and without._priors is None
         assert with_models._rows(BY_NAME["archive"])[0].any()
+        found = with_models.load().arrays
         for name, values in without.load().arrays.items():
-            assert np.array_equal(with_models.load().arrays[name], values), name
+            assert np.array_equal(found[name], values), name
 
 
 def test_archive__runs_are_coded_already(tmp_path):
