@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.coding.omp import pursue_patches
 from pipeline.coding.quantise import uniform_weight_levels
-from pipeline.stages.texture.atoms import store_atoms
+from pipeline.stages.texture.atoms import load_atoms, store_atoms
 from pipeline.stages.texture.contrast_octaves import N_OCTAVES, octave_of
 from pipeline.stages.texture.multipliers import Multipliers, multiplier_for
 from pipeline.summaries import InParts, Ladder, Training
@@ -128,7 +128,7 @@ def test_weights__even_levels_are_the_same_for_every_rank_and_as_wide_as_pays():
     assert error(levels[0]) <= min(error(levels[0] * factor) for factor in (0.8, 1.25))
 
 
-def ladder_of(folder, patches: np.ndarray, share: np.ndarray, n_tasks: int = 1) -> Ladder:
+def ladder_of(folder, patches: np.ndarray, share: np.ndarray, n_tasks: int = 1, pursuit: str = "omp") -> Ladder:
     """What patches that nothing is learned from, of a training set that is such a share of each octave, find with 16
     atoms."""
     space, chosen, quantised = (folder / name for name in ("space", "chosen", "quantised"))
@@ -144,7 +144,7 @@ def ladder_of(folder, patches: np.ndarray, share: np.ndarray, n_tasks: int = 1) 
     atoms = np.random.default_rng(9).standard_normal((16, patches.shape[1]))
     store_atoms(quantised, atoms / np.linalg.norm(atoms, axis=1, keepdims=True))
     arrays.store(quantised, "weight_levels", np.tile(np.linspace(-4, 4, 16, dtype=np.float32), (8, 1)))
-    stage = Multipliers(space, chosen, quantised, 8, 1.0)
+    stage = Multipliers(space, chosen, quantised, 8, 1.0, pursuit)
     return stage.finalise(folder, [stage.run(folder, i) for i in range(n_tasks)])
 
 
@@ -158,6 +158,18 @@ def test_multipliers__are_those_of_the_same_splats_wherever_tasks_part_them(tmp_
     moved = ladder_of(tmp_path / "turned", patches[turned], share, n_tasks=3)
     for figure in ("error", "n_atoms"):
         assert getattr(moved, figure) == pytest.approx(getattr(still, figure), rel=0.002)
+
+
+@pytest.mark.parametrize("pursuit", ["omp", "ormp", "4x2"])
+def test_multipliers__error_and_atoms_are_those_of_a_pursuit_at_each(tmp_path, pursuit):
+    """A beam follows other supports at another multiplier."""
+    patches = (2 * np.random.default_rng(6).standard_normal((300, 12))).astype(np.float32)
+    ladder = ladder_of(tmp_path, patches, np.ones(N_OCTAVES), pursuit=pursuit)
+    atoms, levels = load_atoms(tmp_path / "quantised"), arrays.read(tmp_path / "quantised", "weight_levels")
+    for multiplier, error, n_atoms in zip(ladder.multiplier, ladder.error, ladder.n_atoms):
+        found = atoms.pursue(patches, 8, 0.0, levels, multiplier, pursuit=pursuit)
+        assert found.residual.mean() == pytest.approx(error, rel=1e-6)
+        assert found.codes.n_atoms.mean() == pytest.approx(n_atoms, rel=1e-6)
 
 
 def test_multipliers__what_is_rare_counts_as_rare_though_it_was_learned_from_whole(tmp_path):
