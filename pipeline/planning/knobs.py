@@ -373,7 +373,7 @@ KNOBS = (
         "whether the packed file is in archive form: each group of it under a range coder, decoded as it is read to just what "
         "a plain file holds; not of runs, which are coded already",
         "on: 20 to 28 % fewer bytes on disk, and on the way",
-        "on: a file is read in 70 ms of a core for 8,192 splats, by all cores, a plain one in 4; browsers are given the plain form, as `export --to plain` makes it",
+        "on: a file is read in 70 to 90 ms of a core for 8,192 splats, by all cores, a plain one in 4; browsers are given the plain form, as `export --to plain` makes it",
         "pack",
         choices=("off", "on"),
     ),
