@@ -46,8 +46,9 @@ from services.flow.textures import Coded
 from services.processes.estimate_gaps import Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
 from services.processes.estimate_pages import PagesEstimated, estimate_pages
 from storage.errors import ResourceExhausted
+from storage.packed.layout import LOCAL_HEADER_BYTES, group_members
 from storage.packed.packed import SUFFIX, PackedFile
-from storage.packed.schema import ATOM_SIZES, EXTRAS
+from storage.packed.schema import ATOM_SIZES, EXTRAS, GROUP
 from storage.work import arrays, work
 from storage.work.stage_lock import stage_lock
 
@@ -75,6 +76,7 @@ class _Pilot:
     settings: Settings  # the pilot's own
     sizes: Sizes
     grouped_bytes: int  # of the file, in groups of splats
+    a_group_bytes: int  # of these, what a group takes whatever it holds: heads of its members in the zip
     n_sample: int
     stages: list[tuple[Stage, StageRecord]]
     full: list[StageRecord]  # stages with all splats
@@ -154,6 +156,8 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
     with PackedFile(path) as packed:
         sizes = sizes_of(packed.load(), path.stat().st_size)
         grouped_bytes = int(packed.groups.bytes.sum())
+        heads = [] if packed.is_archive else group_members(packed.header, 0)
+        a_group_bytes = sum(LOCAL_HEADER_BYTES + len(member) for _, member in heads)
     stages = [(stage, record) for stage, record in ran.values() if stage.name != Sampled.name]
     return _Pilot(
         prepared,
@@ -161,6 +165,7 @@ def _pilot(run: Run, scan: Path, settings: Settings, scratch: Path) -> _Pilot:
         own,
         sizes,
         grouped_bytes,
+        a_group_bytes,
         sampled.splats.summary.n_splats,
         stages,
         list(run.records),
@@ -389,7 +394,9 @@ def _file_bytes(pilot: _Pilot, sizes: dict) -> float:
     of_splats, of_shared = (sum(getattr(pilot.sizes, name) for name in names) for names in (splats, shared))
     more = sum(sizes.get(name, 0) for name in shared) / of_shared if of_shared else 1.0
     rest = pilot.sizes.file_bytes - pilot.grouped_bytes
-    return pilot.grouped_bytes * sum(sizes[name] for name in splats) / of_splats + rest * more
+    heads, of_sample = (pilot.a_group_bytes * -(-n // GROUP) for n in (pilot.n_splats, pilot.n_sample))
+    held = pilot.grouped_bytes - of_sample
+    return heads + held * sum(sizes[name] for name in splats) / of_splats + rest * more
 
 
 def _psnr_db(pilot: _Pilot, loss: float) -> float | None:

@@ -178,7 +178,7 @@ def seconds_of(
         work.record_task(folder, i, work.TaskRecord(None, n, seconds, seconds / 2, compiling, 0))
     record = StageRecord(stage.name, folder, {}, made, 0, len(tasks), sum(n for _, n in tasks), False, made)
     prepared = SimpleNamespace(splats=SimpleNamespace(summary=Counted(2000)))
-    pilot = module._Pilot(prepared, None, SETTINGS, {}, 0, 200, [], [], n_workers)
+    pilot = module._Pilot(prepared, None, SETTINGS, {}, 0, 0, 200, [], [], n_workers)
     learning = {"n_patches": 900, "n_patches_pilot": 300, "n_atoms": 16, "n_atoms_pilot": 16}
     seconds, processor_seconds = module._stage_seconds(pilot, stage, record, SETTINGS, learning)
     busy = processor_seconds * 2  # what both clocks counted of the tasks
