@@ -62,7 +62,7 @@ def _fit(name: str, rows: list[dict]) -> StageCost:
     once, once_a_unit, once_a_kilo = _sum(
         np.maximum([f["once_s"] for f in found], 0) / passes, units, kilos if by_atoms else None
     )
-    a_unit = np.array([f["tasks_s"] for f in found]) / (units * passes)
+    a_unit = np.array([f["tasks_s"] / f["looked_at"] for f in found])
     task, task_a_kilo = _line(kilos, a_unit) if by_atoms else (np.median(a_unit), 0.0)
     written = np.array([f["written"] for f in found]) / passes
     _, written_a_unit, written_a_kilo = (
@@ -99,7 +99,7 @@ def tasks_fitted(rows: list[dict], known: dict[str, StageCost]) -> dict[str, dic
             continue
         kilos = measured[0]["kilos"]
         beam = beam_us(cost, beam_of(rows[0]["pursuit"]), kilos)
-        a_unit = 1e6 * float(np.median([f["tasks_s"] / (f["units"] * f["passes"]) for f in measured])) - beam
+        a_unit = 1e6 * float(np.median([f["tasks_s"] / f["looked_at"] for f in measured])) - beam
         share = a_unit / (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos)
         found[name] = {k: share * getattr(cost, k) for k in ("task_us_a_unit", "task_us_a_unit_a_kilo")}
         found[name]["memory_bytes"] = max(cost.memory_bytes, *(float(f["peak"]) for f in measured))
@@ -151,6 +151,8 @@ def _measured(name: str, row: dict) -> dict:
     return {
         "units": units,
         "passes": tasks["passes"],
+        # Of learning and quantising some passes look at a share of the patches.
+        "looked_at": splats.sum() if name in ("ksvd-update", "quantise") else units * tasks["passes"],
         "kilos": kilos_of(row["indices"], row["atom_size"]),
         "tasks_s": np.maximum(processor - compiling, 0)[here].sum(),
         "once_s": once,
@@ -165,7 +167,8 @@ def _rows_of(name: str, row: dict, splats: np.ndarray) -> float:
     if TASKS[name] == Task.SAMPLE:
         return float(min(row["splats"], SAMPLED * BLOCK))
     if TASKS[name] in (Task.TRAINING, Task.ONCE):
-        return float(sum(row["tasks"]["training-set"]["splats"]))
+        learned = row["tasks"].get("coefficients", row["tasks"]["training-set"])
+        return float(sum(learned["splats"]))
     return float(row["splats"])
 
 
@@ -194,7 +197,7 @@ def checked(rows: list[dict]) -> list[dict]:
             row["workers"],
             n,
             megapixels,
-            sum(row["tasks"]["training-set"]["splats"]),
+            sum(row["tasks"]["coefficients"]["splats"]),
             row["tasks"]["ksvd-update"]["passes"],
             row["indices"],
             row["atom_size"],

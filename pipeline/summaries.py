@@ -260,6 +260,7 @@ class Updated:
     n_patches: int
     n_replaced: int
     n_atoms_used: int
+    quantised_error: float  # of the best, over those patches that quantising looks at
 
 
 @dataclass(frozen=True)

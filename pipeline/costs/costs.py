@@ -9,12 +9,14 @@ on, times what `pipeline/costs/probe.py` says of another. A store shared by many
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import fields, replace
 from pathlib import Path
 
 from pipeline.catalogue import CATALOGUE, Phase, Task
 from pipeline.coding.beam.form import Beam, beam_of
 from pipeline.coding.ksvd import BLOCK as TRAINING_BLOCK
+from pipeline.coding.passes import quantised_share, rounds_of_passes
 from pipeline.costs.job import KILO, SMALLEST, Dispatch, Job, StageCost, StagePlan
 from pipeline.costs.makespan import makespan
 from pipeline.costs.of_maps import told_by_stations
@@ -146,8 +148,25 @@ def _is_called_for(name: str, job: Job) -> bool:
 def _plan_stage(
     name: str, cost: StageCost, job: Job, kilos: float, written: dict[str, float], dispatch: Dispatch
 ) -> StagePlan:
-    passes = job.iterations if name == "ksvd-update" else 1
-    units, n_tasks = _units(name, job), _n_tasks(name, job)
+    rounds = [(_plan_once(name, cost, job, kilos, written, dispatch, share), n) for share, n in _rounds(name, job)]
+    summed = ("n_tasks", "seconds", "once_s", "dispatch_s", "read_bytes", "written_bytes")
+    return replace(rounds[-1][0], **{key: sum(n * getattr(plan, key) for plan, n in rounds) for key in summed})
+
+
+def _rounds(name: str, job: Job) -> tuple[tuple[float, int], ...]:
+    """How often a stage runs, and over which share of its units: levels of weights are first those for learning, then
+    those for the Lagrange multiplier that was found."""
+    n_units = int(_units(name, job))
+    if name == "ksvd-update":
+        return rounds_of_passes(job.iterations, n_units)
+    return {"quantise": ((quantised_share(n_units), 2),), "multipliers": ((1.0, 2),)}.get(name, ((1.0, 1),))
+
+
+def _plan_once(
+    name: str, cost: StageCost, job: Job, kilos: float, written: dict[str, float], dispatch: Dispatch, share: float
+) -> StagePlan:
+    """A stage that runs once, over a share of its units."""
+    units, n_tasks = share * _units(name, job), math.ceil(share * _n_tasks(name, job))
     task_s = 1e-6 * (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos) * units / max(1, n_tasks)
     task_s += cost.task_s + 1e-6 * beam_us(cost, beam_of(job.pursuit), kilos) * units / max(1, n_tasks)
     task_s += dispatch.around_s + 1e-6 * cost.task_us_a_splat * job.n_splats / max(1, n_tasks)
@@ -160,17 +179,16 @@ def _plan_stage(
     n_calls = sum(-(-size // most) for size in calls)
     dispatch_s = dispatch.call_s * n_calls / max(1, n_tasks) + dispatch.task_s
     busy_s = makespan(n_tasks, task_s, job.n_workers, dispatch_s)
-    read = _read(name, job, written)
     return StagePlan(
         name,
-        passes * n_tasks,
+        n_tasks,
         min(most, max(calls, default=1)),
         task_s,
-        passes * (once_s + busy_s),
-        passes * once_s,
-        passes * n_tasks * dispatch_s,
-        passes * read,
-        passes * written[name],
+        once_s + busy_s,
+        once_s,
+        n_tasks * dispatch_s,
+        share * _read(name, job, written),
+        written[name],
         cost.memory_bytes + cost.memory_bytes_a_unit * min(units, MOST_HELD),
     )
 

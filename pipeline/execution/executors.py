@@ -7,7 +7,7 @@ import queue
 import time
 import uuid
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import wait
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from itertools import accumulate, pairwise
 from pathlib import Path
@@ -67,6 +67,7 @@ class DaskExecutor:
     WATCH_S; what it raises stops them: those under way get GRACE_S, then their workers are started anew, for a thread
     cannot be stopped and Dask would only forget it. `resources` are those that a worker must have. `on_lost` hears, in
     a thread of Dask's, which of these tasks a worker that is gone had been given; they run again elsewhere.
+    `beside_start` is called while processes of this machine start.
     """
 
     def __init__(
@@ -78,8 +79,9 @@ class DaskExecutor:
         resources: Mapping[str, float] | None = None,
         watch: Callable[[], None] = lambda: None,
         on_lost: Callable[[str, list[str]], None] | None = None,
+        beside_start: Callable[[], object] = lambda: None,
     ) -> None:
-        self._n_workers, self._scheduler = n_workers, scheduler
+        self._n_workers, self._scheduler, self._beside_start = n_workers, scheduler, beside_start
         self._job, self._resources, self._watch, self._on_lost = job, resources, watch, on_lost
         self._wanted: set[str] = set()  # keys of the tasks under way
 
@@ -89,14 +91,17 @@ class DaskExecutor:
 
         self._cluster = None
         if self._scheduler is None:
-            with dask.config.set(DASK_SETTINGS):
-                self._cluster = LocalCluster(
+            with dask.config.set(DASK_SETTINGS), ThreadPoolExecutor(1) as thread:
+                starting = thread.submit(
+                    LocalCluster,
                     n_workers=self._n_workers,
                     threads_per_worker=1,
                     processes=True,
                     dashboard_address="127.0.0.1:0",  # whoever reaches it reads what runs here
                     silence_logs="ERROR",
                 )
+                self._beside_start()
+                self._cluster = starting.result()
         self._client = Client(self._cluster or self._scheduler, set_as_default=False)
         self._client.scheduler_comm.interval = CLIENT_INTERVAL_S
         self.n_workers = max(1, len(self._client.scheduler_info()["workers"]))

@@ -238,7 +238,7 @@ KNOBS = (
     Knob(
         "iterations",
         int,
-        "passes of k-SVD",
+        "passes of k-SVD; with the default coder those before the last four look at 10,000 patches",
         "a dictionary nearer to its best; each pass gives less than the one before",
         "time of learning, in proportion",
         "ksvd-update",

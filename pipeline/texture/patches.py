@@ -97,7 +97,7 @@ class _Seen:
     rows: np.ndarray  # (m,) of the block, in front of it
     homography: np.ndarray  # (m, 3, 3)
     window: Window | None  # of its photograph; None where no splat is in front
-    n_flagged: int
+    n_flagged: int  # of all rows; 0 where some are wanted, which nobody counts
 
 
 def _by_camera(block: Block, wanted: np.ndarray | None = None) -> Iterator[_Seen]:
@@ -108,14 +108,14 @@ def _by_camera(block: Block, wanted: np.ndarray | None = None) -> Iterator[_Seen
         rows, camera = np.flatnonzero(block.camera == i), block.cameras[i]
         u, v = block.frame
         h = homographies(camera, block.origin, block.centre[rows], u[rows], v[rows], radius[rows])
-        n_flagged = int((~is_whole(h, camera.width_px, camera.height_px)).sum())
+        n_flagged = 0 if wanted is not None else int((~is_whole(h, camera.width_px, camera.height_px)).sum())
         in_front = is_in_front(h)
         rows, h = rows[in_front], h[in_front]
         if not len(rows) or (wanted is not None and not wanted[rows].any()):
             yield _Seen(rows, h, None, n_flagged)
             continue
         bounds = whole = window_bounds(project_corners(h), camera.width_px, camera.height_px)
-        if wanted is not None:
+        if wanted is not None and not wanted[rows].all():
             rows, h = rows[wanted[rows]], h[wanted[rows]]
             bounds = window_bounds(project_corners(h), camera.width_px, camera.height_px)
         yield _Seen(
@@ -141,19 +141,22 @@ def measured(texel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def centred(texel: np.ndarray, average: np.ndarray) -> np.ndarray:
     """What is coded: patches less their average as it is decoded (n, 3) float32, (n, PATCH_DIM) float32 in [-1, 1]."""
     result = np.empty(texel.shape, np.float32)
-    shape = (len(texel), texel.shape[1] // 3, 3)
-    _centre(texel.reshape(shape), average, result.reshape(shape))
+    _centre(texel, average, result)
     return result
 
 
-def patch_errors(texel: np.ndarray, average: np.ndarray, added: np.ndarray) -> tuple[float, float]:
+def patch_errors(
+    texel: np.ndarray, average: np.ndarray, added: np.ndarray, has: np.ndarray | None = None
+) -> tuple[float, float]:
     """Squared error of patches, plain and weighted by the splat's blending weight, summed over all values.
 
-    `texel` (n, PATCH_DIM) uint8 resampled, `average` (n, 3) float32 in 255ths, `added` (n, PATCH_DIM) float32 what the
-    atoms add to it. The sum is clamped to [0, 1] as the renderer clamps it.
+    `texel` (n, PATCH_DIM) uint8 resampled, `average` (n, 3) float32 in 255ths, `added` (m, PATCH_DIM) float32 what the
+    atoms add to it, of the rows that `has` (n,) bool names: to the others they add nothing. The sum is clamped to [0, 1]
+    as the renderer clamps it.
     """
-    shape = (len(texel), -1, 3)
-    return _errors(texel.reshape(shape), average, added.reshape(shape), disc_weights()[::3].astype(np.float32))
+    row = np.full(len(texel), -1)
+    row[slice(None) if has is None else has] = np.arange(len(added))
+    return _errors(texel, average, added, row, disc_weights().astype(np.float32))
 
 
 def texel_errors(texel: np.ndarray, other: np.ndarray) -> tuple[float, float]:
@@ -194,27 +197,35 @@ def _measure(texel, average, energy):
 
 @kernel(fastmath={"contract"})
 def _centre(texel, average, result):
-    step = np.float32(1 / 255)
+    step, width = np.float32(1 / 255), np.uintp(3 * PATCH_SIZE)
+    base = np.empty(width, np.float32)  # of a row of texels: a loop over three channels uses no vectors
     for i in range(texel.shape[0]):
-        for t in range(texel.shape[1]):
-            for k in range(3):
-                result[i, t, k] = (np.float32(texel[i, t, k]) - average[i, k]) * step
+        for j in range(width):
+            base[j] = average[i, j % 3]
+        for y in range(texel.shape[1] // width):
+            at = np.uintp(y) * width
+            for j in range(width):
+                result[i, at + j] = (np.float32(texel[i, at + j]) - base[j]) * step
 
 
-@kernel(fastmath={"contract", "reassoc", "nsz"})
-def _errors(texel, average, added, weight):
-    step = np.float32(1 / 255)
+@kernel(fastmath={"contract", "reassoc", "nsz", "nnan"})
+def _errors(texel, average, added, row, weight):
+    step, width = np.float32(1 / 255), np.uintp(3 * PATCH_SIZE)
+    base, nothing = np.empty(width, np.float32), np.zeros(texel.shape[1], np.float32)
     plain, weighted = 0.0, 0.0
     for i in range(texel.shape[0]):
+        for j in range(width):
+            base[j] = average[i, j % 3] * step
+        more = nothing if row[i] < 0 else added[row[i]]
         patch_plain, patch_weighted = np.float32(0), np.float32(0)
-        for t in range(texel.shape[1]):
-            squared = np.float32(0)
-            for k in range(3):
-                decoded = added[i, t, k] + average[i, k] * step
-                error = min(max(decoded, np.float32(0)), np.float32(1)) - np.float32(texel[i, t, k]) * step
-                squared += error * error
-            patch_plain += squared
-            patch_weighted += weight[t] * squared
+        for y in range(PATCH_SIZE):
+            at = np.uintp(y) * width
+            for j in range(width):
+                decoded = min(max(more[at + j] + base[j], np.float32(0)), np.float32(1))
+                error = decoded - np.float32(texel[i, at + j]) * step
+                squared = error * error
+                patch_plain += squared
+                patch_weighted += weight[at + j] * squared
         plain += patch_plain
         weighted += patch_weighted
     return plain, weighted

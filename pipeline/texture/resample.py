@@ -97,10 +97,20 @@ def resampling_error(
 def _padded(pixels: np.ndarray) -> np.ndarray:
     """Pixels (h, w, 3) uint8 as (h + 1, w + 1) uint32, red in the lowest byte, edges repeated: a lookup needs no test
     of its right and lower neighbours, and a pixel is one load."""
-    padded = np.zeros((pixels.shape[0] + 1, pixels.shape[1] + 1, 4), np.uint8)
-    padded[:-1, :-1, :3] = pixels
-    padded[-1], padded[:, -1] = padded[-2], padded[:, -2]
-    return padded.view("<u4")[..., 0]
+    padded = np.empty((pixels.shape[0] + 1, pixels.shape[1] + 1), np.uint32)
+    _pack(pixels, padded)
+    return padded
+
+
+@kernel()
+def _pack(pixels, padded):
+    height, width = pixels.shape[:2]
+    for y in range(height + 1):
+        row = min(y, height - 1)
+        for x in range(width):
+            red, green, blue = pixels[row, x, 0], pixels[row, x, 1], pixels[row, x, 2]
+            padded[y, x] = np.uint32(red) | np.uint32(green) << np.uint32(8) | np.uint32(blue) << np.uint32(16)
+        padded[y, width] = padded[y, width - 1]
 
 
 def disc_weights() -> np.ndarray:

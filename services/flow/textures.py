@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coding.grid import SYMMETRIES, AtomForm
+from pipeline.coding.passes import quantised_share, rounds_of_passes
 from pipeline.execution.stage import StageRecord
 from pipeline.numerics.accuracy import psnr_db, squared_error_at
 from pipeline.planning.dictionary_size import (
@@ -103,7 +104,15 @@ def code_patches(
     learning: tuple[LearningPass, ...] = ()
     if shipped:
         settled = settings.max_atoms, stop.tolerance, settings.weight_bits
-        quantising = Quantisation(space.folder, None, *settled, multiplier=stop.multiplier, form=form, shipped=shipped)
+        quantising = Quantisation(
+            space.folder,
+            None,
+            *settled,
+            multiplier=stop.multiplier,
+            form=form,
+            shipped=shipped,
+            share=_quantised_share(space, form),
+        )
         quantised, n_taken_back = run.do(quantising), 0
     else:
         bits = index_bits(settings, form, n_of_all, map_texels is not None)
@@ -195,36 +204,41 @@ def _learn(
 ) -> tuple[StageRecord[Updated], tuple[LearningPass, ...]]:
     """The last iteration, and the learning curve as estimates for the whole scan: of the best dictionary so far.
 
-    Ends early where an iteration gains less than `least_gain_db`. Of `n_splats` there are fewer atoms than `bits` name
+    A round of passes ends early where one gains less than `least_gain_db`. Of `n_splats` there are fewer atoms than `bits` name
     where the codes that the first iteration counts do not pay for them.
     """
     seconds = 0.0  # of the passes as they were made, now or by an earlier run
     of_turns = form or AtomForm()
 
-    def updated(previous: Path, iteration: int) -> StageRecord[Updated]:
+    n_patches = space.summary.n_patches
+    rounds = ((1.0, settings.iterations),) if form is None else rounds_of_passes(settings.iterations, n_patches)
+
+    def updated(previous: Path, iteration: int, share: float) -> StageRecord[Updated]:
         stops = settings.max_atoms, stop.tolerance, iteration, stop.multiplier, of_turns
-        return run.do(KsvdUpdate(space.folder, previous, *stops))
+        return run.do(KsvdUpdate(space.folder, previous, *stops, share, _quantised_share(space, form)))
 
     def seeded(bits: int) -> Path:
-        n_atoms = max(1, min(2**bits // of_turns.n_turns, space.summary.n_patches // PATCHES_AN_ATOM))
+        n_atoms = max(1, min(2**bits // of_turns.n_turns, n_patches // PATCHES_AN_ATOM))
         return run.do(DictionarySeed(space.folder, n_atoms, settings.seed, of_turns)).folder
 
     learned, first = seeded(bits), None
     if n_splats and bits > FEWEST_INDEX_BITS:
-        first = updated(learned, 0)
+        first = updated(learned, 0, rounds[0][0])
         codes = codes_bytes_a_splat(bits + settings.weight_bits, training.summary, first.summary)
         if (fewer := bits_for_codes(form, bits, n_splats, codes)) < bits:
             learned, first = seeded(fewer), None
     curve: list[LearningPass] = []
-    for iteration in range(settings.iterations):
-        record = first if first and iteration == 0 else updated(learned, iteration)
-        seconds += record.made_seconds
-        learned, found = record.folder, record.summary
-        curve.append(
-            LearningPass(seconds, estimated_psnr_db(training.summary, found), found.n_replaced, found.accepted)
-        )
-        if _is_settled(curve, settings.least_gain_db):
-            break
+    for share, n_passes in rounds:
+        begin = len(curve)
+        for iteration in range(begin, begin + n_passes):
+            record = first if first and iteration == 0 else updated(learned, iteration, share)
+            seconds += record.made_seconds
+            learned, found = record.folder, record.summary
+            curve.append(
+                LearningPass(seconds, estimated_psnr_db(training.summary, found), found.n_replaced, found.accepted)
+            )
+            if _is_settled(curve[begin:], settings.least_gain_db):
+                break
     return record, tuple(curve)
 
 
@@ -235,30 +249,27 @@ def _is_settled(curve: list[LearningPass], least_gain_db: float) -> bool:
     return curve[-1].psnr_db - curve[-2].psnr_db < least_gain_db
 
 
+def _quantised_share(space: StageRecord, form: AtomForm | None) -> float:
+    """Of the training set, what quantising looks at; all for the paper's coder."""
+    return 1.0 if form is None else quantised_share(space.summary.n_patches)
+
+
 def _quantise_best(
     run: Run, space: StageRecord, learned: StageRecord[Updated], settings: Settings, stop: Stop, form: AtomForm | None
 ) -> tuple[StageRecord[Quantised], Quantisation, int]:
     """The better of the last dictionary and the best before it, in bytes, its stage, and whether (0 or 1) the last was
     taken back.
 
-    Quantising codes the training set once more, so the last dictionary, which no iteration has measured, is measured
-    there. The one before it is quantised too only where the last looks worse.
+    Quantising codes patches of the training set once more, so the last dictionary, which no iteration has measured, is
+    measured there. The one before it is quantised too only where the last looks worse.
     """
+    settled, share = (settings.max_atoms, stop.tolerance, settings.weight_bits), _quantised_share(space, form)
     of_last, of_best = (
-        Quantisation(
-            space.folder,
-            learned.folder,
-            settings.max_atoms,
-            stop.tolerance,
-            settings.weight_bits,
-            name,
-            stop.multiplier,
-            form,
-        )
+        Quantisation(space.folder, learned.folder, *settled, name, stop.multiplier, form, share=share)
         for name in ("dictionary", "best")
     )
     last = run.do(of_last)
-    if last.summary.squared_error <= learned.summary.squared_error:
+    if last.summary.squared_error <= learned.summary.quantised_error:
         return last, of_last, 0
     best = run.do(of_best)
     return (best, of_best, 1) if best.summary.squared_error < last.summary.squared_error else (last, of_last, 0)

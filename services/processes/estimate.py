@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 
 from pipeline.coding.grid import SYMMETRIES, AtomForm
+from pipeline.coding.passes import quantised_share, whole_passes
 from pipeline.execution.stage import Executor, Progress, Stage, StageRecord
 from pipeline.numerics.accuracy import squared_error_at
 from pipeline.planning.dictionary_size import PATCHES_AN_ATOM, index_bits
@@ -27,6 +28,7 @@ from pipeline.stages.texture.contrast_octaves import shares
 from pipeline.stages.texture.dictionary import KsvdUpdate
 from pipeline.stages.texture.encode import Encode
 from pipeline.stages.texture.multipliers import Multipliers, least_multiplier, multiplier_for
+from pipeline.stages.texture.quantise import Quantisation
 from pipeline.stages.texture.resample import Resample
 from pipeline.stages.texture.training import TrainingSet, held_share, membership
 from pipeline.summaries import AverageColors
@@ -42,7 +44,7 @@ from services.flow.maps import Mapped
 from services.flow.pack import pack
 from services.flow.prepare import Prepared, wants_texture
 from services.flow.run import Run
-from services.flow.textures import Coded
+from services.flow.textures import Coded, n_held
 from services.processes.estimate_gaps import Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
 from services.processes.estimate_pages import PagesEstimated, estimate_pages
 from storage.errors import ResourceExhausted
@@ -286,7 +288,11 @@ def _learning(pilot: _Pilot, settings: Settings) -> dict:
         return {}
     training = next(record for _, record in pilot.stages if record.name == TrainingSet.name).summary
     n_active = training.n_active / pilot.share
-    n_patches = min(settings.training_splats, n_active)
+    n_chosen = min(settings.training_splats + n_held(settings), n_active)
+    held, held_pilot = (
+        0.0 if settings.coder == "paper" else held_share(int(n)) for n in (n_chosen, training.n_patches)
+    )
+    n_patches = n_chosen * (1 - held)
     found = pilot.coded.quantised.summary
     form = None if settings.coder == "paper" else AtomForm(found.atom_size, found.n_turns)
     of_maps = pilot.coded.patches.summary.map_texels is not None
@@ -298,7 +304,7 @@ def _learning(pilot: _Pilot, settings: Settings) -> dict:
         "n_wanted": settings.training_splats,
         "n_active": int(n_active),
         "n_patches": int(n_patches),
-        "n_patches_pilot": training.n_patches,
+        "n_patches_pilot": int(training.n_patches * (1 - held_pilot)),
         "n_atoms": n_atoms,
         "n_atoms_pilot": pilot.coded.n_dictionary,
     }
@@ -330,7 +336,16 @@ def _stage_seconds(
     if hasattr(stage, "training") or stage.name == TrainingSet.name:
         n_patches = min(learning.get("n_patches", 0), getattr(stage, "most_patches", np.inf))
         factor = n_patches / record.n_splats if learning and record.n_splats else 1.0
-        passes = _passes(pilot, settings) if record.name == KsvdUpdate.name else 1
+        passes = 1.0
+        if record.name == KsvdUpdate.name:
+            passes = _passes(pilot, settings)
+            factor *= (
+                1.0
+                if settings.coder == "paper"
+                else whole_passes(settings.iterations, int(n_patches)) / settings.iterations
+            )
+        if isinstance(stage, Quantisation) and settings.coder != "paper":
+            factor *= quantised_share(int(n_patches)) / stage.share
         return passes * atoms * (
             once + _shared(busy * factor, len(tasks) * factor, pilot.n_workers)
         ), passes * atoms * used * factor

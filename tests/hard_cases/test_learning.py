@@ -3,6 +3,7 @@ docs/NUMERICS.md."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +26,7 @@ from pipeline.coding.omp import pursue_patches
 from pipeline.execution.executors import SerialExecutor
 from pipeline.execution.stage import run_stage
 from pipeline.stages.texture import dictionary as stages
+from pipeline.stages.texture import training
 from pipeline.stages.texture.dictionary import DictionarySeed, KsvdUpdate
 from pipeline.stages.texture.training import TrainingPart
 from pipeline.summaries import InParts
@@ -176,11 +178,13 @@ def test_learning__atoms_go_on_as_they_came_but_not_where_they_were_replaced_or_
 def staged(tmp_path, monkeypatch):
     """The stages of learning on patches of this file, without the stages before them."""
     patches = np.random.default_rng(4).permutation(always_together(2, noise=0.05))  # as a training set lies
-    monkeypatch.setattr(
-        stages,
-        "training_part",
-        lambda folder, index: TrainingPart(patches[750 * index : 750 * index + 750], np.zeros(750)),
-    )
+
+    def part(folder, index: int, share: float = 1.0) -> TrainingPart:
+        n = math.ceil(750 * share)
+        return TrainingPart(patches[750 * index :][:n], np.zeros(n))
+
+    for module in (stages, training):
+        monkeypatch.setattr(module, "training_part", part)
     monkeypatch.setattr(
         stages.work,
         "summary",
@@ -191,11 +195,11 @@ def staged(tmp_path, monkeypatch):
 
 def test_learning__the_stages_keep_the_best_dictionary_too(staged):
     folder, patches = staged
-    training = folder / "training"
-    learned = run_stage(DictionarySeed(training, 8, 0), folder, SerialExecutor(), Heard()).folder
+    space = folder / "training"
+    learned = run_stage(DictionarySeed(space, 8, 0), folder, SerialExecutor(), Heard()).folder
     records = []
     for iteration in range(13):
-        record = run_stage(KsvdUpdate(training, learned, 2, 0.0, iteration), folder, SerialExecutor(), Heard())
+        record = run_stage(KsvdUpdate(space, learned, 2, 0.0, iteration), folder, SerialExecutor(), Heard())
         records.append(record.summary)
         learned = record.folder
     curve = np.array([r.squared_error for r in records])
@@ -203,6 +207,23 @@ def test_learning__the_stages_keep_the_best_dictionary_too(staged):
     assert rises(curve).max() <= MONOTONE and (curve == np.minimum.accumulate(tried)).all()
     assert any(not r.accepted for r in records)
     assert measured(patches, arrays.read(learned, "best"), 2).error == pytest.approx(curve[-1], rel=1e-6)
+
+
+def test_learning__passes_over_few_patches_are_of_each_part_and_judged_by_themselves(staged):
+    folder, patches = staged
+    learned = run_stage(DictionarySeed(folder / "training", 8, 0), folder, SerialExecutor(), Heard()).folder
+    few, of_best = np.concatenate([patches[:188], patches[750 : 750 + 188]]), []
+    for iteration, share in enumerate([0.25, 0.25, 0.25, 1.0, 1.0, 1.0]):
+        stage = KsvdUpdate(folder / "training", learned, 2, 0.0, iteration, share=share, quantised_share=0.25)
+        record = run_stage(stage, folder, SerialExecutor(), Heard())
+        looked_at, found = (few, 1) if share < 1 else (patches, 2), record.summary
+        assert (found.n_patches, record.n_tasks) == (len(looked_at[0]), looked_at[1])
+        learned = record.folder
+        best = arrays.read(learned, "best")
+        assert found.squared_error == pytest.approx(measured(looked_at[0], best, 2).error, rel=1e-6)
+        of_best.append((found.quantised_error, measured(few, best, 2).error, found.accepted))
+    told, here, accepted = map(np.array, zip(*of_best))
+    assert told == pytest.approx(here, rel=1e-6) and accepted[3]  # errors of few are never compared with those of all
 
 
 # --- atoms that are not used, or not told apart

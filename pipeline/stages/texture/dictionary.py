@@ -3,6 +3,7 @@ iteration."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from pipeline.coding.ksvd import (
     next_trial,
 )
 from pipeline.stages.texture.atoms import load_atoms, store_atoms
-from pipeline.stages.texture.training import training_part
+from pipeline.stages.texture.training import n_tasks_of, training_part, training_share
 from pipeline.summaries import InParts, Seeded, Updated
 from storage.work import arrays, work
 
@@ -58,14 +59,16 @@ class PartPursued:
 
     n_splats: int
     n_atoms_used: int
+    quantised_error: float
 
 
 @dataclass(frozen=True)
 class KsvdUpdate:
-    """One iteration: a task codes one part of the training set and sums it; finalise merges, judges and updates.
+    """One iteration: a task codes one part of the training set and sums it, or of some parts a `share`; finalise merges,
+    judges and updates.
 
     Arrays: those of `atoms`, the next trial; before (k, d), the one just measured; best (k, d), the best of all
-    measured so far.
+    measured so far on as many patches: errors of few and of all do not compare.
     """
 
     training: Path
@@ -75,24 +78,32 @@ class KsvdUpdate:
     iteration: int
     multiplier: float = 0.0
     form: AtomForm = AtomForm()
+    share: float = 1.0
+    quantised_share: float = 1.0  # that quantising looks at, no more than `share`: its error is told besides
     name = "ksvd-update"
 
     def init(self, folder: Path) -> int:
-        return work.summary(self.training, InParts).n_tasks
+        return n_tasks_of(self.training, self.share)
 
     def run(self, folder: Path, index: int) -> PartPursued:
         atoms = load_atoms(self.previous)
-        patches, rest = training_part(self.training, index)
+        patches, rest = training_share(self.training, index, self.share)
         found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0), multiplier=self.multiplier)
         pursuit = found.beside(rest)  # errors are those of whole patches
         sums = _of_atoms(block_sums(patches, atoms.dictionary, pursuit), self.form)
         _store_sums(work.parts(folder), f"sums-{index}", sums)
-        return PartPursued(n_splats=len(patches), n_atoms_used=int(pursuit.codes.n_atoms.sum()))
+        n_quantised = math.ceil(self.quantised_share / self.share * len(patches))
+        return PartPursued(
+            n_splats=len(patches),
+            n_atoms_used=int(pursuit.codes.n_atoms.sum()),
+            quantised_error=float(pursuit.residual[:n_quantised].sum()),
+        )
 
     def finalise(self, folder: Path, results: list[PartPursued]) -> Updated:
         measured = arrays.read(self.previous, "dictionary")
         sums = _merged(work.parts(folder), len(results), measured.shape)
-        best, accepted = judge(_best_of(self.previous), measured, sums)
+        best, accepted = judge(_best_of(self.previous, sums.n_patches), measured, sums)
+        quantised_error = sum(r.quantised_error for r in results)
         before = arrays.read(self.previous, "before") if arrays.exists(self.previous, "before") else None
         trial, n_replaced = next_trial(best, measured, before, sums)
         store_atoms(folder, trial, self.form)
@@ -107,6 +118,7 @@ class KsvdUpdate:
             n_patches=sums.n_patches,
             n_replaced=n_replaced,
             n_atoms_used=sum(r.n_atoms_used for r in results),
+            quantised_error=quantised_error if accepted else work.summary(self.previous, Updated).quantised_error,
         )
 
 
@@ -118,9 +130,9 @@ def _of_atoms(sums: Sums, form: AtomForm) -> Sums:
     return replace(sums, moment=form.summed_back(sums.moment), gain=gain, n_users=n_users)
 
 
-def _best_of(previous: Path) -> Best | None:
-    """What the iteration before judged best; None where it was the seed."""
-    if not arrays.exists(previous, "best"):
+def _best_of(previous: Path, n_patches: int) -> Best | None:
+    """What the iteration before judged best; None where it was the seed, or looked at another number of patches."""
+    if not arrays.exists(previous, "best") or work.summary(previous, Updated).n_patches != n_patches:
         return None
     sums = _load_sums(previous, "best-sums")
     return Best(

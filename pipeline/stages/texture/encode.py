@@ -82,7 +82,7 @@ class Encode:
             weight_code[rows, :used], error[rows] = found.weight_code, found.residual
             if at < n_coarser:
                 continue
-            lost = patch_errors(texel, average[rows], decoded)
+            lost = patch_errors(texel, average[rows], decoded, found.codes.n_atoms > 0)
             squared, weighted = squared + lost[0], weighted + lost[1]
         for name, values in (("n_atoms", n_atoms), ("atom", atom), ("weight_code", weight_code), ("error", error)):
             arrays.write(folder, name, start, values)
@@ -103,23 +103,30 @@ class Encode:
 
     def _encoder(self):
         if self.quantised is None:
-            return lambda patches, dearer: (_no_codes(patches), np.zeros_like(patches))
+            return lambda patches, dearer: (_no_codes(patches), patches[:0])
         atoms, levels = load_atoms(self.quantised), arrays.read(self.quantised, "weight_levels")
 
         def encode(patches: np.ndarray, dearer: float) -> tuple[Pursuit, np.ndarray]:
+            """Codes, and what atoms add to those patches that have some."""
             if self.form is None:
                 found = atoms.pursue(
                     patches, self.max_atoms, dearer * self.tolerance, levels, search=self.search, pursuit=self.pursuit
                 )
-                return found, reconstruct(found.codes, atoms.dictionary)
+                return found, _of_atoms(found.codes, atoms.dictionary)
             size = self.form.size
             short = coefficients(patches, size)
             multiplier = dearer * self.multiplier
             found = atoms.pursue(short, self.max_atoms, self.tolerance, levels, multiplier, self.search, self.pursuit)
             beyond = np.maximum(squared_norms(patches) - squared_norms(short), 0)  # what atoms of this size cannot show
-            return found.beside(beyond), patches_of(reconstruct(found.codes, atoms.dictionary), size)
+            return found.beside(beyond), patches_of(_of_atoms(found.codes, atoms.dictionary), size)
 
         return encode
+
+
+def _of_atoms(codes: Codes, dictionary: np.ndarray) -> np.ndarray:
+    """What the codes of patches with atoms stand for."""
+    some = codes.n_atoms > 0
+    return reconstruct(Codes(*(rows[some] for rows in codes)), dictionary)
 
 
 def coding_quality(blocks: list[BlockCoded]) -> CodesMade:

@@ -19,7 +19,13 @@ from pipeline.coding.quantise import (
 )
 from pipeline.coding.subspace import lift
 from pipeline.stages.texture.atoms import load_atoms, store_atoms
-from pipeline.stages.texture.training import TrainingPart, stands_for, training_part
+from pipeline.stages.texture.training import (
+    TrainingPart,
+    n_tasks_of,
+    stands_for,
+    training_part,
+    training_share,
+)
 from pipeline.summaries import InParts, Quantised
 from storage.packed.dictionaries.shipped import shipped
 from storage.packed.schema import MIP_SIZES, PATCH_SIZE
@@ -59,6 +65,7 @@ class Quantisation:
     shipped: str = ""  # the name of these
     pursuit: str = ""  # that of `Encode`, for which levels are then learned in the loop
     chosen: Path | None = None  # and the training set, which knows how many a patch stands for
+    share: float = 1.0  # of the patches of each part, the first
     name = "quantise"
 
     def init(self, folder: Path) -> int:
@@ -73,7 +80,7 @@ class Quantisation:
         contents |= {f"atoms_{s}": level for s, level in zip(sizes, mip_levels(texels))}
         for name, rows in contents.items():
             arrays.store(folder, name, rows, (4096, *rows.shape[1:]))
-        return work.summary(self.training, InParts).n_tasks
+        return n_tasks_of(self.training, self.share)
 
     def _of_components(self, folder: Path, learned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         basis = arrays.read(self.training, "basis")
@@ -98,14 +105,15 @@ class Quantisation:
         return texels, found.scale
 
     def run(self, folder: Path, index: int) -> PartQuantised:
-        patches, rest = training_part(self.training, index)
+        patches, rest = training_share(self.training, index, self.share)
         atoms = load_atoms(folder / IN_COMPONENTS if self.form is None else folder)
         found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0), multiplier=self.multiplier)
         codes = found.codes
         work.write_parts(work.parts(folder) / f"weights-{index}.npz", weight=codes.weight, n_atoms=codes.n_atoms)
         return PartQuantised(n_splats=len(codes.n_atoms), squared_error=float((found.residual + rest).sum()))
 
-    def _learned_in_the_loop(self, folder: Path, levels: np.ndarray, n_parts: int) -> np.ndarray:
+    def _learned_in_the_loop(self, folder: Path, levels: np.ndarray) -> np.ndarray:
+        n_parts = work.summary(self.training, InParts).n_tasks
         of_each = -(-LEARNED_FROM // n_parts)
         parts = []
         for index in range(n_parts):
@@ -133,7 +141,7 @@ class Quantisation:
         train = uniform_weight_levels if self.form is None else train_weight_levels
         levels = train(ranks, 2**self.weight_bits)
         if self.pursuit:
-            levels = self._learned_in_the_loop(folder, levels, len(results))
+            levels = self._learned_in_the_loop(folder, levels)
         arrays.store(folder, "weight_levels", levels.astype(np.float32, copy=False))
         return Quantised(
             n_atoms=arrays.layout_of(folder, "atom_scale").shape[0],

@@ -4,6 +4,7 @@ hash within octaves of contrast (`contrast_octaves.py`), as coefficients of prin
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -218,7 +219,8 @@ class Components:
 class Coefficients:
     """The training set as coefficients of what atoms of a size can show, a task a task of it; arrays as `Components`
     but for the basis, and held_coefficient_<t>, held_rest_<t> of the patches that nothing is learned from: those of the
-    highest luck, for the first atoms are patches of the lowest."""
+    highest luck, for the first atoms are patches of the lowest. Patches are in the order of their luck: the first share
+    of a part is that share of each of its octaves."""
 
     training: Path
     size: int
@@ -237,7 +239,9 @@ class Coefficients:
             patches = _patches(self.training, index, rows)
             values[rows] = coefficients(patches, self.size)
             rest[rows] = np.maximum(squared_norms(patches) - squared_norms(values[rows]), 0)
-        for prefix, chosen in (("", ~held), ("held_", held)):
+        order = np.argsort(luck, kind="stable")
+        n_learned = n - int(held.sum())
+        for prefix, chosen in (("", order[:n_learned]), ("held_", order[n_learned:])):
             for name, stored in (("coefficient", values[chosen]), ("rest", rest[chosen])):
                 arrays.store(folder, f"{prefix}{name}_{index}", stored, stored.shape)
         return PartProjected(n_splats=int(n - held.sum()), rest=float(rest[~held].sum(dtype=np.float64)))
@@ -269,10 +273,24 @@ def membership(stage: TrainingSet, folder: Path, held: float) -> tuple[np.ndarra
     return active, active & (draw < (1 - held) * share[octave]), octave
 
 
-def training_part(folder: Path, index: int) -> TrainingPart:
-    """The patches of one task of `Components` or `Coefficients`."""
-    coefficients = arrays.read(folder, f"coefficient_{index}").astype(np.float32, copy=False)
-    return TrainingPart(coefficients, arrays.read(folder, f"rest_{index}").astype(np.float64))
+def training_part(folder: Path, index: int, share: float = 1.0) -> TrainingPart:
+    """The patches of one task of `Components` or `Coefficients`; or the first of them, `share` of all."""
+    n = math.ceil(share * arrays.layout_of(folder, f"rest_{index}").shape[0])
+    coefficients = arrays.read(folder, f"coefficient_{index}", 0, n).astype(np.float32, copy=False)
+    return TrainingPart(coefficients, arrays.read(folder, f"rest_{index}", 0, n).astype(np.float64))
+
+
+def n_tasks_of(folder: Path, share: float) -> int:
+    """Tasks that look at a `share` of each part, as many patches each as a part has."""
+    return math.ceil(work.summary(folder, InParts).n_tasks * share)
+
+
+def training_share(folder: Path, index: int, share: float) -> TrainingPart:
+    """The patches of task `index` of as many: of each part that it has, the first, `share` of all."""
+    n_parts, n_tasks = work.summary(folder, InParts).n_tasks, n_tasks_of(folder, share)
+    parts = range(n_parts * index // n_tasks, n_parts * (index + 1) // n_tasks)
+    found = [training_part(folder, part, share) for part in parts]
+    return found[0] if len(found) == 1 else TrainingPart(*map(np.concatenate, zip(*found)))
 
 
 def held_part(folder: Path, index: int) -> TrainingPart:

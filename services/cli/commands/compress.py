@@ -7,6 +7,7 @@ import json
 import shlex
 import sys
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 from pipeline.planning.settings import Settings
@@ -25,6 +26,8 @@ from services.cli.commands.running import (
 )
 from services.cli.exit_codes import GATE_MISSED, OK
 from services.cli.wording import as_options
+
+COMPRESS = "services.processes.compress"  # takes half a second to import, while workers start
 
 
 def add_compress(commands) -> None:
@@ -47,14 +50,12 @@ def add_compress(commands) -> None:
 
 
 def _compress(options: argparse.Namespace) -> int:
-    from services.processes.compress import compress
-
     settings = settings_with_pages(settings_with_maps(options), options.pages)
     scan, out = scan_path(options.scan), Path(options.out)
     refuse_to_overwrite(out, options.overwrite)
     look_first(scan, not options.no_render, settings)
-    with executor_for(options) as executor:
-        report = compress(
+    with executor_for(options, lambda: import_module(COMPRESS)) as executor:
+        report = import_module(COMPRESS).compress(
             scan,
             out,
             settings,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from pipeline.planning.settings import Settings
@@ -12,13 +13,13 @@ from services.cli.parser import WrongArgument
 from storage.errors import InvalidScan, ResourceExhausted
 
 
-def executor_for(options: argparse.Namespace):
-    """What runs the tasks of a command with these options."""
+def executor_for(options: argparse.Namespace, beside_start: Callable[[], object] = lambda: None):
+    """What runs the tasks of a command with these options; `beside_start` is called while its processes start."""
     from pipeline.execution.executors import DaskExecutor, SerialExecutor
 
     if options.executor == "serial":
         return SerialExecutor()
-    return DaskExecutor(options.workers, options.scheduler)
+    return DaskExecutor(options.workers, options.scheduler, beside_start=beside_start)
 
 
 def progress_bars():

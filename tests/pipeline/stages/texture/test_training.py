@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.coding.grid import coefficients
 from pipeline.execution.executors import SerialExecutor
 from pipeline.execution.stage import run_stage
 from pipeline.stages.texture.contrast_octaves import FEWEST, N_OCTAVES, census, octave_of, shares
 from pipeline.stages.texture.training import Coefficients, TrainingSet, held_part, training_part
 from pipeline.summaries import AverageColors
+from pipeline.texture.patches import centred
 from storage.work import arrays, work
 from tests.pipeline.execution.test_stage import Heard
 
@@ -84,3 +86,7 @@ def test_training__neither_the_choice_nor_its_order_turns_with_the_chunks(tmp_pa
     assert 0.2 * len(still) < len(held) < 0.3 * len(still)  # a quarter, where HELD are more
     assert (arrays.read(training, "luck_0") >= 0.75).sum() == len(held)
     assert not set(map(bytes, learned)) & set(map(bytes, held))
+    by_luck = np.argsort(arrays.read(training, "luck_0"))
+    patches = centred(still[by_luck], arrays.read(training, "average_0")[by_luck])
+    assert np.allclose(np.concatenate([learned, held]), coefficients(patches, 8), atol=1e-3)
+    assert (training_part(space.folder, 0, 0.25).coefficients == learned[: -(-len(learned) // 4)]).all()
