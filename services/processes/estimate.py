@@ -30,7 +30,7 @@ from pipeline.stages.texture.encode import Encode
 from pipeline.stages.texture.multipliers import Multipliers, least_multiplier, multiplier_for
 from pipeline.stages.texture.quantise import Quantisation
 from pipeline.stages.texture.resample import Resample
-from pipeline.stages.texture.training import TrainingSet, held_share, membership
+from pipeline.stages.texture.training import TrainingSet, held_share
 from pipeline.summaries import AverageColors
 from renderer.evaluate.compare import psnr_of_error
 from renderer.evaluate.picture_psnr import sampled_picture_error
@@ -45,7 +45,7 @@ from services.flow.pack import pack
 from services.flow.prepare import Prepared, wants_texture
 from services.flow.run import Run
 from services.flow.textures import Coded, n_held
-from services.processes.estimate_gaps import Slope, Sorts, gain_of_passes, outcome_in_job, slope_at
+from services.processes.estimate_gaps import Slope, Sorts, gain_of_passes, membership, outcome_in_job, slope_at
 from services.processes.estimate_pages import PagesEstimated, estimate_pages
 from storage.errors import ResourceExhausted
 from storage.packed.layout import LOCAL_HEADER_BYTES, group_members

@@ -16,15 +16,31 @@ on `monstree` 40 passes gained 0.75 dB after the fourth, where the second to the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from pipeline.numerics.hashing import uniform_hash
+from pipeline.stages.texture.contrast_octaves import octave_of
+from pipeline.stages.texture.texels import points_of
+from pipeline.stages.texture.training import TrainingSet
 from pipeline.summaries import Ladder
+from storage.work import arrays, work
 
 CARRIES_OVER = (
     0.85  # of what the pilot's curve tells: part of its gain is that its patches, which are few, are learned by heart
 )
 LEAST_COMPARED = 50  # splats of an octave on either side
+
+
+def membership(stage: TrainingSet, folder: Path, held: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of every splat: whether its average colour leaves it unsettled, whether it is learned from, where a share `held`
+    of the training set is not, and its octave."""
+    energy = arrays.read(stage.colors, "energy")
+    octave, share = octave_of(energy), np.array(work.read_json(folder / "share.json")["share"])
+    active = energy > stage.tolerance
+    draw = uniform_hash(points_of(stage.patches), stage.seed)
+    return active, active & (draw < (1 - held) * share[octave]), octave
 
 
 @dataclass(frozen=True)

@@ -187,7 +187,7 @@ class Components:
     def init(self, folder: Path) -> int:
         n_tasks = work.summary(self.training, InParts).n_tasks
         share = -(-2 * HALF // n_tasks)
-        sample = np.concatenate([self._patches(task, slice(share)) for task in range(n_tasks)])
+        sample = np.concatenate([_patches(self.training, task, slice(share)) for task in range(n_tasks)])
         basis, left = find_components(sample, self.floor)
         dtype = "float16" if halves_suffice(sample @ basis, self.floor) else "float32"
         arrays.store(folder, "basis", basis, basis.shape)
@@ -200,7 +200,7 @@ class Components:
         coefficients, rest = np.empty((n, basis.shape[1]), np.float32), np.empty(n)
         for at in range(0, n, ROWS):
             rows = slice(at, at + ROWS)
-            coefficients[rows], rest[rows] = project(self._patches(index, rows), basis)
+            coefficients[rows], rest[rows] = project(_patches(self.training, index, rows), basis)
         for name, values in (("coefficient", coefficients.astype(dtype)), ("rest", rest.astype(np.float32))):
             arrays.store(folder, f"{name}_{index}", values, values.shape)
         return PartProjected(n_splats=n, rest=float(rest.sum()))
@@ -210,9 +210,6 @@ class Components:
         n = sum(r.n_splats for r in results)
         floor = psnr_db(sum(r.rest for r in results), n * arrays.layout_of(folder, "basis").shape[0])
         return SubspaceFound(len(results), n, found["n_components"], found["dtype"], floor)
-
-    def _patches(self, index: int, rows: slice) -> np.ndarray:
-        return _patches(self.training, index, rows)
 
 
 @dataclass(frozen=True)
@@ -261,16 +258,6 @@ def stands_for(chosen: Path, energy: np.ndarray) -> np.ndarray:
     contrast with few patches are in the set whole."""
     share = np.array(work.read_json(chosen / "share.json")["share"])
     return 1 / share[octave_of(energy)].clip(share[share > 0].min())
-
-
-def membership(stage: TrainingSet, folder: Path, held: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of every splat: whether its average colour leaves it unsettled, whether it is learned from, where a share `held`
-    of the training set is not, and its octave."""
-    energy = arrays.read(stage.colors, "energy")
-    octave, share = octave_of(energy), np.array(work.read_json(folder / "share.json")["share"])
-    active = energy > stage.tolerance
-    draw = uniform_hash(points_of(stage.patches), stage.seed)
-    return active, active & (draw < (1 - held) * share[octave]), octave
 
 
 def training_part(folder: Path, index: int, share: float = 1.0) -> TrainingPart:
