@@ -26,17 +26,22 @@ FEWEST_INDEX_BITS, MOST_INDEX_BITS = 8, 12
 # 26.73 dB; of 5,000 45.8, 28.8, 23.1 at 28.73, 28.71, 28.07; of 19,997 22.9, 18.9, 17.2 at 31.92, 31.90, 31.48;
 # monstree of 5,015 47.4, 31.1, 26.2 at 24.03, 24.02, 23.91.
 MOST_BYTES_OF_FEWEST = 2.0
+# And that as many as are asked for may take. Thinned to 108,895 splats, `archive` (512 atoms), bytes a splat on the GPU:
+# fountain_p11 with 32x32, 16x16, 8x8 texels 50.6, 36.1, 28.3 at 43.53, 43.46, 41.55 dB; 19.3, 4.8 and 1.2 of the
+# dictionary.
+MOST_BYTES_OF_ASKED = 8.0
 
 
-def affordable_size(n_splats: int) -> int:
-    """The most texels to a side of which a scan of so many splats pays for the fewest atoms.
+def affordable_size(n_splats: int, dictionary_bits: str | int = "auto") -> int:
+    """The most texels to a side of which a scan of so many splats pays for the fewest atoms, and for those asked for.
 
-    >>> [affordable_size(n) for n in (2_000, 20_000, 330_000)]
-    [8, 16, 32]
+    >>> [affordable_size(n) for n in (2_000, 20_000, 330_000)], affordable_size(110_000, 12)
+    ([8, 16, 32], 16)
     """
-    fewest = 2**FEWEST_INDEX_BITS // SYMMETRIES
-    paid = [size for size in ATOM_SIZES if 4 * size**2 * fewest <= MOST_BYTES_OF_FEWEST * n_splats]
-    return max([*paid, min(ATOM_SIZES)])
+    fewest = 4 * 2**FEWEST_INDEX_BITS // SYMMETRIES
+    asked = fewest if dictionary_bits == "auto" else 4 * 2 ** int(dictionary_bits) // SYMMETRIES
+    most = min(MOST_BYTES_OF_FEWEST / fewest, MOST_BYTES_OF_ASKED / asked) * n_splats  # texels of an atom
+    return max([min(ATOM_SIZES), *(size for size in ATOM_SIZES if size**2 <= most)])
 
 
 def index_bits(settings: Settings, form: AtomForm | None, n_splats: int, of_maps: bool = False) -> int:

@@ -157,7 +157,7 @@ def _form(training: Training, settings: Settings, tolerance: float, most_texels:
     fine = [s for s in ATOM_SIZES if training.beyond[str(s)] * share <= BEYOND_ATOMS * tolerance]
     if settings.atom_size != "auto":
         return AtomForm(int(settings.atom_size), SYMMETRIES)
-    return AtomForm(min(*fine, most_texels, affordable_size(n_splats)), SYMMETRIES)
+    return AtomForm(min(*fine, most_texels, affordable_size(n_splats, settings.dictionary_bits)), SYMMETRIES)
 
 
 def encode(

@@ -41,8 +41,9 @@ STILL = Motion(np.zeros(3), np.zeros(3))
 @dataclass(frozen=True)
 class Made:
     scene: PackedScene  # of cameras that agree with their neighbours
-    with_atoms: PackedScene  # the same
+    with_atoms: PackedScene  # the same, whose splats stand in another order
     places: Places
+    places_with_atoms: Places
     pages: Path
     photos: Path
 
@@ -73,9 +74,12 @@ def made(tmp_path_factory):
     few = settings_for("draft", dictionary="own", training_splats=256, iterations=1, max_atoms=1)
     compress(scan, folder / "atoms", few, SerialExecutor(), Heard(), render=False, work=folder / "work")
     scene, with_atoms = (opened_scene(folder / name / "wall.splatpress") for name in ("out", "atoms"))
-    places, label = scene_places(scene, 1, 32)
-    scene, with_atoms = (replace(s, arrays=s.arrays | {"camera": label}) for s in (scene, with_atoms))
-    return Made(scene, with_atoms, places, folder / "wall.pages", next((folder / "work").glob("ingest-*")))
+    (places, label), (places_with_atoms, of_atoms) = (scene_places(s, 1, 32) for s in (scene, with_atoms))
+    scene = replace(scene, arrays=scene.arrays | {"camera": label})
+    with_atoms = replace(with_atoms, arrays=with_atoms.arrays | {"camera": of_atoms})
+    return Made(
+        scene, with_atoms, places, places_with_atoms, folder / "wall.pages", next((folder / "work").glob("ingest-*"))
+    )
 
 
 @pytest.fixture
@@ -278,7 +282,7 @@ def test_flight__while_pages_arrive_the_picture_is_never_below_that_of_atoms(mad
         label = scene.arrays["camera"]
         gpu_scene.pages = GpuPages(renderer.context, file.layout, 4, scene.header.cameras, label, 4 << 20)
         screen = Screen(camera.width_px, camera.height_px, camera.fx_px)
-        flight = Flight(renderer, gpu_scene, made.places, file, screen, 4.0, "nothing", n_frame=4)
+        flight = Flight(renderer, gpu_scene, made.places_with_atoms, file, screen, 4.0, "nothing", n_frame=4)
         for _ in range(80):
             picture, record = flight.frame(pose_of(camera), STILL)
             shown.append(off(picture))

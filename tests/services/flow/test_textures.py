@@ -85,6 +85,9 @@ def test_coders__atoms_are_no_larger_than_splats_pay_for_them():
     """A dictionary of 32 atoms with its mip levels is 8, 33 or 131 kB."""
     sizes = {n: affordable_size(n) for n in (1, 4_000, 16_383, 16_384, 65_535, 65_536)}
     assert sizes == {1: 8, 4_000: 8, 16_383: 8, 16_384: 16, 65_535: 16, 65_536: 32}
+    assert [affordable_size(n, 12) for n in (60_000, 109_000, 330_000)] == [8, 16, 32], (
+        "of 512 it is sixteen times that"
+    )
 
 
 def test_coders__few_splats_take_the_atoms_that_ship_and_learn_none(made):

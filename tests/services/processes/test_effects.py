@@ -86,5 +86,6 @@ def test_effects__a_wall_has_an_empty_plan_and_equals_the_all_on_rendering(tmp_p
 
 def test_effects__a_work_folder_knows_the_last_plan(tmp_path):
     assert known_rows(tmp_path) is None
-    rows = effects_of(wall_scan(tmp_path / "wall", n_side=41), SETTINGS, SerialExecutor(), Heard(), tmp_path / "work")
+    settings = settings_for("draft")  # which ask nothing of effects
+    rows = effects_of(wall_scan(tmp_path / "wall", n_side=41), settings, SerialExecutor(), Heard(), tmp_path / "work")
     assert known_rows(tmp_path / "work") == rows
