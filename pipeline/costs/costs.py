@@ -72,7 +72,8 @@ READS = {entry.name: entry.reads for entry in CATALOGUE} | {  # the training set
     "colors": ("resample",),
     "training-set": ("colors", "partition"),
     "encode": ("colors", "resample"),
-    "pack": ("splats", "colors", "encode"),
+    "kinds": ("encode", "cliplines"),
+    "pack": ("splats", "colors", "encode", "cliplines"),
     PAGES: (PHOTOGRAPHS,),
 }
 # Bytes a splat that a stage reads of another's arrays: positions 24, cameras 16, normals 12, numbers 8, colours 3.
@@ -86,7 +87,10 @@ PARTLY_READ = {
     ("training-set", "partition"): 8,
     ("encode", "colors"): 4,
     ("encode", "resample"): 0,
+    ("kinds", "encode"): 1,
+    ("kinds", "cliplines"): 1,
     ("pack", "colors"): 4,
+    ("pack", "encode"): 25,
 }
 # Of photographs, for each of five training patches of a block (`fountain_p11`): they are not read whole.
 LONE_PATCH_BYTES = 13_900
