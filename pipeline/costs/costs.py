@@ -126,14 +126,14 @@ def plan_job(job: Job, costs: dict[str, StageCost], dispatch: Dispatch | None = 
     """Every stage of a job, in order."""
     dispatch = dispatch or known_dispatch()
     kilos = kilos_of(job.n_indices, job.atom_size)
+    called_for = {name: costs[name] for name in TASKS if name in costs and _is_called_for(name, job)}
     written = {
         name: cost.written_bytes_a_unit * _units(name, job) + cost.written_bytes_a_kilo * kilos
-        for name, cost in costs.items()
+        for name, cost in called_for.items()
     }
     if not job.keeps_patches and "resample" in written:
         written["resample"] = float(MEASURED) * job.n_splats
-    called_for = (name for name in TASKS if name in costs and _is_called_for(name, job))
-    return [_plan_stage(name, costs[name], job, kilos, written, dispatch) for name in called_for]
+    return [_plan_stage(name, cost, job, kilos, written, dispatch) for name, cost in called_for.items()]
 
 
 def _is_called_for(name: str, job: Job) -> bool:
@@ -201,8 +201,8 @@ def _read(name: str, job: Job, written: dict[str, float]) -> float:
     """Bytes that a pass of a stage reads, what several of its tasks read counted once."""
 
     def of(stage: str) -> float:
-        parts = {source: PARTLY_READ.get((stage, source)) for source in READS.get(stage, ())}
-        return sum(written.get(s, 0.0) if part is None else part * job.n_splats for s, part in parts.items())
+        parts = {source: PARTLY_READ.get((stage, source)) for source in READS.get(stage, ()) if source in written}
+        return sum(written[s] if part is None else part * job.n_splats for s, part in parts.items())
 
     if name == "training-set":
         windows = min(written.get(PHOTOGRAPHS, 0.0), LONE_PATCH_BYTES * _units(name, job)) + written.get("splats", 0.0)
