@@ -1,4 +1,4 @@
-"""Atoms in signed bytes with mip levels, weights in a few trained levels a rank.
+"""Atoms in signed bytes, weights in a few trained levels a rank.
 
 Paper: HPG 2021, section 3.4. Each atom has its own scale, chosen so that the decoded atom is a unit vector again.
 """
@@ -6,8 +6,6 @@ Paper: HPG 2021, section 3.4. Each atom has its own scale, chosen so that the de
 from __future__ import annotations
 
 import numpy as np
-
-from storage.packed.schema import MIP_SIZES
 
 PEAK = 127
 ROWS = 1024  # atoms at a time: what is made on the way takes 8 times the bytes of their texels
@@ -29,21 +27,6 @@ def dequantise_atoms(texels: np.ndarray, scale: np.ndarray) -> np.ndarray:
     atoms = texels.reshape(len(texels), -1).astype(np.float32)
     atoms *= scale[:, None]
     return atoms
-
-
-def mip_levels(texels: np.ndarray) -> list[np.ndarray]:
-    """Atoms (k, 3 s^2) at every size of MIP_SIZES from s down, (k, s, s, 3) int8 each: means of the texels below, same
-    scale."""
-    size = round((texels.shape[1] / 3) ** 0.5)
-    sizes = MIP_SIZES[MIP_SIZES.index(size) :]
-    full = texels.reshape(-1, size, size, 3)
-    levels = [np.empty((len(full), s, s, 3), np.int8) for s in sizes]
-    for start in range(0, len(full), ROWS):
-        rows = slice(start, start + ROWS)
-        for level, s in zip(levels, sizes):
-            factor = size // s
-            level[rows] = np.round(full[rows].reshape(-1, s, factor, s, factor, 3).mean(axis=(2, 4)))
-    return levels
 
 
 def train_weight_levels(weights: list[np.ndarray], n_levels: int, rounds: int = 40) -> np.ndarray:

@@ -12,7 +12,6 @@ from pipeline.coding.levels import learn_levels
 from pipeline.coding.omp_kernels import squared_norms
 from pipeline.coding.quantise import (
     dequantise_atoms,
-    mip_levels,
     quantise_atoms,
     train_weight_levels,
     uniform_weight_levels,
@@ -27,6 +26,7 @@ from pipeline.stages.texture.training import (
     training_share,
 )
 from pipeline.summaries import InParts, Quantised
+from storage.packed.dictionaries.levels import levels_of
 from storage.packed.dictionaries.shipped import shipped
 from storage.packed.schema import MIP_SIZES, PATCH_SIZE
 from storage.work import arrays, work
@@ -77,7 +77,8 @@ class Quantisation:
             texels, scale = make(folder, learned)
         contents = {"atom_scale": scale}
         sizes = MIP_SIZES if self.form is None else MIP_SIZES[MIP_SIZES.index(self.form.size) :]
-        contents |= {f"atoms_{s}": level for s, level in zip(sizes, mip_levels(texels))}
+        finest = texels.reshape(-1, sizes[0], sizes[0], 3)
+        contents |= {f"atoms_{s}": level for s, level in zip(sizes, levels_of(finest, sizes))}
         for name, rows in contents.items():
             arrays.store(folder, name, rows, (4096, *rows.shape[1:]))
         return n_tasks_of(self.training, self.share)

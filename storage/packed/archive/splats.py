@@ -35,8 +35,7 @@ INDEX_CONTEXT_BITS = 9  # of an atom's index that its weight is told by
 ATOMS, LINES = 17, 8  # how many of its neighbours' atoms, in whole ones, and cliplines, in sixths, a batch is told by
 
 # The first sets of weights of each kind of field.
-W_VALUES = 0
-W_BATCH = 6 * N_VALUE_SETS
+W_BATCH = 6 * N_VALUE_SETS  # behind those of values
 W_SIZE, W_SAME, W_SOURCE, W_LINE, W_ATOM, W_TURN, W_WEIGHT = (W_BATCH + 32 * k for k in (1, 2, 3, 4, 7, 8, 9))
 N_SETS = W_WEIGHT + 4 * 32
 assert TREE_SETS == 32

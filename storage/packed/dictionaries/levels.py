@@ -7,15 +7,19 @@ import numpy as np
 from storage.packed.dictionaries.shipped import shipped
 from storage.packed.schema import MIP_SIZES, Header
 
+_ROWS = 1024  # atoms at a time: what is made on the way takes 8 times the bytes of their texels
+
 
 def levels_of(finest: np.ndarray, sizes: tuple[int, ...]) -> list[np.ndarray]:
-    """Levels of sizes of MIP_SIZES, the finest first: means of its texels, rounded, halves to the even number."""
+    """Levels (k, s, s, 3) int8 of sizes of MIP_SIZES of the finest (k, s, s, 3) int8, which comes first: means of its
+    texels, rounded, halves to the even number."""
     assert set(sizes) <= set(MIP_SIZES)
-    levels = []
-    for s in sizes:
-        factor = finest.shape[1] // s
-        mean = finest.reshape(-1, s, factor, s, factor, 3).mean(axis=(2, 4))
-        levels.append(np.round(mean).astype(np.int8))
+    levels = [np.empty((len(finest), s, s, 3), np.int8) for s in sizes]
+    for start in range(0, len(finest), _ROWS):
+        rows = slice(start, start + _ROWS)
+        for level, s in zip(levels, sizes, strict=True):
+            factor = finest.shape[1] // s
+            level[rows] = np.round(finest[rows].reshape(-1, s, factor, s, factor, 3).mean(axis=(2, 4)))
     return levels
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.coding.quantise import dequantise_atoms, mip_levels, quantise_atoms, train_weight_levels
-from storage.packed.schema import MIP_SIZES
+from pipeline.coding.quantise import dequantise_atoms, quantise_atoms, train_weight_levels
 from tests.pipeline.coding.test_omp import unit_rows
 
 
@@ -16,18 +15,6 @@ def test_quantise__decoded_atoms_are_unit_vectors_close_to_the_learned_ones():
     decoded = dequantise_atoms(texels, scale)
     np.testing.assert_allclose(np.linalg.norm(decoded, axis=1), 1, atol=1e-6)
     assert texels.min() >= -127 and np.abs(decoded - atoms).max() <= 0.6 * np.abs(atoms).max() / 127
-
-
-def test_quantise__mip_levels_are_means_down_to_one_texel():
-    texels = np.random.default_rng(1).integers(-127, 128, (4, 3072)).astype(np.int8)
-    levels = mip_levels(texels)
-    assert [level.shape for level in levels] == [(4, s, s, 3) for s in MIP_SIZES]
-    assert (levels[0].reshape(4, -1) == texels).all()
-    full = levels[0].astype(float)
-    for size, level in zip(MIP_SIZES, levels):
-        block = 32 // size
-        corner = full[:, :block, -block:].mean(axis=(1, 2))
-        assert np.abs(level[:, 0, -1] - corner).max() <= 0.5 + 1e-9
 
 
 @pytest.mark.parametrize("n_levels", [16, 256])
