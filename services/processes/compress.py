@@ -177,6 +177,8 @@ def _scan_record(prepared: Prepared, settings: Settings) -> ScanKnown:
         warnings.append(
             "pages are asked for, and there are none: the scan has neither photographs nor maps of stations"
         )
+    if settings.dictionary == "shipped" and not (has_photographs(prepared) or prepared.maps):
+        warnings.append("dictionary shipped is not used: nothing in the scan is coded by atoms")
     if prepared.runs is not None and settings.levels:
         warnings.append(f"levels {settings.levels} is not used: runs have no coarser levels")
     n_coarser = max(0, len(prepared.partition.summary.levels) - 1)

@@ -70,9 +70,12 @@ def test_quadrics__auto_takes_what_is_smaller_at_the_asked_error(ball, tmp_path)
     told, scene = compressed(cloud, tmp_path / "fine", geometry_error=0.001)
     row = told["effects"][0]
     assert scene.header.geometry == "boxes" and not row["enabled"] and row["measure"] >= 1
-    told, scene = compressed(ball, tmp_path / "boxes", geometry="boxes", geometry_error=0.1, levels=2)
+    told, scene = compressed(
+        ball, tmp_path / "boxes", geometry="boxes", geometry_error=0.1, levels=2, dictionary="shipped"
+    )
     assert scene.header.geometry == "boxes" and told["effects"][0]["effect"] != "geometry_quadrics"
     assert "geometry_error 0.1 is not used: it is of quadrics" in told["warnings"]
+    assert "dictionary shipped is not used: nothing in the scan is coded by atoms" in told["warnings"]
     assert any(
         w.startswith("levels 2 is more than there are") and w.endswith(" 0, each of 32,768 or more of the next")
         for w in told["warnings"]
