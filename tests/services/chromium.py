@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import time
 from base64 import b64decode
+from contextlib import suppress
 from pathlib import Path
 
 FLAGS = (
@@ -24,6 +25,12 @@ FLAGS = (
 # is no graphics card.
 SWIFTSHADER = ("--disable-gpu",)
 MESA = ("--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist")
+# What a browser answers to a script whose page is just being left: for whoever waits, as good as "not yet".
+LEAVING = ("navigated or closed", "Execution context was destroyed", "Cannot find context")
+
+
+class Left(AssertionError):
+    """The page was left while a script ran in it."""
 
 
 def chromium_path() -> str | None:
@@ -71,7 +78,8 @@ class Page:
         while (answer := self._message()).get("id") != self._id:
             self._listen(answer)
         if "error" in answer:
-            raise AssertionError(f"{method}: {answer['error']}")
+            left = any(words in answer["error"]["message"] for words in LEAVING)
+            raise (Left if left else AssertionError)(f"{method}: {answer['error']}")
         return answer["result"]
 
     def _message(self) -> dict:
@@ -106,10 +114,12 @@ class Page:
         )
 
     def until(self, script: str, seconds: float = 300.0):
+        """The value of an expression as soon as it is true, on this page or on that which follows it."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
-            if found := self.look(script):
-                return found
+            with suppress(Left):
+                if found := self.look(script):
+                    return found
             time.sleep(0.2)
         raise AssertionError(
             f"not within {seconds:g} s: {script}; {self.complaints}; page: {self.look('document.body.innerText')}"
