@@ -17,6 +17,7 @@ from pipeline.readers.files.spelling import plain_path, shown
 from pipeline.readers.guard.guard import call, guarded
 from pipeline.scan import Piece, ScanSource
 from storage.errors import InvalidScan, UnsupportedScan
+from storage.packed.seal import SUFFIX
 
 # Modules are imported when first needed: each pulls in a library of its own, and inspect has to be quick.
 READERS = {
@@ -50,6 +51,7 @@ _HINTS = {
     **dict.fromkeys(
         (".splat", ".spz", ".ksplat", ".sog"), "Gaussians are no scan; give the points that they were made from"
     ),
+    SUFFIX: "a packed file is no scan; `inspect`, `render`, `view` and `export` read it",
     **dict.fromkeys((".psx", ".mvs", ".nvm", ".out", ".rcproj"), "export photographs and points as a COLMAP workspace"),
     **dict.fromkeys(_VOLUMES, "write the volume as .nrrd or .nii"),
     **dict.fromkeys((".obj", ".stl", ".glb", ".gltf"), "meshes are not handled; sample points into a .ply"),

@@ -14,14 +14,17 @@ from pipeline.volumes.inspect import check_volume, inspect_volume
 from pipeline.volumes.open import HANDLED, is_volume
 from pipeline.volumes.volume import Choice
 from storage.errors import InvalidScan, UnsupportedScan
-from storage.packed.seal import is_packed_file
+from storage.packed.seal import names_packed_file
 
 
 def inspect(path: Path, reading: ReadOptions = ReadOptions(), choice: Choice = Choice()) -> dict:
     """A JSON-able account of a scan, of a volume of which `choice` says what it leaves open, or of a packed file."""
-    if is_volume(path):
-        return inspect_volume(str(path), choice)
-    return inspect_packed(path) if is_packed_file(path) else inspect_scan(str(path), reading)
+    return inspect_packed(path) if names_packed_file(path) else inspect_input(path, reading, choice)
+
+
+def inspect_input(path: Path, reading: ReadOptions = ReadOptions(), choice: Choice = Choice()) -> dict:
+    """A JSON-able account of what `compress` takes: a scan, or a volume."""
+    return inspect_volume(str(path), choice) if is_volume(path) else inspect_scan(str(path), reading)
 
 
 def inspect_packed(path: Path) -> dict:

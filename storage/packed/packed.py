@@ -27,12 +27,11 @@ from storage.packed.layout import MODELS, chunk_bytes, chunk_member, chunk_shape
 from storage.packed.runs.tables import DECODED, joined_tables
 from storage.packed.scene import PackedScene, check_tables
 from storage.packed.schema import BY_NAME, GROUP, Array, Header, arrays_of, atom_arrays
-from storage.packed.seal import check_seal, is_packed_file
+from storage.packed.seal import SUFFIX, check_seal, is_packed_file
 from storage.packed.totals import Totals, array_bytes
 
 __all__ = ["SUFFIX", "PackedFile", "PackedScene", "is_packed_file"]
 
-SUFFIX = ".splatpress"
 COUNTED = 1 << 16  # chunks whose counts are read at a time
 
 

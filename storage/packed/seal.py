@@ -14,7 +14,10 @@ from storage.errors import InvalidPackedFile
 
 SEAL = b"splatpress sha256 "
 SEAL_BYTES = len(SEAL) + 64
+SUFFIX = ".splatpress"
 MADE_BY = "a scan becomes one by `compress`"
+_WHOLE = f"a whole packed file, NAME{SUFFIX}"
+_ZIP = b"PK\3\4"
 
 
 def end_with_seal(file: BinaryIO, digest: str) -> None:
@@ -27,18 +30,27 @@ def end_with_seal(file: BinaryIO, digest: str) -> None:
 def check_seal(path: Path) -> None:
     """Raise InvalidPackedFile unless the file ends in the seal of the bytes before it."""
     if path.is_dir():
-        raise InvalidPackedFile(str(path), "a folder", "a whole packed file, NAME.splatpress", MADE_BY)
+        raise InvalidPackedFile(str(path), "a folder", _WHOLE, MADE_BY)
     with open(path, "rb") as file:
+        begins = file.read(len(_ZIP))
         digest = digest_of(file, os.fstat(file.fileno()).st_size - SEAL_BYTES)
         found = file.read()
     if not found.startswith(SEAL):
-        hint = "truncated, or no packed file" if path.suffix == ".splatpress" else MADE_BY
-        raise InvalidPackedFile(str(path), "no seal at its end", "a whole packed file, NAME.splatpress", hint)
+        if not begins:
+            raise InvalidPackedFile(str(path), "an empty file", _WHOLE, MADE_BY)
+        if begins != _ZIP:
+            raise InvalidPackedFile(str(path), "no packed file, which begins as a zip does", _WHOLE, MADE_BY)
+        raise InvalidPackedFile(str(path), "no seal at its end", _WHOLE, "cut off or altered; " + MADE_BY)
     if found != SEAL + digest.encode():
         sealed = found[len(SEAL) :].decode("ascii", "replace")
         raise InvalidPackedFile(
             str(path), f"contents of SHA-256 {digest[:16]}...", f"what the seal says, {sealed[:16]}...", "altered"
         )
+
+
+def names_packed_file(path: str | Path) -> bool:
+    """Whether a path is taken for a packed file: by its name, or by its end."""
+    return Path(path).suffix.lower() == SUFFIX or is_packed_file(path)
 
 
 def is_packed_file(path: str | Path) -> bool:

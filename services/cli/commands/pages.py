@@ -163,9 +163,11 @@ def _fly(options: argparse.Namespace) -> int:
     if options.table:
         return _table(packed, options)
     from services.processes.pages.fly import FlightOptions, fly
+    from storage.packed.seal import check_seal
 
     if options.path is None or options.out is None:
         raise WrongArgument("fly draws a --path into --out; or say --table")
+    check_seal(packed)  # before what lies beside it
     pages = options.pages or packed.with_suffix(".pages")
     for needed in (options.path, pages):
         if not needed.is_file():

@@ -40,9 +40,9 @@ def scan_path(text: str) -> Path:
 def look_first(scan: Path, draws: bool, settings: Settings) -> None:
     """What takes a second is looked at before workers start: the scan's header, and OpenGL where pictures are
     wanted."""
-    from services.processes.inspect import inspect
+    from services.processes.inspect import inspect_input
 
-    inspect(scan, settings.reading, settings.choice)
+    inspect_input(scan, settings.reading, settings.choice)
     look_at_opengl(draws)
 
 
@@ -61,9 +61,9 @@ def look_at_opengl(draws: bool) -> None:
 
 def needs_photographs(scan: Path, settings: Settings, why: str) -> None:
     """Told by the header, before workers start."""
-    from services.processes.inspect import inspect
+    from services.processes.inspect import inspect_input
 
-    if not inspect(scan, settings.reading, settings.choice).get("cameras", {}).get("count"):
+    if not inspect_input(scan, settings.reading, settings.choice).get("cameras", {}).get("count"):
         raise InvalidScan(str(scan), "no photographs", f"a scan with photographs: {why}")
 
 

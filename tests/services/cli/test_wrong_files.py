@@ -85,9 +85,52 @@ def test_cli__folders_that_are_no_workspace_are_refused_in_one_line(tmp_path, ca
         assert len(said.splitlines()) == 1 and folder.name in said and not (tmp_path / "out").exists()
 
 
-def test_cli__a_damaged_packed_file_is_refused_in_one_line(tmp_path, capsys):
+GOLDEN = (Path(__file__).parents[2] / "golden" / "quadrics.splatpress").read_bytes()
+FLIPPED = GOLDEN[:9000] + bytes([GOLDEN[9000] ^ 1]) + GOLDEN[9001:]
+BROKEN = [  # name, bytes or None for a folder, words of its line
+    ("empty.splatpress", b"", "an empty file"),
+    ("half.splatpress", GOLDEN[: len(GOLDEN) // 2], "cut off or altered"),
+    ("flipped.splatpress", FLIPPED, "altered"),
+    ("seal.splatpress", GOLDEN[:-70] + b"X" + GOLDEN[-69:], "no seal"),
+    ("picture.splatpress", b"\xff\xd8\xff\xe0" + bytes(999), "no packed file"),
+    ("folder.splatpress", None, "a folder"),
+]
+READING = [  # of a packed file PACKED
+    ["inspect"],
+    ["coverage"],
+    ["view", "--no-open"],
+    ["render", "--orbit", "1", "--out", "OUT"],
+    ["report", "--scan", "PACKED", "--out", "OUT"],
+    ["export", "--to", "ply", "--out", "OUT"],
+    ["export", "--to", "archive", "--out", "OUT"],
+    ["path", "record", "--out", "OUT"],
+    ["fly", "--path", "PATH", "--out", "OUT"],
+    ["fly", "--table"],
+]
+
+
+@pytest.mark.parametrize(("name", "data", "words"), BROKEN, ids=[name for name, *_ in BROKEN])
+def test_cli__every_command_refuses_a_broken_packed_file_in_the_same_line(tmp_path, capsys, name, data, words):
+    packed = tmp_path / name
+    packed.mkdir() if data is None else packed.write_bytes(data)
+    said = set()
+    for verb, *rest in READING:
+        first = [rest.pop(0)] if verb == "path" else []
+        where = {"PACKED": str(packed), "OUT": str(tmp_path / "out"), "PATH": str(tmp_path / "path.json")}
+        assert main([verb, *first, str(packed), *(where.get(word, word) for word in rest)]) == 3, verb
+        out, line = capsys.readouterr()
+        assert (out, len(line.splitlines())) == ("", 1), verb
+        said.add(line)
+    assert len(said) == 1 and words in (line := said.pop()), said
+    assert line.startswith(f"splatpress: data error: {packed}: ")
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("data", [GOLDEN, FLIPPED], ids=["whole", "altered"])
+def test_cli__a_packed_file_is_no_scan(tmp_path, capsys, data):
     packed = tmp_path / "a.splatpress"
-    packed.write_bytes(Path(point_scan(tmp_path / "points.ply")).read_bytes()[:50])
-    for arguments in (["inspect"], ["coverage"], ["view"], ["render", "--orbit", "1", "--out", str(tmp_path / "o")]):
-        assert main([arguments[0], str(packed), *arguments[1:]]) in (3, 5)
-        assert len(capsys.readouterr().err.splitlines()) == 1
+    packed.write_bytes(data)
+    for arguments in (["compress", "--no-render", "--out", str(tmp_path / "o")], ["check"]):
+        assert main([arguments[0], str(packed), *arguments[1:]]) == 5
+        said = capsys.readouterr().err
+        assert len(said.splitlines()) == 1 and "a packed file is no scan" in said

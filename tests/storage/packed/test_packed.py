@@ -462,7 +462,7 @@ def test_packed__a_damaged_file_with_a_right_seal_is_refused_or_reads_the_same(s
 
 def test_packed__says_that_other_files_are_no_packed_files(tmp_path):
     (tmp_path / "a.ply").write_bytes(b"ply\nformat ascii 1.0\n" * 50)
-    with pytest.raises(InvalidPackedFile, match="a.ply: no seal"):
+    with pytest.raises(InvalidPackedFile, match="a.ply: no packed file"):
         PackedFile(tmp_path / "a.ply")
 
 
