@@ -53,6 +53,9 @@ class Sizes(Part, frozen=True):
     compression_factor_texture: float | None
     arrays: dict[str, int]
     shipped_bytes: int = 0
+    own_bytes_per_splat: float = 0.0
+    own_factor_total: float | None = None
+    own_factor_texture: float | None = None
 
 
 class GeometryErrors(Part, frozen=True):

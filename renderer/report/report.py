@@ -98,13 +98,15 @@ def sizes_of(scene: PackedScene, file_bytes: int) -> Sizes:
     - `shipped_bytes`: of these, atoms that ship with the program, which no file holds.
     - `file_bytes`: the packed file on disk, where zarr has compressed the arrays once more.
     - `bytes_per_splat`: gpu_bytes / splats.
+    - `own_bytes_per_splat`, `own_factor_total`, `own_factor_texture`: as those without `own`, of gpu_bytes -
+      shipped_bytes: what this scan adds to the atoms that any scan may share.
     - `source_texture_bytes`: the photographs as a renderer would hold them, RGB8 with mip levels (LOD 0 of Table 1):
       the sum of width * height * 3 * 4/3.
     - `compression_factor_texture`: source_texture_bytes / (codes + colors + dictionary + maps).
     - `compression_factor_total`: (geometry_bytes + source_texture_bytes) / gpu_bytes. The geometry is quantised on
       both sides, so this factor shows what the textures alone give to the whole.
 
-    The last three are None where a scan has no photographs. Table 1 adds 2 bytes a splat to its originals, the index
+    The factors are None where a scan has no photographs. Table 1 adds 2 bytes a splat to its originals, the index
     of the photograph; here they are left out, which makes both factors smaller, by 1 % there.
 
     References: HPG 2021, section 4 and Table 1.
@@ -126,16 +128,31 @@ def sizes_from(header: Header, arrays: dict[str, int], file_bytes: int) -> Sizes
     part = {p: sum(size for name, size in arrays.items() if part_of[name] == p) for p in (*GPU_PARTS, "provenance")}
     gpu_bytes = sum(part[p] for p in GPU_PARTS)
     source = source_texture_bytes(header.cameras)
+    shipped = sum(arrays[name] for name in atom_arrays(header)) if header.shipped else 0
+
+    def factors(n_bytes: int) -> tuple[float | None, float | None]:
+        """Of the whole and of the textures, where all parts take so much."""
+        return (
+            (None, None)
+            if source is None
+            else ((part["geometry"] + source) / n_bytes, source / (n_bytes - part["geometry"]))
+        )
+
+    total, texture = factors(gpu_bytes)
+    own_total, own_texture = factors(gpu_bytes - shipped)
     return Sizes(
         **{f"{name}_bytes": size for name, size in part.items()},
         gpu_bytes=gpu_bytes,
         file_bytes=int(file_bytes),
         bytes_per_splat=gpu_bytes / header.n_splats,
         source_texture_bytes=source,
-        compression_factor_total=None if source is None else (part["geometry"] + source) / gpu_bytes,
-        compression_factor_texture=None if source is None else source / (gpu_bytes - part["geometry"]),
+        compression_factor_total=total,
+        compression_factor_texture=texture,
         arrays=arrays,
-        shipped_bytes=sum(arrays[name] for name in atom_arrays(header)) if header.shipped else 0,
+        shipped_bytes=shipped,
+        own_bytes_per_splat=(gpu_bytes - shipped) / header.n_splats,
+        own_factor_total=own_total,
+        own_factor_texture=own_texture,
     )
 
 

@@ -235,16 +235,17 @@ def numerics(figures: dict) -> list[str]:
 def summary(report: dict) -> str:
     """The report in two sentences."""
     scan, sizes = report["scan"], report["sizes"]
-    points, cameras = scan.get("n_points"), scan.get("n_cameras")
+    points, cameras, shipped = scan.get("n_points"), scan.get("n_cameras"), sizes["shipped_bytes"]
     source = f"{number(points)} points" if points else "The points"
     source += f" and {number(cameras)} photographs" if cameras else ", without photographs,"
     first = (
-        f"{source} became {number(report['splats'])} splats, which take {size(sizes['gpu_bytes'])} of GPU memory: "
-        f"{sizes['bytes_per_splat']:.2f} bytes a splat."
+        f"{source} became {number(report['splats'])} splats, which take {size(sizes['gpu_bytes'] - shipped)} of GPU memory: "
+        f"{sizes['own_bytes_per_splat']:.2f} bytes a splat."
     )
-    if shipped := sizes.get("shipped_bytes"):
+    if shipped:
         first += (
-            f" {size(shipped)} of them are atoms that ship with the program, as many for any scan; the file has none."
+            f" Beside them stand {size(shipped)} of atoms that ship with the program, as many for any scan; the file "
+            "has none."
         )
     if sizes["maps_bytes"]:
         return f"{first} {size(sizes['maps_bytes'])} of them are pictures of what the stations saw, where splats look up their colours."
@@ -255,7 +256,7 @@ def summary(report: dict) -> str:
     return (
         f"{first} With the photographs as textures the same splats would take "
         f"{size(sizes['source_texture_bytes'] + sizes['geometry_bytes'])}, "
-        f"{factor(sizes['compression_factor_total'])[:-2]} times as much."
+        f"{factor(sizes['own_factor_total'])[:-2]} times as much{' as without these atoms' if shipped else ''}."
     )
 
 

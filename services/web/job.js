@@ -178,8 +178,10 @@ async function showReport(id, artifacts) {
   const report = await get(`/v1/jobs/${id}/artifacts/report.json`);
   if (id !== shown) return;
   const { sizes, quality } = report;
-  const figures = [["splats", report.splats.toLocaleString()], ["file", bytes(sizes.file_bytes)], ["bytes a splat", sizes.bytes_per_splat.toFixed(2)]];
-  if (sizes.compression_factor_total) figures.push(["compression", sizes.compression_factor_total.toFixed(1) + " times"]);
+  const figures = [["splats", report.splats.toLocaleString()], ["file", bytes(sizes.file_bytes)], ["bytes a splat", (sizes.own_bytes_per_splat ?? sizes.bytes_per_splat).toFixed(2)]];
+  if (sizes.shipped_bytes) figures.push(["shipped atoms beside", bytes(sizes.shipped_bytes)]);
+  const times = sizes.own_factor_total ?? sizes.compression_factor_total;
+  if (times) figures.push(["compression", times.toFixed(1) + " times"]);
   if (quality.texture_psnr_db) figures.push(["texture PSNR", quality.texture_psnr_db.toFixed(2) + " dB"]);
   if (quality.visible_psnr_db) figures.push(["visible PSNR", quality.visible_psnr_db.toFixed(2) + " dB"]);
   const effects = (report.effects || []).filter((row) => row.enabled);

@@ -179,10 +179,12 @@ def _summary(report: dict, out: Path) -> str:
     sizes, quality = report["sizes"], report["quality"]
     lines = [
         f"splats           {report['splats']:,}",
-        f"size             {sizes['bytes_per_splat']:.2f} bytes a splat on the GPU, file {sizes['file_bytes']:,} bytes",
+        f"size             {sizes['own_bytes_per_splat']:.2f} bytes a splat on the GPU, file {sizes['file_bytes']:,} bytes",
         *(
-            [f"atoms            ship with the program: {shipped:,} bytes on the GPU, none in the file"]
-            if (shipped := sizes.get("shipped_bytes"))
+            [
+                f"atoms            ship with the program: {shipped:,} bytes beside on the GPU, for any scan; none in the file"
+            ]
+            if (shipped := sizes["shipped_bytes"])
             else []
         ),
     ]
@@ -193,10 +195,11 @@ def _summary(report: dict, out: Path) -> str:
             decibels(quality[f"{what}_psnr_db"]) for what in ("texture", "visible", "resampling")
         )
         lines.append(f"texture PSNR     {texture}, visible {visible}, resampling {resampling}")
-    if sizes["compression_factor_total"] is not None:
+    if sizes["own_factor_total"] is not None:
+        with_atoms = f"; with the atoms beside {sizes['compression_factor_total']:.1f} times in all" if shipped else ""
         lines.append(
-            f"compression      {sizes['compression_factor_total']:.1f} times in all, "
-            f"{sizes['compression_factor_texture']:.1f} times the textures"
+            f"compression      on the GPU {sizes['own_factor_total']:.1f} times in all, "
+            f"{sizes['own_factor_texture']:.1f} times the textures{with_atoms}"
         )
     lines += [f"warning          {as_options(w)}" for w in report.get("warnings", [])]
     if pages := report.get("pages"):

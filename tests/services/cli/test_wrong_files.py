@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from services.cli.main import main
-from tests.services.scans import photo_scan, point_scan
+from tests.services.scans import photo_scan
 
 HEADER = b"ply\nformat binary_little_endian 1.0\n"
 XYZ = b"property float x\nproperty float y\nproperty float z\nend_header\n"

@@ -8,6 +8,7 @@ from pipeline.effects.shipped_dictionary import own_bytes_a_splat
 from pipeline.execution.executors import SerialExecutor
 from pipeline.planning.dictionary_size import affordable_size
 from pipeline.planning.settings import settings_for
+from renderer.report.report_words import summary
 from services.processes.compress import compress
 from storage.packed.dictionaries.shipped import ATOM_BYTES, N_ATOMS, NEWEST
 from storage.packed.packed import PackedFile
@@ -99,6 +100,15 @@ def test_coders__few_splats_take_the_atoms_that_ship_and_learn_none(made):
     assert row["enabled"] and row["measure"] == own_bytes_a_splat(report["splats"]) >= row["threshold"]
     assert report["sizes"]["shipped_bytes"] >= N_ATOMS * ATOM_BYTES and own["sizes"]["shipped_bytes"] == 0
     assert report["quality"]["texture_psnr_db"] > 32.9, "what was asked for"
+    sizes = report["sizes"]
+    n_own = sizes["gpu_bytes"] - sizes["shipped_bytes"]
+    assert sizes["own_bytes_per_splat"] == n_own / report["splats"] < sizes["bytes_per_splat"]
+    assert sizes["own_factor_total"] == pytest.approx(sizes["compression_factor_total"] * sizes["gpu_bytes"] / n_own)
+    assert sizes["own_factor_texture"] == sizes["source_texture_bytes"] / (n_own - sizes["geometry_bytes"])
+    for name in ("bytes_per_splat", "factor_total", "factor_texture"):
+        assert own["sizes"][f"own_{name}"] == own["sizes"][name if name in own["sizes"] else f"compression_{name}"]
+    assert "atoms that ship with the program, as many for any scan" in summary(report)
+    assert "atoms" not in summary(own)
 
 
 def test_coders__what_asks_for_other_atoms_learns_its_own():
