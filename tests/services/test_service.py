@@ -338,6 +338,7 @@ def test_service__the_page_uploads_runs_and_shows_a_job(served, scan, tmp_path):
             "document.getElementById('preset').value = 'draft'; document.querySelector('[name=iterations]').value = 3"
         )
         page.look("document.querySelector('[name=dictionary]').value = 'own'")
+        page.look("document.querySelector('[name=archive]').value = 'on'")
         page.look("document.getElementById('start').click()")
         page.until("/%/.test(document.getElementById('job-live').textContent)")
         page.until("/ksvd-update/.test(document.getElementById('log').textContent)")
@@ -353,8 +354,10 @@ def test_service__the_page_uploads_runs_and_shows_a_job(served, scan, tmp_path):
         page.picture(tmp_path / "page.png")
         assert page.complaints == []
         page.look("document.querySelector('a.look').click()")
-        page.until("window.viewer && viewer.complete && viewer.splats > 0")
+        page.until("window.viewer && viewer.complete && viewer.splats > 0")  # of the archive's plain form
         assert page.look("document.getElementById('problem').textContent") == "" and page.complaints == []
+        assert page.look("viewer.source.url.pathname").endswith(".plain.splatpress")
+        page.picture(tmp_path / "viewer.png")
         page.open(served.url + "/docs")
         page.until("/POST \\/v1\\/jobs/.test(document.body.innerText)")
         page.open(served.url + "/dashboard/status")  # Dask's, passed on with its live messages

@@ -1,5 +1,6 @@
 // The arrays of a packed file, as docs/FORMAT.md has them; mirrors storage/packed. What follows a change of the format is here and in tables.js.
 
+import { ArchiveForm } from "./plain.js";
 import { readDirectory, readMembers, text, viewOf } from "./zip.js";
 import { decompress } from "./zstd.js";
 
@@ -34,7 +35,7 @@ export class Packed {
       throw new Error(`a file of version ${header.version}; this viewer draws version ${VERSIONS.join(", ")}`);
     if (!["boxes", "runs", "quadrics"].includes(header.geometry ?? "boxes"))
       throw new Error(`a file whose geometry is ${header.geometry}; this viewer draws boxes, runs and quadrics`);
-    if (header.archive) throw new Error("a file in archive form, which this viewer does not read: splatpress export --to plain makes one that it does");
+    if (header.archive) throw new ArchiveForm("a file in archive form, which this viewer does not read: splatpress export --to plain makes one that it does");
     Object.assign(this, { source, members, header });
     if (header.runs && !members.has("run_codes/c/0/0")) throw new Error("a file of runs without their codes, of an older writer: pack the scan again");
     header.effects ??= {};

@@ -1,5 +1,6 @@
 // Begins the viewer's page: what it is to show stands in its address, or in the page itself.
 
+import { ArchiveForm, plainForm } from "./plain.js";
 import { BytesSource, HttpSource } from "./source.js";
 import { Viewer } from "./viewer.js";
 
@@ -18,9 +19,23 @@ export async function begin(shaders, bytes = null, atoms = null) {
   try {
     const number = (name) => (parameters.has(name) ? Number(parameters.get(name)) : undefined);
     const viewer = (globalThis.viewer = new Viewer(shaders, { ownDepth: parameters.has("own-depth"), budget: number("budget"), settled: number("settled") }));
-    await viewer.load(bytes ? new BytesSource(bytes, atoms) : new HttpSource(contentOf(parameters), sessionToken()));
+    await (bytes ? viewer.load(new BytesSource(bytes, atoms)) : loadFrom(viewer, contentOf(parameters)));
   } catch (error) {
     fail(error);
+  }
+}
+
+/** The file at an address of this host; where it is in archive form and a job's, its plain form. */
+async function loadFrom(viewer, content) {
+  const source = new HttpSource(content, sessionToken());
+  try {
+    await viewer.load(source);
+  } catch (error) {
+    if (!(error instanceof ArchiveForm)) throw error;
+    const waiting = document.getElementById("waiting");
+    const plain = await plainForm(content, source.headers, () => { waiting.hidden = false; }).finally(() => { waiting.hidden = true; });
+    if (!plain) throw error;
+    await viewer.load(new HttpSource(plain, sessionToken()));
   }
 }
 
