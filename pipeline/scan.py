@@ -66,6 +66,7 @@ class ScanSource:
     bounds: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None  # as the header declares it
     position_step: float | None = None  # by which coordinates can differ at least; None: that of `position_type`
     position_type: str = "float64"  # or "float32": what the file keeps coordinates as
+    is_single: bool = False  # every coordinate of a piece is a float32
     warnings: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()  # properties that the file has and that are not used
     details: dict = field(default_factory=dict)  # what `inspect` shows besides: versions, point formats, CRS

@@ -67,6 +67,7 @@ LEARNING = ("dictionary-seed", "ksvd-update")
 BEYOND_MEMORY = {entry.name for entry in CATALOGUE if entry.task == Task.PART and entry.when}
 BY_ATOMS = {entry.name for entry in CATALOGUE if entry.by_atoms}  # whose costs go with the number of indices
 READS = {entry.name: entry.reads for entry in CATALOGUE} | {  # the training set reads its own share of patches
+    "splats": ("partition", "neighbours", "sizes"),
     "exposure": (),  # fields of gains: photographs are brought to one light where they are looked at
     "resample": ("splats", PHOTOGRAPHS),
     "colors": ("resample",),
@@ -76,12 +77,15 @@ READS = {entry.name: entry.reads for entry in CATALOGUE} | {  # the training set
     "pack": ("splats", "colors", "encode", "cliplines"),
     PAGES: (PHOTOGRAPHS,),
 }
-# Bytes a splat that a stage reads of another's arrays: positions 24, cameras 16, normals 12, numbers 8, colours 3.
+# Bytes a splat that a stage reads of another's arrays: positions 24 (of the ingest of files in float32 12), cameras 16,
+# normals 12, numbers 8, spacings 4, colours 3.
 PARTLY_READ = {
-    ("grid-counts", "ingest"): 24,
+    ("grid-counts", "ingest"): 12,
     ("neighbours", "partition"): 36,
     ("sizes", "partition"): 24,
+    ("sizes", "neighbours"): 16,
     ("splats", "partition"): 43,
+    ("splats", "neighbours"): 12,
     ("nearest-points", "partition"): 40,
     ("training-set", "colors"): 8,
     ("training-set", "partition"): 8,
@@ -204,6 +208,8 @@ def _read(name: str, job: Job, written: dict[str, float]) -> float:
         parts = {source: PARTLY_READ.get((stage, source)) for source in READS.get(stage, ()) if source in written}
         return sum(written[s] if part is None else part * job.n_splats for s, part in parts.items())
 
+    if name == "partition" and "leaves" in written:
+        return written["leaves"]
     if name == "training-set":
         windows = min(written.get(PHOTOGRAPHS, 0.0), LONE_PATCH_BYTES * _units(name, job)) + written.get("splats", 0.0)
         return of(name) + (written[name] if job.keeps_patches else windows)

@@ -52,6 +52,7 @@ WORK_ARRAYS = (
     # points
     WorkArray("position", "float64", ("n", 3), (*_COLUMNS, "iso-surface"),
               "where a point lies; not finite where it is dropped"),
+    WorkArray("position", "float32", ("n", 3), _READ, "the same of a file that has coordinates as float32"),
     WorkArray("normal", "float32", ("n", 3), (*_COLUMNS, "iso-surface", "neighbours"),
               "unit; zeros or not finite for none"),
     WorkArray("color", "uint8", ("n", 3), (*_COLUMNS, "iso-surface", "splats"), "sRGB"),

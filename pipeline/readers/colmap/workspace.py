@@ -178,6 +178,7 @@ def _source(opened: _Opened) -> ScanSource:
         has_intensity=vertices.decision.intensity,
         has_visibility=opened.visibility is not None,
         position_type=vertices.position_type,
+        is_single=vertices.is_single,
         warnings=(*vertices.warnings, *opened.warnings),
         unused=unused_properties(vertices),
         details={

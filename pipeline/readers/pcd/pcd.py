@@ -256,6 +256,7 @@ def _source(opened: _Opened) -> ScanSource:
         has_colors=opened.named.has_colors(decision),
         has_intensity=decision.intensity,
         position_type="float32" if "f4" in types else "float64",
+        is_single=types == {"f4"} and header.data != "ascii",
         warnings=tuple(opened.named.reasons(header.path, opened.look, decision, header.n_points)),
         unused=opened.named.columns.unused,
         details={"data": header.data, "fields": [f[0] for f in header.fields], "viewpoint": list(header.viewpoint)},

@@ -70,6 +70,11 @@ class Vertices:
         return "float32" if kinds & {"f4", "f2"} and self.header.encoding != "ascii" else "float64"
 
     @property
+    def is_single(self) -> bool:
+        kinds = {p.dtype for p in self.header.vertex.properties if p.name in self.columns.position}
+        return kinds <= {"f4", "f2"} and self.header.encoding != "ascii"
+
+    @property
     def is_sample(self) -> bool:
         return self.look.n_points < self.count
 
@@ -226,6 +231,7 @@ def _source(path: str, options: ReadOptions, vertices: Vertices) -> ScanSource:
         has_colors=vertices.has_colors,
         has_intensity=vertices.decision.intensity,
         position_type=vertices.position_type,
+        is_single=vertices.is_single,
         warnings=vertices.warnings,
         unused=unused_properties(vertices),
         details={

@@ -18,7 +18,7 @@ from pipeline.readers.files.spelling import by_name
 from pipeline.scan import Piece, ScanSource
 from pipeline.splats.cameras import N_CANDIDATES, rank_candidates
 from pipeline.summaries import ScanRead
-from storage.errors import InvalidScan
+from storage.errors import InternalError, InvalidScan
 from storage.work import arrays
 
 PIECE = 1 << 16  # points a piece: 5 MB with everything that a point may carry
@@ -151,7 +151,7 @@ def _columns_of(source: ScanSource) -> dict[str, np.dtype]:
         "candidate": source.has_visibility,
     }
     kinds = {
-        "position": ("f8", (3,)),
+        "position": ("f4" if source.is_single else "f8", (3,)),  # readers of it subtract the origin in float64
         "normal": ("f4", (3,)),
         "color": ("u1", (3,)),
         "intensity": ("f4", ()),
@@ -208,6 +208,8 @@ def _store_slice(source: ScanSource, folder: Path, index: int, pieces: list[Piec
             )
         for name, values in columns.items():
             rows[name][at:end] = values
+        if source.is_single and not np.array_equal(rows["position"][at:end], piece.position, equal_nan=True):
+            raise InternalError(source.path, "coordinates that are no float32", "float32, as its reader says")
         rows["position"][at:end][~counts.add(piece)] = np.nan
         looks.add(piece.look)
         at = end

@@ -33,8 +33,9 @@ def columns_of(points: Path) -> dict[str, np.dtype]:
 
 
 def columns_made_of(ingest: Path) -> dict[str, np.dtype]:
-    """The columns of its points in order: those of the ingest, and each one's place there."""
-    return columns_of(ingest) | {"point": np.dtype(np.int64)}
+    """The columns of its points in order: those of the ingest, positions in float64 as they are then told against the
+    origin, and each one's place there."""
+    return columns_of(ingest) | {"position": np.dtype(("f8", (3,))), "point": np.dtype(np.int64)}
 
 
 def record_of(ingest: Path) -> np.dtype:

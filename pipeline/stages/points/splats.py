@@ -207,10 +207,11 @@ class Splats:
             station = arrays.read(self.partition, "station", start, stop)
             seen = station >= 0  # what was merged from several has none
             towards[seen] = np.array(scan.stations)[station[seen]] - absolute[seen]
+        has = camera != NO_CAMERA
         if arrays.exists(self.partition, "normal"):
-            missing = usable_normals(arrays.read(self.partition, "normal", start, stop))[1]
-            towards[~missing] = normal[~missing]
+            blind = np.flatnonzero(~has)  # of others it makes no difference whether they had a normal
+            missing = usable_normals(arrays.read_rows(self.partition, "normal", start + blind))[1]
+            towards[blind[~missing]] = normal[blind[~missing]]
         if scan.cameras:
-            has = camera != NO_CAMERA
             towards[has] = np.array([c.centre for c in scan.cameras])[camera[has]] - absolute[has]
         return towards

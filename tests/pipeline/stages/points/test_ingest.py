@@ -94,6 +94,8 @@ def test_ingest__slices_are_what_one_reading_from_the_start_gives(tmp_path, smal
     summary = found[0][1]
     assert summary.n_read == 1003 and summary.n_dropped == np.isnan(rows["x"]).sum()
     position = arrays.read(found[0][0], "position")
+    kinds = [arrays.layout_of(folder, "position").dtype for folder, _ in found]
+    assert kinds == [np.float32, np.float64], "of a file that has coordinates as float32 they are kept so"
     np.testing.assert_array_equal(np.isnan(position).any(axis=1), np.isnan(rows["x"]))
     np.testing.assert_array_equal(summary.low, np.nanmin(position, axis=0))
     assert any(f"{(np.isnan(rows['red']) & ~np.isnan(rows['x'])).sum()} of" in w for w in summary.warnings)
