@@ -201,6 +201,7 @@ class _Chunk:
     def __init__(self, header, coder, sets, row, axis, boxes, late) -> None:
         self.late = late
         self.header, self.coder, self.sets, self.boxes = header, coder, sets, boxes
+        self.sizes = 2 ** header["size_bits"]
         if boxes:
             self.axes = [a for a in range(3) if a != axis] + [axis]
             bits = [row["box_bits"][a] for a in self.axes]
@@ -210,7 +211,10 @@ class _Chunk:
         else:
             self.normals = [row["normal_cells"][i] + 1 for i in range(2)]
             u, v = row["frame_cells"]
-            states = u * v * self.normals[0] * self.normals[1]
+            if header["size_bits"]:
+                low, high = row["size_scale"]
+                self.sizes = min(16, 1 + (8 * (high - low) + 14) // 15)
+            states = u * v * self.normals[0] * self.normals[1] * self.sizes
             self.cells, self.sides = [u, v, -(-(2 ** row["frame_bits"][0]) // states)], [1.0, 1.0, 1.0]
         self.colors = [256] * 3
         if header["color_step"]:
@@ -304,8 +308,7 @@ class _Chunk:
         splat["batch"] = 0
         if d > 1:
             splat["batch"] = self.batch(near, three, d)
-        if header["size_bits"]:
-            splat["size"] = self.size(near, three)
+        splat["size"] = self.size(near, three) if self.sizes > 1 else 0
         before = 0
         for i, name in enumerate(("a", "b", "height")):
             said = [o[name] for o in near]

@@ -240,7 +240,7 @@ class Packed:
             for name, values in self.arrays.items()
             if name.startswith(("frame_", "normal_")) and name != "frame_step"
         }
-        number, digits = self.number(i), []
+        number, digits = self.number(i) // self.size_values(i // 128), []
         for many in (*(of["normal_cells"] + 1), *of["frame_cells"]):
             digits.append(number % int(many))
             number //= int(many)
@@ -294,9 +294,21 @@ class Packed:
         bits, (chunk, place) = self.header["size_bits"], divmod(i, 128)
         if bits == 0:
             return self.header["radius"]
-        words, (low, high) = self.arrays["sizes"][chunk], self.arrays["size_scale"][chunk].tolist()
-        q = int.from_bytes(words.astype("<u4").tobytes(), "little") >> place * bits & (1 << bits) - 1
-        return self.header["radius"] * 2.0 ** ((low + (high - low) * q / (2**bits - 1)) / 16 - 8)
+        low, high = self.arrays["size_scale"][chunk].tolist()
+        if self.header.get("geometry") == "quadrics":
+            n = self.size_values(chunk)
+            q = self.number(i) % n
+        else:
+            n = 2**bits
+            q = int.from_bytes(self.arrays["sizes"][chunk].astype("<u4").tobytes(), "little") >> place * bits & n - 1
+        return self.header["radius"] * 2.0 ** ((low + ((high - low) * q / (n - 1) if n > 1 else 0)) / 16 - 8)
+
+    def size_values(self, chunk: int) -> int:
+        """How many values sizes have over quadrics."""
+        if self.header["size_bits"] == 0:
+            return 1
+        low, high = self.arrays["size_scale"][chunk].tolist()
+        return min(16, 1 + (8 * (high - low) + 14) // 15)
 
     def color(self, i: int) -> np.ndarray:
         step, chunk = self.header["color_step"], i // 128

@@ -100,7 +100,7 @@ def header_of(case: Case) -> Header:
         up=case.up,
         ahead=case.ahead,
         margin_radii=2.0,
-        size_bits=case.size_bits,
+        size_bits=4 if case.quadrics and case.size_bits else case.size_bits,
         n_dictionary=case.n_dictionary,
         dictionary_bits=case.dictionary_bits,
         weight_bits=case.weight_bits,
@@ -144,6 +144,7 @@ def arrays_for(case: Case, header: Header) -> dict[str, np.ndarray]:
     if header.size_bits:
         low = noise(c, 14, 100) + 60
         arrays["size_scale"] = np.stack([low, low + noise(c, 15, 90)], axis=1).astype(np.uint8)
+    if header.size_bits and not case.quadrics:
         field = noise(c * CHUNK, 16, 2**header.size_bits, case.period)
         arrays["sizes"] = _packed(field, header.size_bits).reshape(c, -1)
     arrays |= _color_boxes(case, header) if header.color_step else {"color": _bytes(case, 6, 256)}

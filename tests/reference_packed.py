@@ -73,10 +73,23 @@ def decode_radius(scene: PackedScene, splat: int) -> float:
     header, (chunk, place) = scene.header, divmod(splat, CHUNK)
     if not header.size_bits:
         return header.radius
-    field = int.from_bytes(scene.arrays["sizes"][chunk].astype("<u4").tobytes(), "little") >> place * header.size_bits
     low, high = scene.arrays["size_scale"][chunk].tolist()
-    step = low + (high - low) * (field % 2**header.size_bits) / (2**header.size_bits - 1)
+    if header.geometry == "quadrics":
+        values = values_of_sizes(scene, chunk)
+        code = number_of(scene, splat) % values
+    else:
+        values, words = 2**header.size_bits, scene.arrays["sizes"][chunk].astype("<u4").tobytes()
+        code = (int.from_bytes(words, "little") >> place * header.size_bits) % values
+    step = low + (high - low) * code / max(values - 1, 1)
     return header.radius * 2.0 ** (step / 16) / 2**8
+
+
+def values_of_sizes(scene: PackedScene, chunk: int) -> int:
+    """The lowest digit's radix of numbers of quadrics."""
+    if not scene.header.size_bits:
+        return 1
+    low, high = scene.arrays["size_scale"][chunk].tolist()
+    return min(16, 1 + math.ceil((high - low) / 1.875))
 
 
 def decode_run_cell(scene: PackedScene, splat: int) -> tuple[list[float], list[int]]:
@@ -161,7 +174,8 @@ def number_of(scene: PackedScene, splat: int) -> int:
 def decode_cell(scene: PackedScene, splat: int) -> tuple[list[float], list[int]]:
     """Position against the origin and octahedral normal of a splat of quadrics, its axes by a library's rotation."""
     of = {name: scene.arrays[name][splat // CHUNK].tolist() for name in FRAMES}
-    number, a = divmod(number_of(scene, splat), of["normal_cells"][0] + 1)
+    number = number_of(scene, splat) // values_of_sizes(scene, splat // CHUNK)
+    number, a = divmod(number, of["normal_cells"][0] + 1)
     number, b = divmod(number, of["normal_cells"][1] + 1)
     number, i = divmod(number, of["frame_cells"][0])
     k, j = divmod(number, of["frame_cells"][1])

@@ -148,7 +148,11 @@ def build_scene_and_order(
     if settings.quadric_error:
         radii = (np.full(n, settings.radius) if splats.size is None else splats.size)[order]
         asked = asked_steps(radii, settings.quadric_error)
-        number, frames = encode_quadrics(local[order], splats.normal[order], asked)
+        sizes = None
+        if splats.size is not None:
+            scales = fit_scales(splats.size[order], settings.radius, None)
+            sizes = encode_sizes(splats.size[order], scales), scales.cells
+        number, frames = encode_quadrics(local[order], splats.normal[order], asked, sizes=sizes)
         keys = [number, *keys]
     sorted_ = np.lexsort(keys)
     order = order[sorted_]
@@ -162,7 +166,7 @@ def build_scene_and_order(
         up=settings.up,
         ahead=settings.ahead,
         margin_radii=settings.depth_margin / settings.radius,
-        size_bits=0 if splats.size is None else settings.size_bits,
+        size_bits=0 if splats.size is None else 4 if settings.quadric_error else settings.size_bits,
         n_dictionary=len(dictionary.atoms) if dictionary else 0,
         dictionary_bits=dictionary.dictionary_bits if dictionary else 8,
         weight_bits=dictionary.weight_levels.shape[1].bit_length() - 1 if dictionary else 4,
@@ -197,7 +201,9 @@ def build_scene_and_order(
     if settings.quadric_error:
         arrays = {name: values for name, values in arrays.items() if name not in FORMS}
         arrays |= _quadrics(number[sorted_], frames, arrays["batch_count"])
-    if header.size_bits:
+    if header.size_bits and settings.quadric_error:
+        arrays["size_scale"] = scales.step
+    elif header.size_bits:
         scales = fit_scales(splats.size[order], settings.radius, header.size_bits)
         codes = encode_sizes(splats.size[order], scales)
         arrays |= {"size_scale": scales.step, "sizes": pack_sizes(codes, header.size_bits)}

@@ -10,10 +10,10 @@ from pipeline.geometry.ellipsoids import decode_ellipsoids, squares_of
 from pipeline.geometry.frame import Direction, tangent_frames
 from pipeline.geometry.positions import Boxes, decode_positions
 from pipeline.geometry.quadrics.frames import decode_quadrics, frames_of_arrays
-from pipeline.geometry.sizes import Scales, decode_sizes
+from pipeline.geometry.sizes import Scales, cells_of, decode_sizes
 from pipeline.splats.visibility import seen_points
 from storage.packed.scene import PackedScene
-from storage.packed.schema import BOXES, CHUNK, FRAMES, Camera
+from storage.packed.schema import BOXES, CHUNK, FRAMES, QUADRICS, Camera
 from storage.work import arrays
 
 
@@ -61,8 +61,15 @@ def splat_radii(folder: Path | None, radius: float, start: int, stop: int) -> np
     folder; where there are none the one `radius` of all."""
     if folder is None or not arrays.exists(folder, "size_code"):
         return np.full(stop - start, radius)
-    step = arrays.read(folder, "size_scale", start // CHUNK, -(-stop // CHUNK))
-    return decode_sizes(arrays.read(folder, "size_code", start, stop), Scales(step, radius))
+    return decode_sizes(*read_sizes(folder, radius, start, stop))
+
+
+def read_sizes(folder: Path, radius: float, start: int, stop: int) -> tuple[np.ndarray, Scales]:
+    """Codes (n,) uint8 and scales of the splats of a block of whole chunks."""
+    step, cells = (
+        arrays.read(folder, name, start // CHUNK, -(-stop // CHUNK)) for name in ("size_scale", "size_cells")
+    )
+    return arrays.read(folder, "size_code", start, stop), Scales(step, radius, cells)
 
 
 def scene_radii(scene: PackedScene) -> np.ndarray:
@@ -70,7 +77,9 @@ def scene_radii(scene: PackedScene) -> np.ndarray:
     header = scene.header
     if not header.size_bits:
         return np.full(header.n_splats, header.radius)
-    return decode_sizes(scene.size_codes, Scales(scene.arrays["size_scale"], header.radius, header.size_bits))
+    step = scene.arrays["size_scale"]
+    cells = cells_of(step, None if header.geometry == QUADRICS else header.size_bits)
+    return decode_sizes(scene.size_codes, Scales(step, header.radius, cells))
 
 
 def scene_positions(scene: PackedScene) -> np.ndarray:
@@ -127,7 +136,8 @@ def decoded_centres(splats: Path, start: int, stop: int) -> np.ndarray:
         return arrays.read(splats, "centre", start, stop).astype(np.float64)
     chunks = slice(start // CHUNK, -(-stop // CHUNK))
     if arrays.exists(splats, FRAMES[0]):
-        frames = {name: arrays.read(splats, name, chunks.start, chunks.stop) for name in FRAMES}
+        named = [name for name in (*FRAMES, "size_scale") if arrays.exists(splats, name)]
+        frames = {name: arrays.read(splats, name, chunks.start, chunks.stop) for name in named}
         return decode_quadrics(arrays.read(splats, "number", start, stop), frames_of_arrays(frames))[0]
     boxes = Boxes(
         *(arrays.read(splats, name, chunks.start, chunks.stop) for name in ("box_low", "box_size", "box_bits"))

@@ -8,4 +8,8 @@ uint read_splat(uint splat, out ivec3 normal) {
     return code;
 }
 
+#ifdef SIZE_BITS
+uint size_code(uint splat) { return decoded_splats[splat - first_decoded].w >> 27; }
+#endif
+
 vec3 place_in_frame(uint box, uint code) { return uintBitsToFloat(decoded_splats[code].xyz); }

@@ -88,12 +88,25 @@ uvec3 digits_of(uint number, uvec2 radix) {
 
 vec3 turned_by(vec4 q, vec3 p) { return p + 2.0 * cross(q.xyz, cross(q.xyz, p) + q.w * p); }
 
-// The normal of a splat, as a point of its chunk's octahedron, and its cell as one number: the quotient of its number by the steps of normals, two digits of it.
-uint read_splat(uint splat, out ivec3 normal) {
+// A number above its lowest 16 bits, and these, by a divisor of at most 16 bits: the quotient so, and the remainder.
+uvec3 divided(uvec2 number, uint divisor) {
+    uint above = number.x / divisor, rest = (number.x - above * divisor) << 16 | number.y, below = rest / divisor;
+    return uvec3(above, below, rest - below * divisor);
+}
+
+// The normal of a splat, as a point of its chunk's octahedron, the code of its size, and its cell as one number: the
+// quotient of its number by sizes and steps of normals, which are its lowest digits.
+uint read_number(uint splat, out ivec3 normal, out uint size) {
     uint box = splat / CHUNK * BOX_WORDS;
     uvec2 number = number_of(splat), steps = (uvec2(boxes[box + 4u]) >> uvec2(16u, 24u) & 0xFFu) + 1u, cells = cells_of(box);
-    uint states = steps.x * steps.y, above = number.x / states, rest = (number.x - above * states) << 16 | number.y;
-    uint below = rest / states, cell = (above << 16) + below, which = rest - below * states, low = boxes[box + 8u];
+    size = 0u;
+#ifdef SIZE_BITS
+    uvec3 quotient = divided(number, sizes_of(box));
+    number = quotient.xy;
+    size = quotient.z;
+#endif
+    uvec3 by_normals = divided(number, steps.x * steps.y);
+    uint cell = (by_normals.x << 16) + by_normals.y, which = by_normals.z, low = boxes[box + 8u];
     ivec2 across = ivec2(2u * digits_of(cell, cells).xy + 1u) - ivec2(cells);
     ivec4 slope = bytes_of(boxes[box + 7u]);
     ivec2 sloped = ivec2(slope.x * across.x + slope.y * across.y, slope.z * across.x + slope.w * across.y) >> 8;
@@ -103,6 +116,15 @@ uint read_splat(uint splat, out ivec3 normal) {
     normal = octahedron_of(wrapped(clamp(begin + ivec2(which - row * steps.x, row) + sloped, -2 * map, 2 * map), map), map);
     return cell;
 }
+
+uint read_splat(uint splat, out ivec3 normal) {
+    uint size;
+    return read_number(splat, normal, size);
+}
+
+#ifdef SIZE_BITS
+uint size_code(uint splat) { return divided(number_of(splat), sizes_of(splat / CHUNK * BOX_WORDS)).z; }
+#endif
 
 // From the origin of its chunk's frame, along the file's axes.
 vec3 place_in_frame(uint box, uint code) {

@@ -58,22 +58,19 @@ uvec2 splat_words(uint splat) { return splats[splat]; }
 #define GROWTH_OF(group) 1.0
 #endif
 
+#ifndef QUADRICS
 #ifdef SIZE_BITS
 #include "bits.glsl"
 const uint BOX_WORDS = SIZE_WORD + 4u * uint(SIZE_BITS);
 
-// As pipeline/geometry/sizes.py decodes it.
-float radius_of(uint splat) {
-    uint box = splat / CHUNK * BOX_WORDS;
-    uint code = READ_BITS(boxes, box + SIZE_WORD, splat % CHUNK * uint(SIZE_BITS), uint(SIZE_BITS));
-    float low = float(boxes[box + 6u] >> 16 & 0xFFu), high = float(boxes[box + 6u] >> 24);
-    float at = low + (high - low) * float(code) / float((1u << uint(SIZE_BITS)) - 1u);
-    return scene.radius * exp2((at - 128.0) / 16.0) * GROWTH_OF(splat / GROUP);
+uint size_code(uint splat) {
+    return READ_BITS(boxes, splat / CHUNK * BOX_WORDS + SIZE_WORD, splat % CHUNK * uint(SIZE_BITS), uint(SIZE_BITS));
 }
+
+uint sizes_of(uint box) { return 1u << uint(SIZE_BITS); }
 #else
 const uint BOX_WORDS = SIZE_WORD;
-
-float radius_of(uint splat) { return scene.radius * GROWTH_OF(splat / GROUP); }
+#endif
 #endif
 
 struct Disc {
@@ -91,6 +88,15 @@ ivec3 octahedron_of(ivec2 code, int steps) {
 }
 
 #ifdef QUADRICS
+const uint BOX_WORDS = SIZE_WORD;
+#ifdef SIZE_BITS
+
+// How many values codes of sizes have in a chunk.
+uint sizes_of(uint box) {
+    uint scale = boxes[box + 6u] >> 16;
+    return min(1u + (8u * ((scale >> 8) - (scale & 0xFFu)) + 14u) / 15u, 16u);
+}
+#endif
 #ifdef DECODED
 #include "decoded_quadric.glsl"
 #else
@@ -125,6 +131,18 @@ uint read_splat(uint splat, out ivec3 normal) {
     return words.x & 0xFFFFFFu;
 }
 #endif
+
+// As pipeline/geometry/sizes.py decodes it.
+float radius_of(uint splat) {
+#ifdef SIZE_BITS
+    uint box = splat / CHUNK * BOX_WORDS;
+    float low = float(boxes[box + 6u] >> 16 & 0xFFu), high = float(boxes[box + 6u] >> 24);
+    float at = low + (high - low) * float(size_code(splat)) / float(max(sizes_of(box), 2u) - 1u);
+    return scene.radius * exp2((at - 128.0) / 16.0) * GROWTH_OF(splat / GROUP);
+#else
+    return scene.radius * GROWTH_OF(splat / GROUP);
+#endif
+}
 
 vec3 decode_position(uint splat, uint code) { return position_against(view.eye_high.xyz, view.eye_low.xyz, splat, code); }
 

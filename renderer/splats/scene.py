@@ -218,7 +218,7 @@ class GpuScene:
             self._upload(COLORS, "colors", arrays["colors"], "colours")
         elif header.geometry != IN_BOXES:
             self._upload(COLORS, "colors", with_spare(arrays["color"]), "colours")
-        if header.size_bits:
+        if "sizes" in arrays:
             boxes = np.concatenate([boxes, arrays["sizes"]], axis=1)
             boxes = np.concatenate([boxes.ravel(), spare])
         if header.runs:

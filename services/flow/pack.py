@@ -25,7 +25,7 @@ from services.flow.prepare import Prepared
 from services.flow.run import Run
 from services.flow.textures import Coded, color_step
 from storage.packed.groups import FIRST_WORDS
-from storage.packed.schema import BOXES, BY_NAME, EXTRAS, QUADRICS, RUNS, Header, RunGrid
+from storage.packed.schema import BOXES, BY_NAME, EXTRAS, MOST_SIZES, QUADRICS, RUNS, Header, RunGrid
 from storage.packed.writing.joined import seal_packed
 from storage.whole import aside
 from storage.work import arrays, work
@@ -38,6 +38,13 @@ def texels_of_levels(prepared: Prepared, settings: Settings) -> tuple[int, int]:
     return stored_sizes(
         plan.measured.get("mip_levels"), asked_for, settings.view_distance, "level_blending" in plan.enabled
     )
+
+
+def _size_bits(prepared: Prepared) -> int:
+    """Of a splat's radius; over quadrics at most."""
+    if not arrays.exists(prepared.splats.folder, "size_code"):
+        return 0
+    return BITS if prepared.quadric_error is None else (MOST_SIZES - 1).bit_length()
 
 
 def _stored_index_bits(coded: Coded | None, settings: Settings) -> int:
@@ -84,7 +91,7 @@ def pack(
         ahead=ahead,
         margin_radii=margin,
         levels=levels if len(levels := prepared.partition.summary.levels) > 1 else (),
-        size_bits=BITS if arrays.exists(prepared.splats.folder, "size_code") else 0,
+        size_bits=_size_bits(prepared),
         n_dictionary=coded.n_dictionary if coded else 0,
         dictionary_bits=_stored_index_bits(coded, settings),
         weight_bits=settings.weight_bits,

@@ -14,6 +14,7 @@ from pipeline.effects.plan.request import AUTO, OFF, canonical_request, parse_re
 from pipeline.effects.station_maps import has_maps
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
+from pipeline.geometry.sizes import BITS
 from pipeline.readers.attributes.options import ReadOptions
 from pipeline.stages.maps.map_cliplines import MapCliplines
 from pipeline.stages.maps.resample_maps import MappedSplats
@@ -227,9 +228,9 @@ def _sized_splats(
     quadric_error: tuple[float, float] | None = None,
 ) -> Prepared:
     asked_radius, radius = radius, radius_of(neighbours.summary, radius, scan)
-    needed, sizes = None, None
+    needed, sizes, bits = None, None, BITS if quadric_error is None else None
     if asked_radius is None and parse_request(request)["sizes"] != OFF:
-        needed = run.do(Sizes(partition.folder, neighbours.folder, radius))
+        needed = run.do(Sizes(partition.folder, neighbours.folder, radius, bits=bits))
         sizes = needed.folder if calls_for_sizes(needed.summary, request) else None
     depth = None
     if ingest.summary.cameras and not ingest.summary.has_visibility:
@@ -237,7 +238,7 @@ def _sized_splats(
     counts = possible_levels(partition.summary.n_splats, levels)
     near = neighbours.folder
     if len(counts) > 1 and (levels or calls_for_levels(counts, request)):
-        partition, near, sizes = with_levels(run.do, partition, near, needed, sizes, radius, len(counts) - 1)
+        partition, near, sizes = with_levels(run.do, partition, near, needed, sizes, radius, len(counts) - 1, bits)
     points = ingest.folder, partition.folder, near, depth
     splats = run.do(Splats(*points, radius, held_out, None, sizes, of_runs, quadric_error))
     sources = Sources(

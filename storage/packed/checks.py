@@ -41,6 +41,7 @@ from storage.packed.schema import (
     MAX_ATOMS,
     MIP_SIZES,
     NO_CAMERA,
+    QUADRICS,
     RUNS,
     SIZE_BITS,
     TURN_COUNTS,
@@ -124,6 +125,7 @@ def _rules(header: Header) -> list[tuple[str, object, bool, str]]:
             f"coder {CODER}, 0 bytes or more, models {MOST_MODELS} or fewer, no runs",
         ),
         ("size_bits", h.size_bits, h.size_bits in SIZE_BITS, f"one of {SIZE_BITS}"),
+        ("size_bits", h.size_bits, h.geometry != QUADRICS or h.size_bits in (0, 4), "0 or 4 over quadrics"),
         ("dictionary_bits", h.dictionary_bits, 0 <= h.dictionary_bits <= 16, "0..16"),
         ("weight_bits", h.weight_bits, 1 <= h.weight_bits <= 8, "1..8"),
         (

@@ -15,7 +15,7 @@ import numpy as np
 from storage.packed.batches import group_batch_counts
 from storage.packed.bits import unpack_sizes
 from storage.packed.colors import color_words
-from storage.packed.quadrics import frame_boxes, number_words
+from storage.packed.quadrics import frame_boxes, frame_sizes, number_words, unpack_numbers
 from storage.packed.runs.tables import DECODED, most_bytes, run_bounds
 from storage.packed.schema import (
     BOXES,
@@ -173,9 +173,17 @@ def radii_of(header: Header, arrays: dict[str, np.ndarray]) -> np.ndarray:
     n = header.n_splats
     if not header.size_bits:
         return np.full(n, header.radius)
-    code = unpack_sizes(arrays["sizes"], header.size_bits, n)
-    low, high = arrays["size_scale"].astype(np.float64)[np.arange(n) // CHUNK].T
-    step = low + (high - low) * code / (2**header.size_bits - 1)
+    chunk = np.arange(n) // CHUNK
+    if header.geometry == QUADRICS:
+        words = number_words(arrays["batch_count"], arrays["frame_bits"])
+        stream = np.append(arrays["splats"][: words.sum()], np.uint32(0))
+        number = unpack_numbers(stream, words.cumsum() - words, arrays["batch_count"], arrays["frame_bits"])
+        cells = frame_sizes(arrays).astype(np.int64)[chunk]
+        code = number.astype(np.int64) % cells
+    else:
+        code, cells = unpack_sizes(arrays["sizes"], header.size_bits, n), np.full(n, 2**header.size_bits)
+    low, high = arrays["size_scale"].astype(np.float64)[chunk].T
+    step = low + (high - low) * code / np.maximum(cells - 1, 1)
     return header.radius * 2.0 ** ((step - ONE_SIZE) / SIZE_STEPS_AN_OCTAVE)
 
 

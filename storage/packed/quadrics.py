@@ -23,6 +23,7 @@ from storage.packed.schema import (
     NORMAL_GRIDS,
     TURN_W,
     curve_units,
+    size_cells,
     steps_of,
 )
 
@@ -136,6 +137,13 @@ def _tops(words: np.ndarray, first_word: np.ndarray, places: _Places, shape: tup
     return top
 
 
+def frame_sizes(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """How many values codes of sizes have in each chunk, (c,) uint8: the lowest digit of its numbers."""
+    if "size_scale" in arrays:
+        return size_cells(arrays["size_scale"])
+    return np.ones(len(arrays["frame_bits"]), np.uint8)
+
+
 def check_frames(arrays: dict[str, np.ndarray]) -> None:
     """ValueError unless frames are what decoders take them for, so that no number of theirs leaves 32 bits."""
     cells, bits, step = (arrays[name].astype(np.int64) for name in ("frame_cells", "frame_bits", "frame_step"))
@@ -144,7 +152,7 @@ def check_frames(arrays: dict[str, np.ndarray]) -> None:
     if bits.min() < LEAST_NUMBER_BITS or bits.max() > MOST_NUMBER_BITS:
         raise ValueError(f"frame_bits has {bits.min()}..{bits.max()}, not {LEAST_NUMBER_BITS}..{MOST_NUMBER_BITS}")
     normals = (arrays["normal_cells"].astype(np.int64) + 1).prod(axis=1)
-    if (2**bits > normals << 32).any():
+    if (2**bits > normals * frame_sizes(arrays) << 32).any():
         raise ValueError("frame_bits has numbers whose cells are more than 2^32")
     if step.min() < _FINITE[0] or step.max() > _FINITE[1]:
         raise ValueError("frame_step is not the upper half of a float32 above 0")
@@ -174,7 +182,7 @@ def frame_boxes(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 def _frame_boxes(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     cells = arrays["frame_cells"].astype(np.float64)
-    states = cells.prod(axis=1) * (arrays["normal_cells"] + 1.0).prod(axis=1)
+    states = cells.prod(axis=1) * (arrays["normal_cells"] + 1.0).prod(axis=1) * frame_sizes(arrays)
     squares = np.stack([cells[:, 0] ** 2, cells.prod(axis=1), cells[:, 1] ** 2], axis=1)
     rise = (np.abs(arrays["frame_curve"].astype(np.float64)) * squares).sum(axis=1) * curve_units(cells)
     ends = np.stack([cells[:, 0], cells[:, 1], 2.0 ** arrays["frame_bits"] / states + 2 * rise], axis=1)

@@ -13,7 +13,7 @@ from storage.packed.batches import Rows, group_batch_counts, rows_of
 from storage.packed.bits import unpack_sizes, words_for
 from storage.packed.codes import unpack_codes
 from storage.packed.colors import color_words, unpack_colors
-from storage.packed.quadrics import check_numbers, unpack_numbers
+from storage.packed.quadrics import check_numbers, frame_sizes, unpack_numbers
 from storage.packed.runs.tables import DECODED, check_runs
 from storage.packed.schema import (
     BY_NAME,
@@ -85,6 +85,9 @@ class PackedScene:
     @cached_property
     def size_codes(self) -> np.ndarray:
         """Of each splat, (n,) uint8, where each has a size of its own."""
+        if self.header.geometry == QUADRICS:
+            cells = frame_sizes(self.arrays)[np.arange(self.header.n_splats) // CHUNK]
+            return (self.numbers % cells).astype(np.uint8)
         return unpack_sizes(self.arrays["sizes"], self.header.size_bits, self.header.n_splats)
 
 

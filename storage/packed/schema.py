@@ -40,8 +40,9 @@ LEAST_NUMBER_BITS, MOST_NUMBER_BITS = 16, 47  # of the number of a splat over a 
 MOST_FRAME_CELLS = 4096  # along an axis of a quadric's frame
 NORMAL_GRIDS = 16  # of octahedral maps over quadrics: map x has 175 - 8 x steps
 TURN_W = 117  # of quaternions whose other entries are bytes; those of encoders are below 1.083 of it
-SIZE_BITS = (0, 2, 3, 4)  # that a splat's radius may take; without any all have the header's
+SIZE_BITS = (0, 2, 3, 4)  # that a splat's radius may take, 4 over quadrics; without any all have the header's
 SIZE_STEPS_AN_OCTAVE, ONE_SIZE = 16, 128  # of radii: step s is 2^((s - 128) / 16) of the header's
+MOST_SIZES = 16  # values of a code of a size over quadrics
 LONGEST_DIRECTION = 36  # so that 100 (up . normal)^2 of whole numbers stays within 32 bits
 
 
@@ -317,6 +318,7 @@ def arrays_of(header: Header) -> tuple[Array, ...]:
     absent |= {f"atoms_{size}" for size in MIP_SIZES if size not in header.mip_sizes}
     absent |= set(atom_arrays(header)) if header.shipped else set()
     absent |= set() if header.size_bits else {"size_scale", "sizes"}
+    absent |= {"sizes"} if header.geometry == QUADRICS else set()
     absent |= {"color"} if header.color_step else {"color_low", "color_size", "colors"}
     for extra in EXTRAS:
         if not any(getattr(batch, extra.flag) for batch in header.batches):
@@ -377,6 +379,18 @@ def curve_units(cells: np.ndarray) -> np.ndarray:
 
     longest = cells.max(axis=1).astype(np.int64)
     return 2.0 ** -(7 + np.frexp(longest.astype(np.float64))[1])
+
+
+def size_cells(scale: np.ndarray) -> np.ndarray:
+    """How many values codes of sizes have over quadrics, (c,) uint8, of scales (c, 2) from their smallest to their
+    largest: one ratio of at most 15 / 8 of a sixteenth of an octave between two, but MOST_SIZES at most. By whole
+    numbers, so that readers and writers agree and no table of them is stored.
+
+    With that ratio radii are as far off as in 3 bits (docs/ACCURACY.md)."""
+    import numpy as np
+
+    low, high = scale.astype(np.int64).T
+    return (1 + -(-8 * (high - low) // 15)).clip(1, MOST_SIZES).astype(np.uint8)
 
 
 def origin_quanta(code: np.ndarray) -> np.ndarray:

@@ -87,6 +87,7 @@ WORK_ARRAYS = (
               "no plane gave a normal"),
     WorkArray("size_code", "uint8", ("n",), _SIZED, "a splat's radius in steps of its chunk's scale"),
     WorkArray("size_scale", "uint8", ("c", 2), _SIZED, "smallest radius and step, in 16ths of an octave"),
+    WorkArray("size_cells", "uint8", ("c",), _SIZED, "how many steps there are"),
     WorkArray("splat_normal", "float32", ("n", 3), ("coarser-level",), "of the splats that one stands for"),
     WorkArray("splat_radius", "float32", ("n",), ("coarser-level",), "that covers the splats that one stands for"),
     # splats

@@ -40,10 +40,15 @@ def asked_steps(radii: np.ndarray, error: float) -> np.ndarray:
 
 
 def encode_quadrics(
-    position: np.ndarray, normal: np.ndarray, asked: np.ndarray, normal_error: float = NORMAL_ERROR
+    position: np.ndarray,
+    normal: np.ndarray,
+    asked: np.ndarray,
+    normal_error: float = NORMAL_ERROR,
+    sizes: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, Frames]:
     """Numbers (n,) uint64 and the frames of chunks, of positions (n, 3) float64 against the origin, unit
-    normals (n, 3), sides of cells (c,) as `asked_steps` makes them, and how far normals may be off, degrees.
+    normals (n, 3), sides of cells (c,) as `asked_steps` makes them, and how far normals may be off, degrees; of `sizes`
+    their codes (n,) and how many values these have in each chunk (c,).
 
     Guarantees: the decoded position lies within half a cell of the given one along every axis of its frame, but for
     float32's rounding of `origin`; cells are at most 1.11 as wide as asked where 47 bits, 2^31 cells, 4,096 along an
@@ -55,7 +60,8 @@ def encode_quadrics(
     rows = np.minimum(np.arange(n_chunks * CHUNK), n - 1).reshape(
         n_chunks, CHUNK
     )  # the last splat fills up the last chunk
-    piece = surface(position[rows], normal[rows], normal_error)
+    code, values = sizes or (np.zeros(n, np.int64), np.ones(n_chunks, np.uint8))
+    piece = surface(position[rows], normal[rows], normal_error, code[rows].astype(np.int64), values)
     least = np.maximum(_least_steps(piece), piece.smallest)
     step = _up(np.maximum(asked * TO_SPARE, least))
     frames, number, largest = _coded(piece, step)
@@ -81,7 +87,7 @@ def encode_quadrics(
 
 def _most_bits(frames: Frames) -> np.ndarray:
     """Of a number whose cells are below 2^32, (c,)."""
-    normals = (frames.normal_cells.astype(np.int64) + 1).prod(axis=1)
+    normals = (frames.normal_cells.astype(np.int64) + 1).prod(axis=1) * frames.sizes
     return np.minimum(MOST_NUMBER_BITS, 31 + np.frexp(normals.astype(np.float64))[1])
 
 
@@ -106,6 +112,7 @@ def _coded(piece: Surface, step: np.ndarray) -> tuple[Frames, np.ndarray, np.nda
     cells = frames.cells.astype(np.int64)[:, None]
     place = (cell[..., 2] * cells[..., 1] + cell[..., 1]) * cells[..., 0] + cell[..., 0]
     number = (place * many[:, None, 1] + digit[..., 1]) * many[:, None, 0] + digit[..., 0]
+    number = number * piece.sizes[:, None] + piece.size
     return frames, number, number.max(axis=1)
 
 
@@ -152,7 +159,7 @@ def _at_corners(piece: Surface, step: np.ndarray, slack: np.ndarray) -> Frames:
     cell = np.floor((flat - low[:, None]) / wide[:, None]).clip(0, many - 1)
     height = piece.along[..., 2] / wide - curved(2 * cell + 1 - many, curve[:, None], unit)
     corner = np.concatenate([low, height.min(axis=1, keepdims=True) * wide - slack[:, None]], axis=1)
-    origin = piece.point.mean(axis=1) + np.einsum("ci,cij->cj", corner, axes_of(piece.turn))
+    origin = piece.middle + np.einsum("ci,cij->cj", corner, axes_of(piece.turn))
     two = np.zeros((len(step), 2))
     return Frames(
         origin.astype(np.float32),
@@ -165,6 +172,7 @@ def _at_corners(piece: Surface, step: np.ndarray, slack: np.ndarray) -> Frames:
         two.astype(np.uint8),
         slope.reshape(-1, 4),
         piece.grid.copy(),
+        piece.sizes.copy(),
     )
 
 

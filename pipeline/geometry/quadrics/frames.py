@@ -2,10 +2,10 @@
 
 A chunk of 128 neighbours is a piece of a surface: most of its box is empty, and its normals follow its shape. So a
 splat is a cell (i, j, k) along the frame's axes U, V and N, the third counted from the quadric over (i, j), and the
-steps by which its octahedral normal differs from a plane over (i, j), which is what the slope of a quadric is. All five
-are one number in mixed radix,
+steps by which its octahedral normal differs from a plane over (i, j), which is what the slope of a quadric is. All five,
+and the code of its size, one of s, are one number in mixed radix,
 
-    number = (((k n_j + j) n_i + i) m_b + b) m_a + a  <  2^bits,
+    number = ((((k n_j + j) n_i + i) m_b + b) m_a + a) s + size  <  2^bits,
 
 so no bit is lost to rounding each up to powers of two. The numbers of a batch are sorted when they are packed
 (storage/packed/quadrics.py).
@@ -21,14 +21,14 @@ import numpy as np
 
 from pipeline.geometry.normals import octahedron_of
 from pipeline.geometry.quadrics.quaternions import axes_of
-from storage.packed.schema import CHUNK, FRAMES, curve_units, normal_steps, steps_of
+from storage.packed.schema import CHUNK, FRAMES, curve_units, normal_steps, size_cells, steps_of
 
 SLOPE_BITS = 8  # slopes of normals are in 2^-8 steps a half cell
 
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames of consecutive chunks, against the scan's origin, in the order of storage.packed.schema.FRAMES; 34
+    """The frames of consecutive chunks, against the scan's origin, in the order of storage.packed.schema.FRAMES; 36
     bytes a chunk."""
 
     origin: np.ndarray  # (c, 3) float32: lowest corner of the cells
@@ -43,6 +43,7 @@ class Frames:
         np.ndarray
     )  # (c, 4) int8: 2^-SLOPE_BITS a half cell, of the first coordinate along x and y, then the second
     normal_grid: np.ndarray  # (c,) uint8: how fine the octahedral map is, see normal_steps
+    sizes: np.ndarray  # (c,) uint8: values of codes of sizes, 1 where all are of one; size_scale tells them
 
     def at(self, rows: np.ndarray) -> Frames:
         """Those of some chunks."""
@@ -50,13 +51,15 @@ class Frames:
 
 
 def arrays_of_frames(frames: Frames) -> dict[str, np.ndarray]:
-    """By their names in a packed file."""
-    return {name: getattr(frames, field.name) for name, field in zip(FRAMES, fields(frames), strict=True)}
+    """By their names in a packed file, which tells sizes elsewhere."""
+    return {name: getattr(frames, field.name) for name, field in zip(FRAMES, fields(frames)[:-1], strict=True)}
 
 
 def frames_of_arrays(arrays: dict[str, np.ndarray]) -> Frames:
     """Of the arrays of a packed file."""
-    return Frames(*(arrays[name] for name in FRAMES))
+    first = arrays[FRAMES[0]]
+    sizes = size_cells(arrays["size_scale"]) if "size_scale" in arrays else np.ones(len(first), np.uint8)
+    return Frames(*(*(arrays[name] for name in FRAMES), sizes))
 
 
 def wrapped(code: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -75,7 +78,7 @@ def decode_quadrics(
     """Positions (n, 3) float64 against the origin, and normals (n, 3) int16: points of octahedra, not of unit length.
     `chunk` (n,) names each splat's frame; by default i // CHUNK."""
     chunk = np.arange(len(number)) // CHUNK if chunk is None else chunk
-    left, digits = number.astype(np.int64), []
+    left, digits = number.astype(np.int64) // frames.sizes[chunk], []
     radix = (*(frames.normal_cells.astype(np.int64) + 1).T, *frames.cells.astype(np.int64).T)
     for base in radix:
         left, digit = np.divmod(left, base[chunk])

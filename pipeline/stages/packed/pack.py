@@ -140,6 +140,7 @@ class Pack:
             rows["station"] = stations_in_file(self.stations, start, stop)[order]
         if self.header.size_bits:
             rows["size_scale"] = arrays.read(self.splats, "size_scale", first, end)
+        if self.header.size_bits and not self._of_quadrics:
             code = arrays.read(self.splats, "size_code", start, stop)[order]
             rows["sizes"] = pack_sizes(code, self.header.size_bits)
         for name in ("color_low", "color_size") if self.header.color_step else ():

@@ -14,13 +14,13 @@ import numpy as np
 
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.chunks import bounds
-from pipeline.geometry.sizes import encode_sizes, fit_scales
+from pipeline.geometry.sizes import BITS, Scales, cells_of, encode_sizes, fit_scales
 from pipeline.splats.boxes import store_boxes
 from pipeline.splats.coarser import coarser_splats, mean_colors, rows_of_group
-from pipeline.splats.decoded import splat_radii
+from pipeline.splats.decoded import read_sizes, splat_radii
 from pipeline.splats.normals import usable_normals
 from pipeline.stages.points.kept import columns_of
-from pipeline.stages.points.sizes import create_sizes
+from pipeline.stages.points.sizes import create_sizes, write_sizes
 from pipeline.summaries import Counted, Points, SizesNeeded, Spacings
 from storage.packed.levels import n_coarser
 from storage.packed.schema import CHUNK, GROUP, ONE_SIZE
@@ -104,6 +104,7 @@ class Levels:
     radius: float
     even: bool = False  # all splats of the finest level have the radius, whatever sizes they need
     slim: float = SLIM
+    bits: int | None = BITS  # of the codes of sizes; None: for quadrics
     name = "levels"
 
     def init(self, folder: Path) -> int:
@@ -124,9 +125,8 @@ class Levels:
             if first < stop and first + count > start
         ]
         if self.part == SIZES:
-            found = [self._sizes(*piece) for piece in pieces]
-            arrays.write(folder, "size_code", start, np.concatenate([code for code, _ in found]))
-            arrays.write(folder, "size_scale", start // CHUNK, np.concatenate([scale for _, scale in found]))
+            code, step, cells = (np.concatenate(part) for part in zip(*(self._sizes(*piece) for piece in pieces)))
+            write_sizes(folder, start, code, Scales(step, self.radius, cells))
             return LevelsBlock(n_splats=stop - start)
         columns = {name: np.concatenate([self._read(name, *piece) for piece in pieces]) for name in self._columns()}
         for name, rows in columns.items():
@@ -172,20 +172,17 @@ class Levels:
             name = {"spacing": "splat_radius", "normal": "splat_normal"}.get(name, name)
         return arrays.read(self.coarser[level], name, start, stop)
 
-    def _sizes(self, level: int, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-        """Codes and scales of rows of one level, which begin a chunk."""
+    def _sizes(self, level: int, start: int, stop: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Codes, scales and how many values there are, of rows of one level, which begin a chunk."""
         if level < len(self.coarser):
             size = self.slim * arrays.read(self.coarser[level], "splat_radius", start, stop).astype(np.float64)
-            scales = fit_scales(size, self.radius)
-            return encode_sizes(size, scales), scales.step
-        n_chunks = -(-(stop - start) // CHUNK)
+            scales = fit_scales(size, self.radius, self.bits)
+            return encode_sizes(size, scales), scales.step, scales.cells
         if self.even:
-            return np.zeros(stop - start, np.uint8), np.full((n_chunks, 2), ONE_SIZE, np.uint8)
-        first = start // CHUNK
-        return (
-            arrays.read(self.finest, "size_code", start, stop),
-            arrays.read(self.finest, "size_scale", first, first + n_chunks),
-        )
+            even = np.full((-(-(stop - start) // CHUNK), 2), ONE_SIZE, np.uint8)
+            return np.zeros(stop - start, np.uint8), even, cells_of(even, self.bits)
+        code, scales = read_sizes(self.finest, self.radius, start, stop)
+        return code, scales.step, scales.cells
 
 
 def with_levels(
@@ -196,6 +193,7 @@ def with_levels(
     sizes: Path | None,
     radius: float,
     n_coarser: int,
+    bits: int | None = BITS,
 ) -> tuple[StageRecord, Path, Path]:
     """The points, neighbours and sizes of all levels, in the place of those of the finest, by stages that `do` does;
     its splats have the one radius where they have no `sizes`, even if they `needed` some."""
@@ -205,7 +203,8 @@ def with_levels(
         coarser = (do(CoarserLevel(*source, sizes, radius, level)).folder, *coarser)
     finest = {POINTS: partition.folder, NEIGHBOURS: neighbours, SIZES: needed.folder if needed else partition.folder}
     points, near, sized = (
-        do(Levels(part, finest[part], coarser, radius, part == SIZES and sizes is None)) for part in PARTS
+        do(Levels(part, finest[part], coarser, radius, *((sizes is None, SLIM, bits) if part == SIZES else ())))
+        for part in PARTS
     )
     return points, near.folder, sized.folder
 

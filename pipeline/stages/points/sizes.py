@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.geometry.sizes import MOST_MEDIANS, decode_sizes, encode_sizes, fit_scales
+from pipeline.geometry.sizes import BITS, MOST_MEDIANS, Scales, decode_sizes, encode_sizes, fit_scales
 from pipeline.splats.gaps import MOST, gap_radii, neighbours_in_reach
 from pipeline.splats.neighbours import points_around
 from pipeline.splats.sizes import areas, needed_sizes
@@ -30,13 +30,14 @@ class SizesBlock:
 
 @dataclass(frozen=True)
 class Sizes:
-    """A task a block. Arrays: size_code (n,) uint8 and, by chunk, size_scale (c, 2) uint8. The summary has the share of
+    """A task a block. Arrays: size_code (n,) uint8 and, by chunk, size_scale (c, 2) and size_cells (c,) uint8. The summary has the share of
     the surface whose splats need to be LARGE, before any is made to close a gap."""
 
     partition: Path
     neighbours: Path
     radius: float
     closed: float = MOST  # times its size: gaps that a splat grows to close
+    bits: int | None = BITS  # of a code; None: for quadrics
     name = "sizes"
 
     def init(self, folder: Path) -> int:
@@ -49,10 +50,9 @@ class Sizes:
         position = arrays.read(self.partition, "position", start, stop)
         size = needed_sizes(position, arrays.read(self.neighbours, "spacing", start, stop), self.radius)
         closing = np.maximum(size, self._gaps(index, position, size))
-        scales = fit_scales(closing, self.radius)
+        scales = fit_scales(closing, self.radius, self.bits)
         code = encode_sizes(closing, scales)
-        arrays.write(folder, "size_code", start, code)
-        arrays.write(folder, "size_scale", start // CHUNK, scales.step)
+        write_sizes(folder, start, code, scales)
         area, large = areas(size, self.radius)
         made = decode_sizes(code, scales)
         return SizesBlock(
@@ -79,5 +79,14 @@ class Sizes:
 
 def create_sizes(folder: Path, n_splats: int) -> None:
     """The arrays that `pipeline.splats.decoded.splat_radii` reads, in a folder of a stage."""
+    n_chunks, block = -(-n_splats // CHUNK), arrays.BLOCK // CHUNK
     arrays.create(folder, "size_code", (n_splats,), "uint8")
-    arrays.create(folder, "size_scale", (-(-n_splats // CHUNK), 2), "uint8", (arrays.BLOCK // CHUNK, 2))
+    arrays.create(folder, "size_scale", (n_chunks, 2), "uint8", (block, 2))
+    arrays.create(folder, "size_cells", (n_chunks,), "uint8", (block,))
+
+
+def write_sizes(folder: Path, start: int, code: np.ndarray, scales: Scales) -> None:
+    """Codes (n,) and scales of the splats from `start` on, which begins a chunk."""
+    arrays.write(folder, "size_code", start, code)
+    arrays.write(folder, "size_scale", start // CHUNK, scales.step)
+    arrays.write(folder, "size_cells", start // CHUNK, scales.cells)

@@ -15,9 +15,9 @@ from pipeline.geometry.quadrics.codes import asked_steps, encode_quadrics
 from pipeline.geometry.quadrics.frames import arrays_of_frames, decode_quadrics
 from pipeline.splats.cameras import best_cameras
 from pipeline.splats.colors import point_colors
-from pipeline.splats.decoded import seen_by_cameras, splat_radii
+from pipeline.splats.decoded import read_sizes, seen_by_cameras, splat_radii
 from pipeline.splats.normals import turned_to, usable_normals
-from pipeline.stages.points.sizes import create_sizes
+from pipeline.stages.points.sizes import create_sizes, write_sizes
 from pipeline.summaries import Points, ScanRead, Spacings, SplatsMade
 from storage.packed.schema import BY_NAME, CHUNK, ELLIPSOID_FIELDS, FRAMES, NO_CAMERA
 from storage.work import arrays, work
@@ -42,7 +42,7 @@ class Splats:
     """A task a block. Arrays by splat: position_code (n,) uint32, normal_code (n, 2) int8, camera (n,) uint16, color
     (n, 3) uint8; by chunk: box_low, box_size (c, 3) float32, box_bits (c, 3) uint8; of quadrics in the place of these
     number (n,) uint64, normal_point (n, 3) int16 and storage.packed.schema.FRAMES, of runs centre (n, 3) float32; with sizes size_code
-    (n,) and size_scale (c, 2) uint8."""
+    (n,), size_scale (c, 2) and size_cells (c,) uint8."""
 
     ingest: Path
     partition: Path
@@ -109,7 +109,7 @@ class Splats:
             for name, rows in (("camera", camera), ("color", color)):
                 arrays.write(folder, name, start, rows)
         if self.sizes:
-            self._write_sizes(folder, start, stop)
+            write_sizes(folder, start, *read_sizes(self.sizes, self.radius, start, stop))
         if self.ellipsoids:
             self._write_ellipsoids(folder, scan, normal_code, start, stop)
         # What is drawn against what was scanned: an ellipsoid's centre lies away from its point.
@@ -143,7 +143,8 @@ class Splats:
         if self.quadric_error is not None:
             error, normal_error = self.quadric_error
             asked = asked_steps(self._radii(start, stop), error)
-            number, frames = encode_quadrics(position, normal, asked, normal_error)
+            sizes = self._sizes(start, stop)
+            number, frames = encode_quadrics(position, normal, asked, normal_error, sizes)
             coded, of_chunks = ("number", number), arrays_of_frames(frames)
             decoded, normal_code = decode_quadrics(number, frames)
             bits = int(frames.bits[np.arange(stop - start) // CHUNK].sum())
@@ -158,10 +159,12 @@ class Splats:
             arrays.write(folder, name, start // CHUNK, rows)
         return decoded, normal_code, bits
 
-    def _write_sizes(self, folder: Path, start: int, stop: int) -> None:
-        arrays.write(folder, "size_code", start, arrays.read(self.sizes, "size_code", start, stop))
-        first, end = start // CHUNK, -(-stop // CHUNK)
-        arrays.write(folder, "size_scale", first, arrays.read(self.sizes, "size_scale", first, end))
+    def _sizes(self, start: int, stop: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Codes (n,) and how many there are in each chunk (c,), where splats have sizes of their own."""
+        if not self.sizes:
+            return None
+        code, scales = read_sizes(self.sizes, self.radius, start, stop)
+        return code, scales.cells
 
     def _radii(self, start: int, stop: int) -> np.ndarray:
         return splat_radii(self.sizes, self.radius, start, stop)

@@ -42,12 +42,15 @@ export function putFrame(words, at, chunk, arrays, first) {
   words[at + 8] = (low[0] + 256) | ((low[1] + 256) << 9) | (first << 18);
 }
 
+// How many values codes of sizes have in a chunk, the lowest digit of its numbers.
+const sizesOf = ({ size_scale: scale }, chunk) => (scale ? Math.min(16, 1 + Math.ceil((8 * (scale[2 * chunk + 1] - scale[2 * chunk])) / 15)) : 1);
+
 /** Low corners and sizes (nChunks, 3) against the origin of boxes that hold all cells that numbers of each chunk can name. */
 export function frameBoxes(arrays, nChunks) {
   const box_low = new Float32Array(3 * nChunks), box_size = new Float32Array(3 * nChunks);
   for (let chunk = 0; chunk < nChunks; ++chunk) {
     const [u, v] = arrays.frame_cells.subarray(2 * chunk, 2 * chunk + 2), [a, b, c] = arrays.frame_curve.subarray(3 * chunk, 3 * chunk + 3);
-    const states = u * v * (arrays.normal_cells[2 * chunk] + 1) * (arrays.normal_cells[2 * chunk + 1] + 1);
+    const states = u * v * (arrays.normal_cells[2 * chunk] + 1) * (arrays.normal_cells[2 * chunk + 1] + 1) * sizesOf(arrays, chunk);
     const unit = 2 ** -(39 - Math.clz32(Math.max(u, v))), rise = (Math.abs(a) * u * u + Math.abs(b) * u * v + Math.abs(c) * v * v) * unit;
     const [x, y, z] = arrays.frame_turn.subarray(3 * chunk, 3 * chunk + 3), s = 2 / (x * x + y * y + z * z + TURN_W ** 2), w = TURN_W;
     const rows = [ // images of U, V and N

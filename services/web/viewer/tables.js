@@ -8,9 +8,12 @@ const LONGEST_ELLIPSOID = 4; // half axis in radii that a byte can say
 // Words of a chunk's box or frame, before those of its colours.
 const colorAt = (geometry) => (geometry === "quadrics" ? FRAME_WORDS : 7);
 
+// Words of its splats' sizes, which numbers over quadrics have.
+const sizeWords = (geometry, bits) => (geometry === "quadrics" ? 0 : 4 * bits);
+
 /** Words that the tables take a chunk and a group. */
 export const widthsOf = ({ size_bits, color_step, batches, geometry }) =>
-  ({ boxes: colorAt(geometry) + (color_step ? 4 : 0) + 4 * size_bits, running: batches.length - 1, groups: 2 + 2 * batches.length });
+  ({ boxes: colorAt(geometry) + (color_step ? 4 : 0) + sizeWords(geometry, size_bits), running: batches.length - 1, groups: 2 + 2 * batches.length });
 
 /**
  * Tables of the chunks of a group by its arrays, as the shaders take them: `boxes` and `running` words, its row of `groups`, and the `counts` of
@@ -29,7 +32,7 @@ const radiusOf = (header, step) => header.radius * 2 ** (step / 16 - 8);
 // Low corner, size, bits and scale of sizes of each chunk's box, where colours are in boxes first word, low corner, size and bits of those, and
 // where splats have sizes their words.
 function boxWords(header, arrays, nSplats, colorWord) {
-  const ofFrames = header.geometry === "quadrics", at0 = colorAt(header.geometry), sizeAt = at0 + (header.color_step ? 4 : 0), perChunk = 4 * header.size_bits, width = sizeAt + perChunk, nChunks = Math.ceil(nSplats / CHUNK);
+  const ofFrames = header.geometry === "quadrics", at0 = colorAt(header.geometry), sizeAt = at0 + (header.color_step ? 4 : 0), perChunk = sizeWords(header.geometry, header.size_bits), width = sizeAt + perChunk, nChunks = Math.ceil(nSplats / CHUNK);
   const words = new Uint32Array(nChunks * width), floats = new Float32Array(words.buffer);
   const numbers = ofFrames && firstNumbers(arrays, nSplats, header.batches.length);
   for (let chunk = 0; chunk < nChunks; ++chunk) {
@@ -43,7 +46,7 @@ function boxWords(header, arrays, nSplats, colorWord) {
     }
     if (header.size_bits) {
       words[at + 6] |= (arrays.size_scale[2 * chunk] << 16) | (arrays.size_scale[2 * chunk + 1] << 24);
-      words.set(arrays.sizes.subarray(chunk * perChunk, (chunk + 1) * perChunk), at + sizeAt);
+      if (!ofFrames) words.set(arrays.sizes.subarray(chunk * perChunk, (chunk + 1) * perChunk), at + sizeAt);
     }
     if (!header.color_step) continue;
     const low = arrays.color_low.subarray(i, i + 3), size = arrays.color_size.subarray(i, i + 3);

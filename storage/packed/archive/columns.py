@@ -32,6 +32,7 @@ from storage.packed.archive.splats import (
     RED,
     SIZE,
     SIZE_BITS,
+    SIZES,
     STATION,
     TURN_BITS,
     WEIGHT_BITS,
@@ -43,7 +44,7 @@ from storage.packed.batches import count_batches, rows_of
 from storage.packed.bits import pack_bits, pack_sizes, unpack_bits
 from storage.packed.codes import pack_codes
 from storage.packed.colors import pack_colors
-from storage.packed.quadrics import check_frames, pack_numbers
+from storage.packed.quadrics import check_frames, frame_sizes, pack_numbers
 from storage.packed.scene import POSITION_BITS, PackedScene
 from storage.packed.schema import BOXES, CHUNK, EXTRAS, MOST_COLOR_BITS, NO_CAMERA, Header, color_bits
 
@@ -98,6 +99,7 @@ def chunks_of(header: Header, tables: dict[str, np.ndarray], axis: np.ndarray) -
     float64; `axis` (c,) is that of heights, of boxes."""
     n_chunks = header.n_chunks
     chunks, steps = np.zeros((n_chunks, N_CHUNK), np.int64), np.ones((n_chunks, 3))
+    chunks[:, SIZES] = 1 << header.size_bits
     chunks[:, COUNT] = np.minimum(CHUNK, header.n_splats - CHUNK * np.arange(n_chunks))
     if header.geometry == BOXES:
         axes = np.array([[1, 2, 0], [0, 2, 1], [0, 1, 2]])[axis]
@@ -111,7 +113,8 @@ def chunks_of(header: Header, tables: dict[str, np.ndarray], axis: np.ndarray) -
         cells, normals = tables["frame_cells"].astype(np.int64), tables["normal_cells"].astype(np.int64) + 1
         chunks[:, CELLS : CELLS + 2], chunks[:, N_A : N_A + 2] = cells, normals
         states = cells.prod(axis=1) * normals.prod(axis=1)
-        chunks[:, CELLS + 2] = -(-(1 << tables["frame_bits"].astype(np.int64)) // states)
+        chunks[:, SIZES] = frame_sizes(tables)
+        chunks[:, CELLS + 2] = -(-(1 << tables["frame_bits"].astype(np.int64)) // (states * chunks[:, SIZES]))
     of_colors = color_bits(tables["color_size"], header.color_step) if header.color_step else 8
     chunks[:, COLORS : COLORS + 3] = 1 << of_colors
     return chunks, steps
@@ -147,7 +150,7 @@ def splats_of(scene: PackedScene, chunks: np.ndarray) -> Splats:
         fields[:, U : U + 3] = np.take_along_axis(cells, own[:, AXES : AXES + 3], axis=1)
         fields[:, A : A + 2] = arrays["normal"].astype(np.int64) + _SHARPEST
     else:
-        number = scene.numbers
+        number = scene.numbers // own[:, SIZES].astype(np.uint64)
         for column, n_states in ((A, N_A), (B, N_A + 1), (U, CELLS), (U + 1, CELLS + 1)):
             number, rest = np.divmod(number, own[:, n_states].astype(np.uint64))
             fields[:, column] = rest
@@ -200,7 +203,8 @@ def arrays_of_splats(
     number = None
     if header.geometry != BOXES:
         number = np.zeros(n, np.uint64)
-        for column, n_states in ((HEIGHT, None), (U + 1, CELLS + 1), (U, CELLS), (B, N_A + 1), (A, N_A)):
+        digits = (HEIGHT, None), (U + 1, CELLS + 1), (U, CELLS), (B, N_A + 1), (A, N_A), (SIZE, SIZES)
+        for column, n_states in digits:
             number = number * (own[:, n_states].astype(np.uint64) if n_states else np.uint64(1))
             number += fields[:, column].astype(np.uint64)
         if (number >> tables["frame_bits"][chunk].astype(np.uint64)).any():
@@ -214,7 +218,7 @@ def arrays_of_splats(
         arrays |= _boxes(fields, own)
     else:
         arrays["splats"] = pack_numbers(number[order], batch_count, tables["frame_bits"])
-    if header.size_bits:
+    if header.size_bits and header.geometry == BOXES:
         arrays["sizes"] = pack_sizes(fields[:, SIZE], header.size_bits).astype(np.uint32)
     color = fields[:, RED : BLUE + 1]
     if header.color_step:

@@ -25,10 +25,10 @@ N_BATCHES, SIZE_BITS, N_COLORS, IS_BYTES, N_CAMERAS, N_STATIONS, INDEX_BITS, WEI
 )
 N_FORMS = 10
 
-# Of a chunk, (c, N_CHUNK) int64: splats, cells along its axes, steps of its normals, cells of its colours, and of boxes
-# which axes are the first, the second and the height.
-COUNT, CELLS, N_A, N_B, COLORS, AXES = 0, 1, 4, 5, 6, 9
-N_CHUNK = 12
+# Of a chunk, (c, N_CHUNK) int64: splats, cells along its axes, steps of its normals, cells of its colours, of boxes
+# which axes are the first, the second and the height, and values of sizes.
+COUNT, CELLS, N_A, N_B, COLORS, AXES, SIZES = 0, 1, 4, 5, 6, 9, 12
+N_CHUNK = 13
 
 TREE_BITS = 8  # bits of a camera or a station that have models; those above are even
 INDEX_CONTEXT_BITS = 9  # of an atom's index that its weight is told by
@@ -76,7 +76,10 @@ def code_splats(state, data, models, weights, at, form, chunks, steps, kinds, fi
         for i in range(len(rows)):
             splat, n = rows[i], nearest(fields, rows, i, step, near, away)
             asked[1], asked[2] = weigh(away, n, area, weight), min(length_of(i), 7) >> 1
-            _code_kind(state, data, models, weights, at, form, kinds, splat, n, near, weight, asked, fields, off, bases)
+            _code_kind(
+                state, data, models, weights, at, form, kinds, splat, n, near, weight, asked, fields, off, bases,
+                chunk[SIZES],
+            )  # fmt: skip
             kind = kinds[fields[splat, BATCH]]
             asked[0] = asked[3] = 0
             for f in range(3):  # the normal, then the height
@@ -118,7 +121,9 @@ def code_splats(state, data, models, weights, at, form, chunks, steps, kinds, fi
 
 
 @compiled
-def _code_kind(state, data, models, weights, at, form, kinds, splat, n, near, weight, asked, fields, off, bases):
+def _code_kind(
+    state, data, models, weights, at, form, kinds, splat, n, near, weight, asked, fields, off, bases, sizes
+):  # fmt: skip
     """Batch and size."""
     late = off[-1]
     x, y, z = near[0], near[1], near[2]
@@ -141,7 +146,7 @@ def _code_kind(state, data, models, weights, at, form, kinds, splat, n, near, we
         found = mixed_tree(state, data, models, weights, bases, 4, W_BATCH, bits, fields[splat, BATCH])
         fields[splat, BATCH] = within(state, found, form[N_BATCHES])
         late[BATCH] += (kinds[fields[splat, BATCH], 0] - late[BATCH]) / 16
-    if form[SIZE_BITS]:
+    if form[SIZE_BITS] and sizes > 1:
         usual, first, second, mean = 63, 16, 16, 61
         if n:
             first, second = fields[x, SIZE], fields[y, SIZE]
@@ -153,9 +158,8 @@ def _code_kind(state, data, models, weights, at, form, kinds, splat, n, near, we
         bases[1] = at[8] + ((64 + first * 17 + second) << 4)
         bases[2] = at[8] + ((64 + 17 * 17 + mean * 64 + asked[1]) << 4)
         bases[3] = at[8] + ((64 + 17 * 17 + 62 * 64 + mean * 64 + np.int64(4 * late[SIZE])) << 4)
-        fields[splat, SIZE] = mixed_tree(
-            state, data, models, weights, bases, 4, W_SIZE, form[SIZE_BITS], fields[splat, SIZE]
-        )
+        found = mixed_tree(state, data, models, weights, bases, 4, W_SIZE, form[SIZE_BITS], fields[splat, SIZE])
+        fields[splat, SIZE] = within(state, found, sizes)
         late[SIZE] += (fields[splat, SIZE] - late[SIZE]) / 8
 
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.geometry.sizes import MOST_MEDIANS, Scales, decode_sizes, encode_sizes, fit_scales
-from storage.packed.schema import CHUNK
+from pipeline.geometry.sizes import MOST_MEDIANS, SMALLEST, Scales, decode_sizes, encode_sizes, fit_scales
+from storage.packed.schema import CHUNK, MOST_SIZES
 
 
 def coded(size, radius, bits=3):
@@ -17,7 +17,7 @@ def coded(size, radius, bits=3):
 def steps_of(scales: Scales, n: int) -> np.ndarray:
     """The ratio of neighbouring codes of each splat's chunk, (n,)."""
     low, high = scales.step.astype(float).T
-    return np.repeat(2 ** ((high - low) / 16 / (2**scales.bits - 1)), CHUNK)[:n]
+    return np.repeat(2 ** ((high - low) / 16 / (scales.cells - 1.0)), CHUNK)[:n]
 
 
 @pytest.mark.parametrize("bits", [2, 3, 4])
@@ -41,7 +41,7 @@ def test_sizes__of_one_size_all_are_of_it_to_a_sixteenth_of_an_octave():
 def test_sizes__doubled_sizes_are_doubled_radii():
     size = 0.02 * 2 ** np.random.default_rng(3).uniform(-1, 1, 500)
     found, scales = coded(size, 0.02)
-    twice = Scales(scales.step + np.uint8(16), scales.radius, scales.bits)
+    twice = Scales(scales.step + np.uint8(16), scales.radius, scales.cells)
     np.testing.assert_allclose(decode_sizes(encode_sizes(size, scales), twice), 2 * found, rtol=1e-12)
 
 
@@ -60,9 +60,23 @@ def test_sizes__scales_are_each_chunks_own():
     assert (found >= size * (1 - 1e-9)).all() and (found <= size * 2 ** (1 / 16)).all()
 
 
-@given(st.lists(st.floats(1e-12, 1e15), min_size=1, max_size=300), st.floats(1e-12, 1e15))
-def test_sizes__any_sizes_make_codes_that_decode(sizes, radius):
-    found, scales = coded(np.array(sizes), radius)
+@pytest.mark.parametrize("spread", [1.0, 1.05, 1.3, 2.0, 4.0])
+def test_sizes__over_quadrics_have_as_many_values_as_one_ratio_calls_for(spread):
+    size = 0.02 * spread ** np.random.default_rng(1).uniform(-1, 1, (8, CHUNK))
+    found, scales = coded(size.ravel(), 0.017, None)
+    found = found.reshape(size.shape)
+    low, high = scales.step.astype(float).T
+    assert (found >= np.minimum(size, MOST_MEDIANS * np.median(size, axis=1, keepdims=True)) * (1 - 1e-9)).all()
+    assert (scales.cells == np.clip(1 + np.ceil((high - low) / 1.875), 1, MOST_SIZES)).all()
+    assert ((scales.cells == 1) == (spread == 1)).all()
+    lowest = np.quantile(size, SMALLEST, axis=1, method="higher", keepdims=True)
+    ratio = 2 ** (np.maximum(1.875, (high - low) / (MOST_SIZES - 1)) / 16)[:, None]
+    assert (found <= np.maximum(size, lowest * 2 ** (1 / 16)) * ratio).all()
+
+
+@given(st.lists(st.floats(1e-12, 1e15), min_size=1, max_size=300), st.floats(1e-12, 1e15), st.sampled_from([3, None]))
+def test_sizes__any_sizes_make_codes_that_decode(sizes, radius, bits):
+    found, scales = coded(np.array(sizes), radius, bits)
     assert np.isfinite(found).all() and (found > 0).all()
     assert (scales.step[:, 0] <= scales.step[:, 1]).all()
 

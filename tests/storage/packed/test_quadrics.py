@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from tests.packed_files import Case, arrays_for, header_of, write_arrays, write_
 from tests.reference_packed import number_of
 
 CURVED = Case(n_splats=300, atom_counts=(0, 2), n_dictionary=3, quadrics=True)
+SIZED = replace(CURVED, size_bits=4)
 TWO_GROUPS = Case(n_splats=GROUP + 300, n_dictionary=0, atom_counts=(0,), size_bits=3, quadrics=True)
 
 
@@ -52,19 +55,28 @@ WRONG = {
     "a turn of -128": ("frame_turn", -128, "-128"),
     "an origin that is not finite": ("frame_origin", np.inf, "."),
     "a vector without ones": ("splats", 0, "bit vector"),
+    "sizes upside down": ("size_scale", (90, 80), "size_scale"),
 }
 
 
 @pytest.mark.parametrize("name", WRONG)
 def test_quadrics__tables_that_no_decoder_could_follow_are_refused(name, tmp_path):
     array, value, match = WRONG[name]
-    header = header_of(CURVED)
-    arrays = arrays_for(CURVED, header)
+    case = SIZED if array == "size_scale" else CURVED
+    header = header_of(case)
+    arrays = arrays_for(case, header)
     arrays[array] = arrays[array].copy()
     arrays[array][0 if array != "splats" else slice(0, 8)] = value
     path = write_arrays(header, arrays, tmp_path / "a.splatpress")
     with pytest.raises(InvalidPackedFile, match=match), PackedFile(path) as packed:
         packed.load()
+
+
+def test_quadrics__codes_of_sizes_have_no_more_bits_than_their_digit_may(tmp_path):
+    header = header_of(replace(CURVED, size_bits=3))
+    path = write_arrays(replace(header, size_bits=3), arrays_for(SIZED, header), tmp_path / "a.splatpress")
+    with pytest.raises(InvalidPackedFile, match="size_bits"), PackedFile(path):
+        pass
 
 
 def test_quadrics__cells_beyond_32_bits_are_refused(tmp_path):

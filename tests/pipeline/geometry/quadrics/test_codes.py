@@ -49,8 +49,11 @@ def asked(position: np.ndarray, step: float = 0.01) -> np.ndarray:
 @pytest.mark.parametrize("name", cases())
 def test_quadrics__positions_come_back_within_half_a_cell_and_normals_on_their_chunks_map(name):
     position, normal = cases()[name]
-    number, frames = encode_quadrics(position, normal, asked(position))
+    values = 1 + np.arange(-(-len(position) // CHUNK), dtype=np.uint8) * 15
+    size = np.arange(len(position)) % values[np.arange(len(position)) // CHUNK]
+    number, frames = encode_quadrics(position, normal, asked(position), sizes=(size, values))
     found, point = decode_quadrics(number, frames)
+    assert (number % values[np.arange(len(position)) // CHUNK] == size).all()
     assert number.dtype == np.uint64 and len(number) == len(position)
     steps = normal_steps(frames.normal_grid)[np.arange(len(position)) // CHUNK]
     assert (np.abs(point).sum(axis=1) == steps).all()
@@ -63,8 +66,9 @@ def test_quadrics__positions_come_back_within_half_a_cell_and_normals_on_their_c
     assert (np.abs(off) <= (0.5 + 1e-6) * step[:, None] + 2 * rounding).all()
     span = np.ptp(position, axis=0).max()
     widest = max(1.11 * 0.01, 1.1 * span / MOST_FRAME_CELLS, 2**-21 * np.abs(position).max())
-    assert step.max() <= (widest if name != "all round" else 1.11 * 0.04)  # of which 2^31 cells fill the box
-    check_numbers(arrays_of(number, frames))
+    assert step.max() <= (widest if name != "all round" else 1.11 * 0.08)  # of which 2^31 cells fill the box
+    scale = np.stack([0 * values, (values - 1.0) * 1.875], axis=1).astype(np.uint8)
+    check_numbers(arrays_of(number, frames) | {"size_scale": scale})
 
 
 def arrays_of(number: np.ndarray, frames: Frames, n_batches: int = 1) -> dict[str, np.ndarray]:

@@ -9,6 +9,7 @@ from pipeline.splats.decoded import scene_normal_codes
 from renderer.splats.glsl import with_includes
 from renderer.splats.scene import GpuScene
 from storage.packed.packed import PackedScene
+from storage.packed.quadrics import frame_sizes
 from storage.packed.schema import CHUNK, GROUP
 from tests.packed_files import Case, arrays_for, header_of
 
@@ -21,14 +22,14 @@ void main() {
     uint splat = gl_GlobalInvocationID.x;
     if (splat >= scene.n_splats) return;
     ivec3 normal;
-    uint cell = read_splat(splat, normal);
-    found[splat] = ivec4(normal, int(cell));
+    uint size, cell = read_number(splat, normal, size);
+    found[splat] = ivec4(normal.xy, int(size) << 1 | int(normal.z < 0), int(cell));
 }
 """
 
 
 def read_by_shader(context, scene: PackedScene) -> tuple[np.ndarray, np.ndarray]:
-    """Normals (n, 3) and cells (n,) of all splats."""
+    """Normals' first two numbers, codes of sizes above the sign of the third (n, 3), and cells (n,) of all splats."""
     n = scene.header.n_splats
     gpu_scene = GpuScene(scene, context)
     with context:
@@ -58,6 +59,8 @@ def read_by_shader(context, scene: PackedScene) -> tuple[np.ndarray, np.ndarray]
 def test_shader__reads_the_numbers_that_the_processor_does(case, renderer):
     scene = PackedScene(header_of(case), arrays_for(case, header_of(case)))
     normal, cell = read_by_shader(renderer.context, scene)
-    steps = (scene.arrays["normal_cells"].astype(np.uint64) + np.uint64(1)).prod(axis=1)
+    steps = (scene.arrays["normal_cells"].astype(np.uint64) + np.uint64(1)).prod(axis=1) * frame_sizes(scene.arrays)
     assert (cell == scene.numbers // steps[np.arange(case.n_splats) // CHUNK]).all()
-    assert (normal == scene_normal_codes(scene)).all()
+    codes, size = scene_normal_codes(scene), scene.size_codes.astype(int)
+    assert (normal == np.stack([*codes.T[:2], size << 1 | (codes[:, 2] < 0)], axis=1)).all()
+    assert case.size_bits == 0 or set(size.tolist()) == set(range(16))
