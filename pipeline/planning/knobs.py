@@ -554,9 +554,9 @@ VIEW_KNOBS = (
     Knob(
         "atoms",
         int,
-        "atoms of each splat that are drawn, the first of those it has",
+        "atoms of each splat that are drawn, those of the largest weights",
         "frame time, which grows with atoms",
-        "what later atoms would mend: they were chosen after these, so the first are the best of as many, or nearly where a beam chose them",
+        "what the others would mend: within 0.2 dB of the best choice of as many of its atoms",
         "render",
         low=0,
         high=MAX_ATOMS,

@@ -68,9 +68,9 @@ class Renderer:
         light: Light | None = None,
         detail: Detail = Detail(),
     ) -> Picture:
-        """The scene from `view`, each splat with at most `max_atoms` of its atoms; lit where its effects say that it
-        can be, by default as it was photographed, or by a lamp where its colours have no light in them; of levels what
-        `detail` asks for.
+        """The scene from `view`, of each splat the `max_atoms` atoms of the largest weights; lit where its effects say
+        that it can be, by default as it was photographed, or by a lamp where its colours have no light in them; of
+        levels what `detail` asks for.
 
         Raises: InvalidScan for a view that is not finite, ResourceExhausted for one too large.
         """
@@ -202,7 +202,8 @@ class Renderer:
             n_atoms = min(kind.n_atoms, max_atoms)
             turned = int(gpu_scene.scene.header.n_turns > 1 and n_atoms > 0)
             of_atoms = gpu_scene.drawn if n_atoms else gpu_scene.drawn - {"mip_levels", "level_blending"}
-            defines = {"N_ATOMS": n_atoms, **defines_of("attribute", of_atoms, kind), "TURNED": turned, **of_pages}
+            of_codes = {"N_ATOMS": n_atoms, "FEWER": int(0 < n_atoms < kind.n_atoms), "TURNED": turned}
+            defines = {**of_codes, **defines_of("attribute", of_atoms, kind), **of_pages}
             self._draw_batch(frame, gpu_scene, batch, window, "attribute", **defines, **_defines_drawn(gpu_scene))
 
     def _begin_attributes(self, frame: _Frame, clears: bool = True) -> None:

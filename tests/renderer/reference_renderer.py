@@ -74,7 +74,9 @@ def render(scene: PackedScene, view: Camera, max_atoms: int = 16) -> tuple[np.nd
         if "level_blending" not in header.effects:
             level = float(np.floor(level + 0.45))
         total = np.tile(average[splat], (len(fragments.x), 1))
-        for rank in range(min(max_atoms, scene.n_atoms[splat])):
+        ranks = range(scene.n_atoms[splat])
+        sizes = [-abs(scene.arrays["weight_levels"][rank, weight_code[splat, rank]]) for rank in ranks]
+        for rank in sorted(ranks, key=lambda rank: sizes[rank])[:max_atoms]:
             index, turn = divmod(atom[splat, rank], header.n_turns)
             weight = scene.arrays["weight_levels"][rank, weight_code[splat, rank]] * scene.arrays["atom_scale"][index]
             places = (fragments.x, fragments.y) if fragments.ball is None else fragments.ball.T[:2]

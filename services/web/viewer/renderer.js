@@ -106,7 +106,7 @@ export class Renderer {
     batches.forEach((batch, i) => {
       for (const [some, atoms] of [[coded, Math.min(batch.n_atoms, maxAtoms)], [flat, 0]]) {
         const ofAtoms = atoms ? drawn : new Set([...drawn].filter((name) => name !== "mip_levels" && name !== "level_blending"));
-        const defines = { N_ATOMS: atoms, ...this.definesOf("attribute", ofAtoms, batch), TURNED: n_turns > 1 && atoms > 0 };
+        const defines = { N_ATOMS: atoms, ...this.definesOf("attribute", ofAtoms, batch), TURNED: n_turns > 1 && atoms > 0, FEWER: atoms > 0 && atoms < batch.n_atoms };
         if (some.length) this.drawBatch(scene, some, i, "attribute", defines, light);
       }
     });
