@@ -21,7 +21,7 @@ from pipeline.coding.ksvd import (
     next_trial,
 )
 from pipeline.stages.texture.atoms import load_atoms, store_atoms
-from pipeline.stages.texture.training import n_tasks_of, training_part, training_share
+from pipeline.stages.texture.training import first_coefficients, n_tasks_of, training_share
 from pipeline.summaries import InParts, Seeded, Updated
 from storage.work import arrays, work
 
@@ -42,9 +42,7 @@ class DictionarySeed:
     def run(self, folder: Path, index: int) -> Seeded:
         n_tasks = work.summary(self.training, InParts).n_tasks
         share = -(-2 * self.n_atoms // n_tasks)  # twice as many as needed: patches that are alike are passed over
-        pool = []
-        for task in range(n_tasks):
-            pool.append(training_part(self.training, task).coefficients[:share])  # which lie in an order by chance
+        pool = [first_coefficients(self.training, task, share) for task in range(n_tasks)]  # in an order by chance
         dictionary = initial_dictionary(np.concatenate(pool), self.n_atoms, self.seed)
         store_atoms(folder, dictionary, self.form)
         return Seeded(n_atoms=len(dictionary))

@@ -267,6 +267,11 @@ def training_part(folder: Path, index: int, share: float = 1.0) -> TrainingPart:
     return TrainingPart(coefficients, arrays.read(folder, f"rest_{index}", 0, n).astype(np.float64))
 
 
+def first_coefficients(folder: Path, index: int, n: int) -> np.ndarray:
+    """Those of the first `n` patches of a task, or of all where there are fewer; no other row is read."""
+    return arrays.read(folder, f"coefficient_{index}", 0, n).astype(np.float32, copy=False)
+
+
 def n_tasks_of(folder: Path, share: float) -> int:
     """Tasks that look at a `share` of each part, as many patches each as a part has."""
     return math.ceil(work.summary(folder, InParts).n_tasks * share)

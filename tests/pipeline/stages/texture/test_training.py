@@ -9,7 +9,7 @@ from pipeline.coding.grid import coefficients
 from pipeline.execution.executors import SerialExecutor
 from pipeline.execution.stage import run_stage
 from pipeline.stages.texture.contrast_octaves import FEWEST, N_OCTAVES, census, octave_of, shares
-from pipeline.stages.texture.training import Coefficients, TrainingSet, held_part, training_part
+from pipeline.stages.texture.training import Coefficients, TrainingSet, first_coefficients, held_part, training_part
 from pipeline.summaries import AverageColors
 from pipeline.texture.patches import centred
 from storage.work import arrays, work
@@ -90,3 +90,5 @@ def test_training__neither_the_choice_nor_its_order_turns_with_the_chunks(tmp_pa
     patches = centred(still[by_luck], arrays.read(training, "average_0")[by_luck])
     assert np.allclose(np.concatenate([learned, held]), coefficients(patches, 8), atol=1e-3)
     assert (training_part(space.folder, 0, 0.25).coefficients == learned[: -(-len(learned) // 4)]).all()
+    first = first_coefficients(space.folder, 0, 9)
+    assert (first == learned[:9]).all() and first.base is None, "and nothing of the others stays in memory"
