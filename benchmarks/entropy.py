@@ -22,7 +22,7 @@ from scipy.special import gammaln
 from storage.packed.packed import PackedFile, PackedScene
 from storage.packed.schema import CHUNK, color_bits
 
-ARRAYS = ("codes", "batch_count", "colors", "color_low", "color_size", "atoms")
+ARRAYS = ("codes", "batch_count", "colors", "color_low", "color_size", "color_turn", "atoms")
 
 
 def adaptive_bits(symbol: np.ndarray, n_symbols: int, context: np.ndarray | int = 0) -> float:
@@ -82,10 +82,10 @@ def of_colors(scene: PackedScene) -> dict[str, float]:
         for name, values in (("cells", cell), ("cells less those before", step)):
             for wide in range(1, width.max() + 1):
                 found[name] += adaptive_bits(values[width == wide], 1 << wide)
-    low, size = scene.arrays["color_low"].astype(np.int64), scene.arrays["color_size"].astype(np.int64)
+    low, size, turn = (scene.arrays[name].astype(np.int64) for name in ("color_low", "color_size", "color_turn"))
     found["boxes, less those before"] = sum(
         adaptive_bits(values % k, k)
-        for table, k in ((low, 65536), (size, 256))
+        for table, k in ((low, 65536), (size, 256), (turn, 256))
         for values in (np.diff(table[:, axis], prepend=0) for axis in range(3))
     )
     return found

@@ -17,7 +17,7 @@ TABLES = {
     "frame_turn": (3, 8, 1, "m"), "frame_step": (1, 16, 0, "p"), "frame_cells": (2, 16, 0, "m"),
     "frame_curve": (3, 8, 1, "m"), "frame_bits": (1, 8, 0, "p"), "normal_low": (2, 16, 1, "p"),
     "normal_cells": (2, 8, 0, "m"), "normal_slope": (4, 8, 1, "m"), "normal_grid": (1, 8, 0, "p"),
-    "color_low": (3, 16, 1, "p"), "color_size": (3, 8, 0, "p"), "frame_origin": (3, 32, 0, "o"),
+    "color_low": (3, 16, 1, "p"), "color_size": (3, 8, 0, "p"), "color_turn": (3, 8, 1, "m"), "frame_origin": (3, 32, 0, "o"),
 }  # fmt: skip
 VALUES = [68, 128, 128, 272, 256, 136]  # signed sets of a value's six models
 

@@ -22,6 +22,11 @@ from tests.format_runs import Run, runs_of_group
 NEAR_IN_RADII, NUDGE, LEAST_WEIGHT, SMALLEST_PX = 0.01, 1e-5, 1 / 1024, 1e-3
 
 
+def turned(quaternion: list, p: np.ndarray) -> np.ndarray:
+    q = np.array(quaternion) / np.linalg.norm(quaternion)
+    return p + 2 * np.cross(q[:3], np.cross(q[:3], p) + q[3] * p)
+
+
 @dataclass(frozen=True)
 class View:
     """A camera as in the header, for a picture."""
@@ -250,10 +255,7 @@ class Packed:
             power *= 2
         rise = of["frame_curve"] @ [x * x, x * y, y * y] / (128 * power)
         step = np.array([0, self.arrays["frame_step"][i // 128]], "<u2").view("<f4")[0].astype(float)
-        q = np.array([*of["frame_turn"], 117])
-        q = q / np.linalg.norm(q)
-        p = np.array([digits[2] + 0.5, digits[3] + 0.5, number + 0.5 + rise]) * step
-        p = p + 2 * np.cross(q[:3], np.cross(q[:3], p) + q[3] * p)
+        p = turned([*of["frame_turn"], 117], np.array([digits[2] + 0.5, digits[3] + 0.5, number + 0.5 + rise]) * step)
         slope = of["normal_slope"].reshape(2, 2) @ [x, y] // 256
         s = 175 - 8 * int(of["normal_grid"])
         a, b = np.clip(of["normal_low"] + digits[:2] + slope, -2 * s, 2 * s).astype(int).tolist()
@@ -321,6 +323,7 @@ class Packed:
         number = self.field("colors", i // 8192, first_bit, sum(bits)) if sum(bits) else 0
         cell = np.array([number % 2 ** bits[0], (number >> bits[0]) % 2 ** bits[1], number >> (bits[0] + bits[1])])
         on_axes = self.arrays["color_low"][chunk] / 32 + (cell + 0.5) * 2.0 ** (size / 16 - 6) / 2.0 ** np.array(bits)
+        on_axes = turned([*self.arrays["color_turn"][chunk], 306], on_axes)
         axes = np.array([[1, 1, 1] / np.sqrt(3), [1, 0, -1] / np.sqrt(2), [1, -2, 1] / np.sqrt(6)])
         return (on_axes @ axes).clip(0, 255) / 255
 

@@ -238,13 +238,13 @@ def _bounds(header: Header, arrays: dict[str, np.ndarray], name: str) -> list[in
 
 
 def _color_boxes(case: Case, header: Header) -> dict[str, np.ndarray]:
-    """Boxes of noise that reach beyond what colours there are, and any cells in them."""
+    """Boxes of noise, turned any way, that reach beyond what colours there are, and any cells in them."""
     c = header.n_chunks
     size = noise(3 * c, 11, 160).reshape(c, 3) + 80
     low = noise(3 * c, 13, 8192).reshape(c, 3) - [0, 4096, 4096]
-    return {"color_low": low.astype(np.int16), "color_size": size.astype(np.uint8)} | color_stream(
-        size, header, case.period
-    )
+    turn = noise(3 * c, 41, 255).reshape(c, 3) - 127
+    boxes = {"color_low": low.astype(np.int16), "color_size": size.astype(np.uint8), "color_turn": turn.astype(np.int8)}
+    return boxes | color_stream(size, header, case.period)
 
 
 def color_stream(size: np.ndarray, header: Header, period: int = 1 << 40) -> dict[str, np.ndarray]:

@@ -215,6 +215,7 @@ def decode_color(scene: PackedScene, splat: int) -> list[float]:
         on_axes.append(
             arrays["color_low"][chunk, axis] / 32 + (cell + 0.5) * 2 ** (sizes[axis] / 16 - 6) / 2 ** bits[axis]
         )
+    on_axes = Rotation.from_quat([*arrays["color_turn"][chunk], 306]).apply(on_axes)
     luma, across, green = on_axes[0] / math.sqrt(3), on_axes[1] / math.sqrt(2), on_axes[2] / math.sqrt(6)
     color = luma + across + green, luma - 2 * green, luma - across + green
     return [min(max(channel / 255, 0.0), 1.0) for channel in color]

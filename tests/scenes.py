@@ -243,7 +243,7 @@ def color_boxes(color: np.ndarray, step: int) -> dict[str, np.ndarray]:
     """Colours (n, 3) as the arrays that hold them in boxes."""
     boxes = fit_color_boxes(color, step)
     stream, first = _joined(pack_colors(encode_colors(color, boxes), boxes.bits.sum(axis=1)))
-    return {"color_low": boxes.low, "color_size": boxes.size, "colors": stream, "color_word": first}
+    return boxes.arrays() | {"colors": stream, "color_word": first}
 
 
 def _joined(streams: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

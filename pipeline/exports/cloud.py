@@ -107,7 +107,7 @@ def averages_of(scene: PackedScene) -> np.ndarray:
     arrays, step = scene.arrays, scene.header.color_step
     if not step:
         return arrays["color"] / 255
-    return decode_colors(scene.color_cells, ColorBoxes(arrays["color_low"], arrays["color_size"], step)) / 255.0
+    return decode_colors(scene.color_cells, ColorBoxes.of_arrays(arrays, step)) / 255.0
 
 
 def _middle_colors(scene: PackedScene) -> np.ndarray:

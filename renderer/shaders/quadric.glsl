@@ -71,8 +71,6 @@ uvec2 cells_of(uint box) {
     return (uvec2(low, low >> 8) & 0xFFu | uvec2(high << 8 & 0xF00u, high << 4 & 0xF00u)) + 1u;
 }
 
-ivec4 bytes_of(uint word) { return ivec4(int(word << 24) >> 24, int(word << 16) >> 24, int(word << 8) >> 24, int(word) >> 24); }
-
 // What left the octahedral map of so many steps over an edge, where it comes in again.
 ivec2 wrapped(ivec2 p, int steps) {
     if (abs(p.x) > steps) p = ivec2(p.x > 0 ? 2 * steps - p.x : -2 * steps - p.x, -p.y);
@@ -85,8 +83,6 @@ uvec3 digits_of(uint number, uvec2 radix) {
     uint first = number / radix.x, second = first / radix.y;
     return uvec3(number - first * radix.x, first - second * radix.y, second);
 }
-
-vec3 turned_by(vec4 q, vec3 p) { return p + 2.0 * cross(q.xyz, cross(q.xyz, p) + q.w * p); }
 
 // A number above its lowest 16 bits, and these, by a divisor of at most 16 bits: the quotient so, and the remainder.
 uvec3 divided(uvec2 number, uint divisor) {

@@ -1,6 +1,10 @@
 // Position, tangent frame and average colour of a splat, decoded as pipeline/geometry/{positions,normals,frame}.py and
 // pipeline/texture/colors.py do. Needs view.glsl.
 
+ivec4 bytes_of(uint word) { return ivec4(int(word << 24) >> 24, int(word << 16) >> 24, int(word << 8) >> 24, int(word) >> 24); }
+
+vec3 turned_by(vec4 q, vec3 p) { return p + 2.0 * cross(q.xyz, cross(q.xyz, p) + q.w * p); }
+
 layout(std430, binding = 1) readonly buffer Boxes { uint boxes[]; };  // BOX_WORDS a chunk: low, size, bits and sizes, those of its colours, then the sizes of its splats
 #ifdef QUADRICS
 layout(std430, binding = 0) readonly buffer Splats { uint splats[]; };  // the first word of each group, then those of all numbers
@@ -174,16 +178,17 @@ Disc decode_disc(uint splat) {
 #ifdef COLOR_BOXES
 vec3 decode_color(uint splat) {
     uint box = splat / CHUNK * BOX_WORDS + COLOR_WORD;
-    uint low_xy = boxes[box + 1u], low_z_size_xy = boxes[box + 2u], size_z_bits = boxes[box + 3u];
+    uint low_xy = boxes[box + 1u], low_z_size_xy = boxes[box + 2u], size_z_turn = boxes[box + 3u];
     vec3 low = vec3(int(low_xy << 16) >> 16, int(low_xy) >> 16, int(low_z_size_xy << 16) >> 16) / 32.0;
-    uvec3 size_code = uvec3(low_z_size_xy >> 16, low_z_size_xy >> 24, size_z_bits) & 0xFFu;
-    uvec3 bits = (uvec3(size_z_bits) >> uvec3(8u, 16u, 24u)) & 0xFFu;
+    uvec3 size_code = uvec3(low_z_size_xy >> 16, low_z_size_xy >> 24, size_z_turn) & 0xFFu;
+    uvec3 bits = uvec3(max(ivec3(size_code) - COLOR_BOXES + 15, 0)) >> 4;
     uint width = bits.x + bits.y + bits.z;
     uint code = 0u;
     if (width > 0u) code = READ_BITS(colors, boxes[box], splat % CHUNK * width, width);  // else its word may be beyond the end
     uvec3 cells = uvec3(1u) << bits;
     uvec3 cell = (uvec3(code) >> uvec3(0u, bits.x, bits.x + bits.y)) & (cells - 1u);
-    vec3 on_axes = low + (vec3(cell) + 0.5) * (exp2(vec3(size_code) / 16.0 - 6.0) / vec3(cells));
+    vec3 along = low + (vec3(cell) + 0.5) * (exp2(vec3(size_code) / 16.0 - 6.0) / vec3(cells));
+    vec3 on_axes = turned_by(normalize(vec4(bytes_of(size_z_turn).yzw, 306)), along);
     vec3 color = on_axes.x * inversesqrt(3.0) * vec3(1.0, 1.0, 1.0) + on_axes.y * inversesqrt(2.0) * vec3(1.0, 0.0, -1.0)
                + on_axes.z * inversesqrt(6.0) * vec3(1.0, -2.0, 1.0);
     return clamp(color / 255.0, 0.0, 1.0);

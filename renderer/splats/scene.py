@@ -151,8 +151,8 @@ class GpuScene:
     @property
     def defines(self) -> dict[str, int]:
         """What the programs that decode its splats are compiled with."""
-        with_boxes, with_levels = int(bool(self.scene.header.color_step)), int(self.tree is not None)
-        header, of_boxes = self.scene.header, {"COLOR_BOXES": with_boxes, "DETAIL": with_levels}
+        header, with_levels = self.scene.header, int(self.tree is not None)
+        of_boxes = {"COLOR_BOXES": header.color_step, "DETAIL": with_levels}
         forms = {"RUNS": int(header.geometry == RUNS), "QUADRICS": int(header.geometry == QUADRICS)}
         sources = {**forms, "FRONT": int(self.front_only)}
         return {**of_boxes, "SIZE_BITS": header.size_bits, **sources}
@@ -214,7 +214,7 @@ class GpuScene:
     def _upload_splats(self, header: Header, arrays: dict[str, np.ndarray]) -> None:
         boxes, spare = box_words(arrays), np.zeros(1, np.uint32)
         if header.color_step:
-            boxes = np.concatenate([boxes, color_box_words(arrays, header.color_step)], axis=1)
+            boxes = np.concatenate([boxes, color_box_words(arrays)], axis=1)
             self._upload(COLORS, "colors", arrays["colors"], "colours")
         elif header.geometry != IN_BOXES:
             self._upload(COLORS, "colors", with_spare(arrays["color"]), "colours")

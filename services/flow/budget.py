@@ -76,7 +76,11 @@ def _next_multiplier(trials: list[Trial], bare: float, room: float) -> float:
     slope = SLOPE
     if len(points) > 1 and points[-1][0] != points[-2][0]:
         slope = (points[-1][1] - points[-2][1]) / (points[-1][0] - points[-2][0])
-    return math.exp(points[-1][0] - points[-1][1] / min(FLATTEST, max(STEEPEST, slope)))
+    found = points[-1][0] - points[-1][1] / min(FLATTEST, max(STEEPEST, slope))
+    if len(points) > 1 and not under:  # where splats have all the atoms that they may have the line is level
+        is_level = points[-2][1] - points[-1][1] < 0.01
+        found = max(found, points[-1][0] + math.log(4 if is_level else 2))
+    return math.exp(found)
 
 
 def _root(a: tuple[float, float], b: tuple[float, float]) -> float:

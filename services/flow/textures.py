@@ -43,10 +43,10 @@ SHIPPED_FORM = AtomForm(ATOM_SIZE, SYMMETRIES)  # of atoms that ship with the pr
 # are then taken for fountain_p11 (51 dB), 16 for monstree (41 and 51 dB), each the better one there at the bytes of its
 # target.
 BEYOND_ATOMS = 0.25
-# 255ths that cells of average colours may span at 40 dB, and in proportion to the error elsewhere: at 1.4, 2, 3 and 4
-# `balanced` of fountain_p11 has 40.47, 40.48, 40.46 and 40.40 dB at 6.00, 5.91, 5.91 and 5.94 bytes of textures. Beyond
-# the last, flat walls show them.
-COLOR_STEP_AT_40_DB, MOST_COLOR_STEP = 2.0, 3.2
+# 255ths that cells of average colours may span at 40 dB, and in proportion to the error elsewhere: with 2 and 2.6
+# `balanced` of fountain_p11 has 40.52 and 40.47 dB at 5.00 and 4.90 bytes of textures; an atom's bytes would take 0.04
+# for that. Beyond the last, flat walls show them.
+COLOR_STEP_AT_40_DB, MOST_COLOR_STEP = 2.5, 3.2
 
 
 @dataclass(frozen=True)

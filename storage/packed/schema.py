@@ -31,6 +31,7 @@ ELLIPSOID_FIELD_BITS, ELLIPSOID_FIELDS = 8, 4  # so an ellipsoid is one whole wo
 NO_CAMERA = 0xFFFF
 STEPS_AN_OCTAVE = 16  # of lengths in boxes of colours: code s is 2^(s / 16 - 6) of 255ths
 FINEST_COLOR_STEP, COARSEST_COLOR_STEP = 80, 255  # half a 255th, and more than there are; 0 stands for whole bytes
+COLOR_TURN_W = 306  # of quaternions of boxes of colours: the axes nearest to none then have bytes for x, y and z
 MOST_COLOR_BITS = 30  # of a splat: what the finest step takes for a box of all colours
 DEFAULT_UP, DEFAULT_AHEAD = (0, 0, 1), (1, 0, 0)
 BOXES, RUNS, QUADRICS = GEOMETRIES = ("boxes", "runs", "quadrics")  # how positions and normals are coded
@@ -263,6 +264,7 @@ ARRAYS = (
     Array("color", ("n", "3"), "uint8", "colors", "average of the patch, sRGB"),
     Array("color_low", ("c", "3"), "int16", "colors", "lowest corner of each chunk's box of colours, 32nds of a 255th"),
     Array("color_size", ("c", "3"), "uint8", "colors", "extents of that box, in sixteenths of an octave"),
+    Array("color_turn", ("c", "3"), "int8", "colors", "x, y, z of a quaternion with w 306: the axes of that box"),
     Array("colors", ("g", "e"), "uint32", "colors", "cell of each splat's average in its chunk's box"),
     Array("batch_count", ("c", "b"), "uint8", "codes", "how many splats of the chunk belong to each batch"),
     Array("codes", ("g", "e"), "uint32", "codes", "atoms and weights, a bit stream, lowest bit first"),
@@ -298,6 +300,7 @@ ARRAYS = (
     Array("group_seal", ("g", "32"), "uint8", "provenance", "SHA-256 of its zarr chunks, as they stand in the file"),
 )
 BY_NAME = {array.name: array for array in ARRAYS}
+COLOR_BOXES = ("color_low", "color_size", "color_turn")  # of chunks whose colours are in boxes
 ARCHIVE = ("archive", "archive_atoms", "archive_models")
 FRAMES = tuple(name for name in BY_NAME if name.startswith(("frame_", "normal_")))  # of chunks over quadrics
 FORMS = (
@@ -319,7 +322,7 @@ def arrays_of(header: Header) -> tuple[Array, ...]:
     absent |= set(atom_arrays(header)) if header.shipped else set()
     absent |= set() if header.size_bits else {"size_scale", "sizes"}
     absent |= {"sizes"} if header.geometry == QUADRICS else set()
-    absent |= {"color"} if header.color_step else {"color_low", "color_size", "colors"}
+    absent |= {"color"} if header.color_step else set(COLOR_BOXES) | {"colors"}
     for extra in EXTRAS:
         if not any(getattr(batch, extra.flag) for batch in header.batches):
             absent.add(extra.stream)

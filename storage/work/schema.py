@@ -145,6 +145,7 @@ WORK_ARRAYS = (
     WorkArray("color_code", "uint32", ("n",), ("colors",), "in the box of its chunk's colours"),
     WorkArray("color_low", "int16", ("c", 3), ("colors",), "corner of that box"),
     WorkArray("color_size", "uint8", ("c", 3), ("colors",), "its extents, in 16ths of an octave"),
+    WorkArray("color_turn", "int8", ("c", 3), ("colors",), "its axes, as a quaternion's x, y, z"),
     WorkArray("texel_i", "uint8", ("i", "n", 3072), ("training-set",), "patches that were chosen"),
     WorkArray("average_i", "float32", ("i", "n", 3), ("training-set",), "their averages"),
     WorkArray("luck_i", "float64", ("i", "n"), ("training-set",),

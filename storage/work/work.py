@@ -27,7 +27,7 @@ import numpy as np
 from storage import place
 from storage.whole import whole
 
-LAYOUT_VERSION = 18  # raised when a stage's output changes for equal inputs
+LAYOUT_VERSION = 19  # raised when a stage's output changes for equal inputs
 
 T = TypeVar("T")
 

@@ -7,9 +7,9 @@ import numpy as np
 from storage.packed.schema import TURN_W
 
 
-def axes_of(turn: np.ndarray) -> np.ndarray:
-    """U, V and N (c, 3, 3) float64 as rows, orthonormal, of quaternions x, y, z (c, 3)."""
-    q = np.concatenate([turn.astype(np.float64), np.full((len(turn), 1), float(TURN_W))], axis=1)
+def axes_of(turn: np.ndarray, w: float = TURN_W) -> np.ndarray:
+    """U, V and N (c, 3, 3) float64 as rows, orthonormal, of quaternions x, y, z (c, 3) and `w`."""
+    q = np.concatenate([turn.astype(np.float64), np.full((len(turn), 1), float(w))], axis=1)
     x, y, z, w = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
     return np.stack(
         [

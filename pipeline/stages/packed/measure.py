@@ -161,9 +161,7 @@ def decoded_colors(scene: PackedScene) -> np.ndarray:
     arrays = scene.arrays
     if not scene.header.color_step:
         return arrays["color"].astype(np.float32)
-    return decode_colors(
-        scene.color_cells, ColorBoxes(arrays["color_low"], arrays["color_size"], scene.header.color_step)
-    )
+    return decode_colors(scene.color_cells, ColorBoxes.of_arrays(arrays, scene.header.color_step))
 
 
 def decoded_atoms(packed: PackedFile) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,18 @@ from storage.packed.colors import pack_colors
 from storage.packed.layout import shape_of
 from storage.packed.quadrics import number_words, pack_numbers
 from storage.packed.scene import streams_of
-from storage.packed.schema import BY_NAME, CHUNK, EXTRAS, FRAMES, GROUP, QUADRICS, Header, arrays_of, color_bits
+from storage.packed.schema import (
+    BY_NAME,
+    CHUNK,
+    COLOR_BOXES,
+    EXTRAS,
+    FRAMES,
+    GROUP,
+    QUADRICS,
+    Header,
+    arrays_of,
+    color_bits,
+)
 from storage.packed.totals import array_bytes
 from storage.packed.writing.joined import lay_out
 from storage.packed.writing.writer import (
@@ -143,7 +154,7 @@ class Pack:
         if self.header.size_bits and not self._of_quadrics:
             code = arrays.read(self.splats, "size_code", start, stop)[order]
             rows["sizes"] = pack_sizes(code, self.header.size_bits)
-        for name in ("color_low", "color_size") if self.header.color_step else ():
+        for name in COLOR_BOXES if self.header.color_step else ():
             rows[name] = arrays.read(self.colors, name, first, end)
         return rows
 

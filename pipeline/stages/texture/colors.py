@@ -13,7 +13,7 @@ from pipeline.stages.texture.resample import n_coarser_of
 from pipeline.summaries import AverageColors
 from pipeline.texture.colors import ColorBoxes, decode_colors, encode_colors, fit_color_boxes
 from pipeline.texture.resample import PATCH_DIM
-from storage.packed.schema import CHUNK
+from storage.packed.schema import BY_NAME, CHUNK, COLOR_BOXES
 from storage.work import arrays, work
 
 STEP = "step.json"  # the code of the largest cell of boxes
@@ -32,7 +32,7 @@ class ColorsBlock:
 class Colors:
     """A task a block. Arrays by splat: energy (n,) float32, squared norm of the patch less its average colour as it is
     decoded (`average_colors`); with boxes color_code (n,) uint32, and by chunk color_low (c, 3) int16, color_size (c,
-    3) uint8; without average (n, 3) float32. The census, of octaves of energy, is of the finest level."""
+    3) uint8, color_turn (c, 3) int8; without average (n, 3) float32. The census, of octaves of energy, is of the finest level."""
 
     patches: Path
     step: int  # code of the largest cell of boxes; 0: averages are whole bytes
@@ -46,8 +46,8 @@ class Colors:
             arrays.create(folder, "average", (n, 3), "float32")
         else:
             arrays.create(folder, "color_code", (n,), "uint32")
-            for name, dtype in (("color_low", "int16"), ("color_size", "uint8")):
-                arrays.create(folder, name, (-(-n // CHUNK), 3), dtype, (arrays.BLOCK // CHUNK, 3))
+            for name in COLOR_BOXES:
+                arrays.create(folder, name, (-(-n // CHUNK), 3), BY_NAME[name].dtype, (arrays.BLOCK // CHUNK, 3))
         return arrays.n_blocks(n)
 
     def run(self, folder: Path, index: int) -> ColorsBlock:
@@ -71,8 +71,8 @@ class Colors:
         boxes = fit_color_boxes(exact, self.step)
         code = encode_colors(exact, boxes)
         arrays.write(folder, "color_code", start, code)
-        arrays.write(folder, "color_low", start // CHUNK, boxes.low)
-        arrays.write(folder, "color_size", start // CHUNK, boxes.size)
+        for name, rows in boxes.arrays().items():
+            arrays.write(folder, name, start // CHUNK, rows)
         return decode_colors(code, boxes)
 
 
@@ -81,6 +81,6 @@ def average_colors(colors: Path, start: int, stop: int) -> np.ndarray:
     if arrays.exists(colors, "average"):
         return arrays.read(colors, "average", start, stop)
     first, end = start // CHUNK, -(-stop // CHUNK)
-    low, size = (arrays.read(colors, name, first, end) for name in ("color_low", "color_size"))
-    code = arrays.read(colors, "color_code", first * CHUNK, stop)
-    return decode_colors(code, ColorBoxes(low, size, work.read_json(colors / STEP)))[start - first * CHUNK :]
+    of_chunks = {name: arrays.read(colors, name, first, end) for name in COLOR_BOXES}
+    code, step = arrays.read(colors, "color_code", first * CHUNK, stop), work.read_json(colors / STEP)
+    return decode_colors(code, ColorBoxes.of_arrays(of_chunks, step))[start - first * CHUNK :]

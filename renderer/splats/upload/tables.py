@@ -14,7 +14,7 @@ from pipeline.geometry.normals import decode_normals
 from pipeline.splats.decoded import scene_bounds, scene_normal_codes, scene_radii
 from storage.packed.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.packed.packed import PackedScene
-from storage.packed.schema import GROUP, LEAST_NUMBER_BITS, color_bits
+from storage.packed.schema import GROUP, LEAST_NUMBER_BITS
 
 ROUNDING = 1e-5  # of a cone's cosine: so much wider, or float32 might narrow it
 
@@ -73,16 +73,16 @@ def _add_boxes(words: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
     words[:, 6] = arrays["box_bits"].astype(np.uint32) @ np.array([1, 1 << 8, 0], np.uint32)
 
 
-def color_box_words(arrays: dict[str, np.ndarray], step: int) -> np.ndarray:
-    """First word, low corner, size and bits of each chunk's box of colours, (n_chunks, 4) uint32."""
+def color_box_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """First word, low corner, size and turn of each chunk's box of colours, (n_chunks, 4) uint32."""
     low, size = arrays["color_low"].view(np.uint16).astype(np.uint32), arrays["color_size"].astype(np.uint32)
-    bits = color_bits(arrays["color_size"], step).astype(np.uint32)
+    turn = arrays["color_turn"].view(np.uint8).astype(np.uint32)
     return np.stack(
         [
             arrays["color_word"],
             low[:, 0] | low[:, 1] << 16,
             low[:, 2] | size[:, 0] << 16 | size[:, 1] << 24,
-            size[:, 2] | bits[:, 0] << 8 | bits[:, 1] << 16 | bits[:, 2] << 24,
+            size[:, 2] | turn[:, 0] << 8 | turn[:, 1] << 16 | turn[:, 2] << 24,
         ],
         axis=1,
     )

@@ -15,7 +15,7 @@ const TYPES = {
   frame_origin: Float32Array, frame_step: Uint16Array, frame_cells: Uint16Array, normal_low: Int16Array, splats: Uint32Array, atom_scale: Float32Array, cliplines: Uint32Array, sizes: Uint32Array, ellipsoids: Uint32Array, camera: Uint16Array, group_low: Float32Array,
   group_high: Float32Array, group_radius: Float32Array, group_rows: Uint32Array, group_start: BigUint64Array, group_bytes: BigUint64Array,
 }; // all others are bytes
-const SIGNED = new Set(["normal", "frame_turn", "frame_curve", "normal_slope", "run_codebook"]);
+const SIGNED = new Set(["normal", "color_turn", "frame_turn", "frame_curve", "normal_slope", "run_codebook"]);
 const FIRST_CHUNK = /\/c\/0(\/0)*$/, NOT_OF_GROUPS = /^(group|atoms?|map|weight)_|^run_codebook/;
 const STREAMS = ["splats", "colors", "codes", "cliplines", "ellipsoids"]; // in the order of group_rows, behind run_codes, which no file has with splats
 

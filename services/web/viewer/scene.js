@@ -14,7 +14,7 @@ import { groupBoxes, splatWords, tablesOf, widthsOf } from "./tables.js";
 import { Words } from "./words.js";
 
 const BATCH_BYTES = 1 << 21; // of chunks that are asked for together
-const OF_CHUNKS = ["batch_count", "box_low", "box_size", "box_bits", "size_scale", "sizes", "color_low", "color_size"];
+const OF_CHUNKS = ["batch_count", "box_low", "box_size", "box_bits", "size_scale", "sizes", "color_low", "color_size", "color_turn"];
 const OF_RUNS = ["run_codes", "run_batch"];
 const KEPT = { box_low: [Float32Array, 3], box_size: [Float32Array, 3], size_scale: [Uint8Array, 2] }; // on this side too, by slot
 const MOST_OUTLINED_BY_CHUNKS = 64, SMALL_GAP = 4096; // groups, as renderer/splats/views.py; bytes between what is one request
@@ -37,7 +37,7 @@ export class Scene {
     if (header.n_dictionary && header.coarsest_size < header.atom_size) this.drawn.add("mip_levels");
     const first = header.batches.findIndex((batch) => batch.clipline || batch.ellipsoid);
     this.nLeading = first < 0 ? header.batches.length : first;
-    this.defines = { COLOR_BOXES: header.color_step ? 1 : 0, SIZE_BITS: header.size_bits, DETAIL: levels ? 1 : 0, RUNS: header.runs ? 1 : 0,
+    this.defines = { COLOR_BOXES: header.color_step, SIZE_BITS: header.size_bits, DETAIL: levels ? 1 : 0, RUNS: header.runs ? 1 : 0,
       QUADRICS: header.geometry === "quadrics" ? 1 : 0, MAPPED: 0 };
     const here = (name) => packed.has(name);
     this.runArrays = OF_RUNS.filter(here);

@@ -29,7 +29,7 @@ export function tablesOf(header, arrays, nSplats, first) {
 /** The radius that a step of `size_scale` stands for. */
 const radiusOf = (header, step) => header.radius * 2 ** (step / 16 - 8);
 
-// Low corner, size, bits and scale of sizes of each chunk's box, where colours are in boxes first word, low corner, size and bits of those, and
+// Low corner, size, bits and scale of sizes of each chunk's box, where colours are in boxes first word, low corner, size and turn of those, and
 // where splats have sizes their words.
 function boxWords(header, arrays, nSplats, colorWord) {
   const ofFrames = header.geometry === "quadrics", at0 = colorAt(header.geometry), sizeAt = at0 + (header.color_step ? 4 : 0), perChunk = sizeWords(header.geometry, header.size_bits), width = sizeAt + perChunk, nChunks = Math.ceil(nSplats / CHUNK);
@@ -49,13 +49,13 @@ function boxWords(header, arrays, nSplats, colorWord) {
       if (!ofFrames) words.set(arrays.sizes.subarray(chunk * perChunk, (chunk + 1) * perChunk), at + sizeAt);
     }
     if (!header.color_step) continue;
-    const low = arrays.color_low.subarray(i, i + 3), size = arrays.color_size.subarray(i, i + 3);
-    const bits = [...size].map((s) => Math.max(0, Math.ceil((s - header.color_step) / 16)));
+    const [low, size, turn] = [arrays.color_low, arrays.color_size, arrays.color_turn].map((rows) => rows.subarray(i, i + 3));
+    const bits = [...size].reduce((sum, s) => sum + Math.max(0, Math.ceil((s - header.color_step) / 16)), 0);
     words[at + at0] = colorWord;
     words[at + at0 + 1] = (low[0] & 0xffff) | (low[1] << 16);
     words[at + at0 + 2] = (low[2] & 0xffff) | (size[0] << 16) | (size[1] << 24);
-    words[at + at0 + 3] = size[2] | (bits[0] << 8) | (bits[1] << 16) | (bits[2] << 24);
-    colorWord += Math.ceil((Math.min(CHUNK, nSplats - chunk * CHUNK) * (bits[0] + bits[1] + bits[2])) / 32);
+    words[at + at0 + 3] = size[2] | ((turn[0] & 0xff) << 8) | ((turn[1] & 0xff) << 16) | (turn[2] << 24);
+    colorWord += Math.ceil((Math.min(CHUNK, nSplats - chunk * CHUNK) * bits) / 32);
   }
   return words;
 }

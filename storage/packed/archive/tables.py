@@ -16,7 +16,7 @@ from storage.packed.archive.mixing import MOST_PLACES, SIGNED_SETS, mixed, mixed
 from storage.packed.schema import Array, Header, arrays_of, origin_quanta
 
 DERIVED = "batch_count", "sizes"  # what the splats tell
-_BY_MEAN = ("box_bits", "frame_turn", "frame_cells", "frame_curve", "normal_cells", "normal_slope")
+_BY_MEAN = ("box_bits", "color_turn", "frame_turn", "frame_cells", "frame_curve", "normal_cells", "normal_slope")
 MEAN, PREVIOUS, FLOAT, ORIGIN = range(4)  # kinds of columns
 _ORIGIN = "frame_origin"
 _SIZES = 16  # of what was off, in octaves

@@ -164,7 +164,7 @@ def test_report__counts_boxes_of_colours_as_colours():
     scene = build_scene(sheet(rng, N), Settings(color_step=112))
     arrays = scene.arrays
     sizes = built(scene, 1000)["sizes"]
-    assert sizes["colors_bytes"] == 13 * 4 + arrays["colors"].nbytes and "color" not in arrays
+    assert sizes["colors_bytes"] == 16 * 4 + arrays["colors"].nbytes and "color" not in arrays
     assert sizes["colors_bytes"] < 3.7 * N  # of random colours; 4 boxes of 128 splats
 
 

@@ -45,6 +45,12 @@ def test_budget__ends_where_splats_take_no_more():
     assert within_budget(50.0, N, 1.0, scan).n_bytes == BARE + 1000.0 and len(scan.multipliers) <= 1 + MOST_TRIALS
 
 
+def test_budget__is_kept_where_splats_begin_with_all_the_atoms_they_may_have():
+    scan = Scan(most=2400.0)
+    found = within_budget(7.2, N, 0.02, scan)
+    assert LEAST * 7.2 * N <= found.n_bytes <= 7.2 * N and len(scan.multipliers) <= 1 + MOST_TRIALS
+
+
 def test_budget__below_what_a_file_without_atoms_takes_is_refused():
     scan = Scan()
     with pytest.raises(InvalidScan, match="4.5 bytes a splat, of which .* alone take 5.00; allowed: 5.00 and more"):
