@@ -202,6 +202,8 @@ def checked(rows: list[dict]) -> list[dict]:
             row["indices"],
             row["atom_size"],
             pursuit=row["pursuit"],
+            max_atoms=row["max_atoms"],
+            atoms=row["atoms"],
         )
         plans = {p.name: p.seconds for p in plan_job(job, costs)}
         plans["ingest"] += plans.pop("photographs")

@@ -52,6 +52,8 @@ def measure(
         "pursuit": settings.pursuit,
         "indices": n_indices,
         "atom_size": atom_size,
+        "max_atoms": settings.max_atoms,
+        "atoms": report["atoms"]["mean"],
         "probe_s": probe_s,
         "quality": report["quality"],
         "bytes_per_splat": report["sizes"]["bytes_per_splat"],

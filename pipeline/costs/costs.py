@@ -12,12 +12,13 @@ import json
 import math
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from pipeline.catalogue import CATALOGUE, Phase, Task
 from pipeline.coding.beam.form import Beam, beam_of
 from pipeline.coding.ksvd import BLOCK as TRAINING_BLOCK
 from pipeline.coding.passes import quantised_share, rounds_of_passes
-from pipeline.costs.job import KILO, SMALLEST, Dispatch, Job, StageCost, StagePlan
+from pipeline.costs.job import ATOMS, KILO, SMALLEST, Dispatch, Job, StageCost, StagePlan
 from pipeline.costs.makespan import makespan
 from pipeline.costs.of_maps import told_by_stations
 from pipeline.execution.executors import MOST_A_CALL, calls_of
@@ -27,6 +28,8 @@ from pipeline.stages.packed.pack import AT_ONCE
 from pipeline.stages.points.grid_counts import IN_MEMORY as MOST_HELD  # units that any stage has in memory at once
 from pipeline.stages.points.ingest import MOST_SLICES, SLICE
 from pipeline.stages.points.kept import MOST_PARTS, PART
+from pipeline.stages.texture.multipliers import LADDER, is_wide
+from pipeline.stages.texture.training import held_share
 from pipeline.texture.resample import PATCH_DIM
 from storage.packed.levels import FEWER
 from storage.packed.schema import GROUP
@@ -137,7 +140,18 @@ def plan_job(job: Job, costs: dict[str, StageCost], dispatch: Dispatch | None = 
     }
     if not job.keeps_patches and "resample" in written:
         written["resample"] = float(MEASURED) * job.n_splats
-    return [_plan_stage(name, cost, job, kilos, written, dispatch) for name, cost in called_for.items()]
+    known = _Known(job, kilos, written, dispatch, called_for.get("encode"))
+    return [_plan_stage(name, cost, known) for name, cost in called_for.items()]
+
+
+class _Known(NamedTuple):
+    """What the plans of all stages of a job are made from."""
+
+    job: Job
+    kilos: float
+    written: dict[str, float]  # bytes, by stage
+    dispatch: Dispatch
+    encode: StageCost | None  # whose search others do too
 
 
 def _is_called_for(name: str, job: Job) -> bool:
@@ -153,10 +167,8 @@ def _is_called_for(name: str, job: Job) -> bool:
     )
 
 
-def _plan_stage(
-    name: str, cost: StageCost, job: Job, kilos: float, written: dict[str, float], dispatch: Dispatch
-) -> StagePlan:
-    rounds = [(_plan_once(name, cost, job, kilos, written, dispatch, share), n) for share, n in _rounds(name, job)]
+def _plan_stage(name: str, cost: StageCost, known: _Known) -> StagePlan:
+    rounds = [(_plan_once(name, cost, known, share), n) for share, n in _rounds(name, known.job)]
     summed = ("n_tasks", "seconds", "once_s", "dispatch_s", "read_bytes", "written_bytes")
     return replace(rounds[-1][0], **{key: sum(n * getattr(plan, key) for plan, n in rounds) for key in summed})
 
@@ -170,13 +182,11 @@ def _rounds(name: str, job: Job) -> tuple[tuple[float, int], ...]:
     return {"quantise": ((quantised_share(n_units), 2),), "multipliers": ((1.0, 2),)}.get(name, ((1.0, 1),))
 
 
-def _plan_once(
-    name: str, cost: StageCost, job: Job, kilos: float, written: dict[str, float], dispatch: Dispatch, share: float
-) -> StagePlan:
+def _plan_once(name: str, cost: StageCost, known: _Known, share: float) -> StagePlan:
     """A stage that runs once, over a share of its units."""
+    job, kilos, written, dispatch, _ = known
     units, n_tasks = share * _units(name, job), math.ceil(share * _n_tasks(name, job))
-    task_s = 1e-6 * (cost.task_us_a_unit + cost.task_us_a_unit_a_kilo * kilos) * units / max(1, n_tasks)
-    task_s += cost.task_s + 1e-6 * beam_us(cost, beam_of(job.pursuit), kilos) * units / max(1, n_tasks)
+    task_s = cost.task_s + 1e-6 * (cost.task_us_a_unit + _search_us(name, cost, known)) * units / max(1, n_tasks)
     task_s += dispatch.around_s + 1e-6 * cost.task_us_a_splat * job.n_splats / max(1, n_tasks)
     task_s *= CROWDED if min(n_tasks, job.n_workers) > 1 else 1.0
     once_s = (
@@ -216,6 +226,17 @@ def _read(name: str, job: Job, written: dict[str, float]) -> float:
     if name == "encode":
         return of(name) + (PATCH_DIM * job.n_splats if job.keeps_patches else of("resample"))
     return of(name)
+
+
+def _search_us(name: str, cost: StageCost, known: _Known) -> float:
+    """What searching atoms adds to each unit: in proportion to the atoms that a splat takes. A beam that is wide codes
+    held patches at every multiplier, at which these take half as many as they may on average."""
+    job, kilos, beam = known.job, known.kilos, beam_of(known.job.pursuit)
+    searched = cost.task_us_a_unit_a_kilo * kilos + beam_us(cost, beam, kilos)
+    if name == "multipliers" and known.encode and is_wide(job.pursuit):
+        of_encode = known.encode.task_us_a_unit_a_kilo * kilos + beam_us(known.encode, beam, kilos)
+        return len(LADDER) * held_share(int(_units(name, job))) * job.max_atoms / 2 / ATOMS * of_encode
+    return searched * (job.atoms / ATOMS if name == "encode" else 1.0)
 
 
 def beam_us(cost: StageCost, beam: Beam | None, kilos: float) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from storage.packed.schema import ATOM_SIZES
 
+ATOMS = 1.73  # a splat of the scan that costs of searches were measured on: `fountain_p11`, `balanced`
 KILO, SMALLEST = 1024, min(ATOM_SIZES)  # indices of atoms, and texels to a side of the smallest
 
 
@@ -56,6 +57,8 @@ class Job:
     atom_size: int = SMALLEST  # texels to a side
     n_stations: int = 0  # of a laser scan that is textured from their maps
     pursuit: str = "omp"  # a word of `pipeline.coding.beam.form`
+    max_atoms: int = 8
+    atoms: float = ATOMS  # that a splat takes, on average
     keeps_patches: bool = False  # else they are made again where they are used, in the time that storing them took
     pages: bool = False  # whether photographs are packed in pages too
     geometry: str = "boxes"

@@ -45,12 +45,12 @@ do nothing. Measured, and what the fitted terms say of the same:
 
 Bytes are those of the arrays that a stage reads, each once: what several of its tasks ask for comes from the disk
 cache, or is read again. `python -m benchmarks.bytes_moved SCAN` counts all that tasks ask for: of `fountain_p11`
-(draft) 3,369 bytes a splat, 1,276 of them parts of pictures of nearest points as they are unpacked and 430 points that
-all 11 cameras look through, where they were 15,600 with these pictures read as they are; 689 are written, where they
+(draft) 3,418 bytes a splat, 1,276 of them parts of pictures of nearest points as they are unpacked and 430 points that
+all 11 cameras look through, where they were 15,600 with these pictures read as they are; 668 are written, where they
 were 1,160.
 
 What it does not know: a network store slower than a local disk (the bytes read and written are there to compare with
-one's own), scans whose patches take more or fewer atoms than those it was fitted to, ellipsoids, pictures, coarser
+one's own), how many atoms patches take (`--atoms-a-splat`; 1.73 where nothing is said), ellipsoids, pictures, coarser
 levels (a third more of all from `splats` on, where a scan has them), more photographs that a splat may be textured from
 than 11, leaves that every part of the file has points of (4,096 files to open), a worker that dies. Nor the report: of
 a file of more than 512 groups it is made of 512 of them and of the totals, but whoever opens a file lists its members,

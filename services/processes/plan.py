@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from pipeline.catalogue import Task
 from pipeline.coding.grid import SYMMETRIES, AtomForm
 from pipeline.costs.costs import TASKS, known_costs, known_dispatch, known_probe_s, plan_job
-from pipeline.costs.job import Dispatch, Job, StageCost, StagePlan
+from pipeline.costs.job import ATOMS, Dispatch, Job, StageCost, StagePlan
 from pipeline.costs.limits import first_limit
 from pipeline.effects.shipped_dictionary import takes_shipped
 from pipeline.planning.dictionary_size import index_bits
@@ -31,9 +31,11 @@ def plan(
     pages: bool = False,
     n_voxels: int = 0,
     n_stations: int = 0,
+    atoms: float = ATOMS,
 ) -> dict:
     """The plan as the command prints it with --json, for a machine that takes `speed` times as long as the one measured
-    on; of a laser scan of so many stations with their maps as texture, in place of photographs."""
+    on; of a laser scan of so many stations with their maps as texture, in place of photographs; of a scan whose splats
+    take so many atoms on average."""
     learns = not (n_photographs and not n_stations and takes_shipped(settings, n_splats))
     form = _likely_form(settings) if learns else SHIPPED_FORM
     n_indices = 2 ** index_bits(settings, form, n_splats) if learns else N_ATOMS * SHIPPED_FORM.n_turns
@@ -47,6 +49,8 @@ def plan(
         n_indices,
         form.size if form else PATCH_SIZE,
         pursuit=settings.pursuit if form else "omp",
+        max_atoms=settings.max_atoms,
+        atoms=min(atoms, settings.max_atoms),
         pages=pages,
         geometry=settings.geometry,
         learns=learns,

@@ -35,7 +35,7 @@ LEAST_GAIN_DB = 0.3
 WHILE_LEARNING = 0.23
 
 
-def _is_wide(pursuit: str) -> bool:
+def is_wide(pursuit: str) -> bool:
     """Whether a pursuit follows several supports: which, its multiplier decides (`beam.nodes.HOPE`), 0.1 dB in all."""
     beam = beam_of(pursuit)
     return beam is not None and beam.width > 1
@@ -79,7 +79,7 @@ class Multipliers:
         atoms, levels = load_atoms(self.quantised), arrays.read(self.quantised, "weight_levels")
         found, error, n_atoms = None, [], []
         for rung in reversed(LADDER):  # what is found at the lowest tells of all others, but where a beam is wide
-            if found is None or _is_wide(self.pursuit):
+            if found is None or is_wide(self.pursuit):
                 multiplier = rung * self.tolerance
                 found = atoms.pursue(patches, self.max_atoms, 0.0, levels, multiplier, pursuit=self.pursuit)
             taken = found.atoms_at(rung * self.tolerance)

@@ -6,6 +6,7 @@ import argparse
 
 from pipeline.planning.settings import DEFAULT_PRESET
 from services.cli.arguments import add_knobs
+from storage.packed.schema import MAX_ATOMS
 
 
 def count(text: str) -> int:
@@ -30,6 +31,17 @@ def megapixels(text: str) -> float:
         number = 0.0
     if not 0 < number <= 1e4:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number of megapixels above 0, to 10,000")
+    return number
+
+
+def atoms_a_splat(text: str) -> float:
+    """Atoms that a splat takes on average, 0 to MAX_ATOMS."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = -1.0
+    if not 0 <= number <= MAX_ATOMS:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of atoms from 0 to {MAX_ATOMS}")
     return number
 
 

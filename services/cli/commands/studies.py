@@ -14,6 +14,7 @@ from services.cli.commands.options import (
     add_executor,
     add_measuring,
     add_output,
+    atoms_a_splat,
     count,
     count_or_none,
     large_count,
@@ -229,6 +230,13 @@ def add_plan(commands) -> None:
         help="on the machine that the costs were measured on; default: on machines as fast as this one",
     )
     plan.add_argument("--pages", action="store_true", help="with the photographs in pages beside it")
+    plan.add_argument(
+        "--atoms-a-splat",
+        type=atoms_a_splat,
+        metavar="N",
+        help="on average, as a report says of a scan like it; default: 1.73, as `fountain_p11` with balanced takes; "
+        "monstree takes 5.95",
+    )
     kinds = plan.add_mutually_exclusive_group()
     kinds.add_argument(
         "--voxels",
@@ -263,6 +271,7 @@ def _plan(options: argparse.Namespace) -> int:
         options.pages,
         options.voxels,
         options.stations,
+        **({} if options.atoms_a_splat is None else {"atoms": options.atoms_a_splat}),
     )
     print(json.dumps(found) if options.json else as_text(found))
     return OK
