@@ -66,7 +66,7 @@ def test_ogc__owslib_runs_a_job_end_to_end(tmp_path):
         inputs = {"scan": scan, "preset": "draft", "options": {"iterations": 1, "training_splats": 500}}
         status = client.execute("compress", inputs, async_=True)
         assert status["status"] == "accepted" and client.response_headers["location"] == f"/v1/jobs/{status['jobID']}"
-        deadline = time.monotonic() + 120
+        deadline = time.monotonic() + 300
         while status["status"] in ("accepted", "running"):
             assert time.monotonic() < deadline
             time.sleep(0.3)
