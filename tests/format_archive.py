@@ -16,8 +16,10 @@ TABLES = {
     "box_low": (3, 32, 0, "f"), "box_size": (3, 32, 0, "f"), "box_bits": (3, 8, 0, "m"), "size_scale": (2, 8, 0, "p"),
     "frame_turn": (3, 8, 1, "m"), "frame_step": (1, 16, 0, "p"), "frame_cells": (2, 16, 0, "m"),
     "frame_curve": (3, 8, 1, "m"), "frame_bits": (1, 8, 0, "p"), "normal_low": (2, 16, 1, "p"),
-    "normal_cells": (2, 8, 0, "m"), "normal_slope": (4, 8, 1, "m"), "normal_grid": (1, 8, 0, "p"),
-    "color_low": (3, 16, 1, "p"), "color_size": (3, 8, 0, "p"), "color_turn": (3, 8, 1, "m"), "frame_origin": (3, 32, 0, "o"),
+    "normal_cells": (2, 8, 0, "m"), "normal_slope": (4, 8, 1, "m"), "normal_lean": (1, 8, 1, "m"),
+    "normal_grid": (1, 8, 0, "p"),
+    "color_low": (3, 16, 1, "p"), "color_size": (3, 8, 0, "p"), "color_turn": (3, 8, 1, "m"),
+    "frame_origin": (3, 16, 0, "o"),
 }  # fmt: skip
 VALUES = [68, 128, 128, 272, 256, 136]  # signed sets of a value's six models
 
@@ -111,7 +113,7 @@ class Sets:
             "sizes": (64 + 17 * 17 + 2 * 62 * 64) * 16,
             "sources": 2 * (4 + 72 + 257 * 9 + 136 + 515 * 256), "cliplines": 3 * 272 * 16, "ellipsoids": 1024,
             "atoms": 9 * atoms, "turns": (1 + atoms) << self.turn_bits,
-            "weights": (256 + 256 * 17 + 512 + 512) * levels, "axes": 4, "tables": n_columns * (33 * SIGNED + 1),
+            "weights": (256 + 256 * 17 + 512 + 512) * levels, "axes": 4, "tables": n_columns * 33 * SIGNED,
         }  # fmt: skip
         self.n = 0
         for name, n in sizes.items():
@@ -164,24 +166,23 @@ def _tables(coder: Coder, sets: Sets, names: list[str], n_chunks: int) -> dict[s
     """Whole numbers; floats by the words of their bits."""
     tables: dict[str, list] = {name: [] for name in names}
     known: dict[int, list] = {}
-    for _ in range(n_chunks):
+    above = 0
+    for chunk in range(n_chunks):
         column, left, row = 0, 0, {}
         for name in names:
             many, bits, sign, kind = TABLES[name]
-            row[name], odd = [], 0
+            row[name] = []
             for i in range(many):
-                base, which = sets.tables + column * (33 * SIGNED + 1), sets.w_tables + 15 * column
+                base, which = sets.tables + column * 33 * SIGNED, sets.w_tables + 15 * column
                 before, mean, size = known.get(column, [0, 0.0, 0])
-                if kind == "o" and i == 0:
-                    odd = coder.bit([base + 33 * SIGNED])
+                if kind == "o" and i == 0 and chunk == 0:
+                    above = coder.even(8)
                 bases = [base, base + (1 + size) * SIGNED, base + (17 + left) * SIGNED]
                 off = coder.signed(bases, which)
-                if kind == "o" and not odd:
-                    unit = 2.0 ** ((row["frame_step"][0] >> 7) - 128)
-                    number = math.floor(min(max(mean / unit, -(2.0**32)), 2.0**32) + 0.5) + off
-                    mean = number * unit
-                    word = int(np.float32(mean).view(np.uint32))
-                elif kind in "of":
+                if kind == "o":
+                    z = min(15, max(0, (row["frame_step"][0] >> 7) - above))
+                    word = before = (before // 2**z + off) * 2**z
+                elif kind == "f":
                     before += off
                     word = before << 16 | coder.even(16)
                 else:

@@ -235,7 +235,6 @@ class Packed:
                     return ((place - left) << low if h else 0) + first
                 left -= n if other == chunk else 0
                 at += vector + n * low
-            at += -at % 32
         raise AssertionError(i)
 
     def quadric_cell(self, i: int) -> tuple[np.ndarray, tuple[int, int], int]:
@@ -256,14 +255,18 @@ class Packed:
         rise = of["frame_curve"] @ [x * x, x * y, y * y] / (128 * power)
         step = np.array([0, self.arrays["frame_step"][i // 128]], "<u2").view("<f4")[0].astype(float)
         p = turned([*of["frame_turn"], 117], np.array([digits[2] + 0.5, digits[3] + 0.5, number + 0.5 + rise]) * step)
-        slope = of["normal_slope"].reshape(2, 2) @ [x, y] // 256
+        slope = of["normal_slope"].reshape(2, 2) @ [x, y] // 256 + [0, of["normal_lean"] * digits[0] // 64]
         s = 175 - 8 * int(of["normal_grid"])
         a, b = np.clip(of["normal_low"] + digits[:2] + slope, -2 * s, 2 * s).astype(int).tolist()
         if abs(a) > s:
             a, b = int(np.sign(a)) * 2 * s - a, -b
         if abs(b) > s:
             a, b = -a, int(np.sign(b)) * 2 * s - b
-        return of["frame_origin"] + p, (a, b), s
+        low, high = (self.arrays[f"group_{name}"][i // 8192] for name in ("low", "high"))
+        side, unit = float((high - low).max()), 2.0**-115
+        while side >= 2.0**16 * unit:
+            unit *= 2
+        return low.astype(float) + of["frame_origin"] * unit + p, (a, b), s
 
     def position(self, i: int) -> np.ndarray:
         if self.header.get("geometry") == "quadrics":

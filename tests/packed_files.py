@@ -17,6 +17,7 @@ from storage.maps import NO_MAP, StoredMap
 from storage.packed.archive.transcode import archive_packed
 from storage.packed.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.packed.dictionaries.shipped import NEWEST
+from storage.packed.quadrics import frame_extents
 from storage.packed.runs.tables import DECODED
 from storage.packed.scene import streams_of
 from storage.packed.schema import (
@@ -198,6 +199,8 @@ def fill_folder(header: Header, arrays: dict[str, np.ndarray], folder: Path, edi
             else:
                 continue
             part[array.name] = arrays[array.name][bounds[group] : bounds[group + 1]]
+        if "frame_box" in arrays:
+            part["frame_box"] = arrays["frame_box"][group * CHUNKS_PER_GROUP : (group + 1) * CHUNKS_PER_GROUP]
         if "run_first" in part:
             part["run_first"] = part["run_first"] - np.uint32(_bounds(header, arrays, "run_start")[group])
         told, content = group_of(header, group, part)
@@ -225,7 +228,7 @@ def _bounds(header: Header, arrays: dict[str, np.ndarray], name: str) -> list[in
         "splats": "splat_word",
     }
     if name in first:
-        step = CHUNKS_PER_GROUP if name in ("colors", "splats") else 1
+        step = CHUNKS_PER_GROUP if name == "colors" else 1
         return [*arrays[first[name]][::step].tolist(), len(arrays[name]) - 1]
     sections = arrays["run_section"].tolist()
     runs = [0, *arrays["run_first"][sections[1:]].tolist(), header.runs.n_runs]
@@ -307,7 +310,7 @@ def _quadrics(case: Case, header: Header, batch_count: np.ndarray) -> dict[str, 
     bits = 16 + noise(c, 31, 32)
     normals = np.where(bits > 32, 256, noise(c, 36, 256) + 1)
     arrays = {
-        "frame_origin": (noise(3 * c, 30, 4096) / 64 - 32).reshape(c, 3).astype(np.float32),
+        "frame_origin": (noise(3 * c, 30, 4096) + 12288).reshape(c, 3).astype(np.uint16),
         "frame_turn": (noise(3 * c, 39, 255) - 127).reshape(c, 3).astype(np.int8),
         "frame_step": (0x3800 + noise(c, 32, 512)).astype(np.uint16),
         "frame_cells": (noise(2 * c, 33, 300) + 1).reshape(c, 2).astype(np.uint16),
@@ -316,9 +319,14 @@ def _quadrics(case: Case, header: Header, batch_count: np.ndarray) -> dict[str, 
         "normal_low": (noise(2 * c, 35, 400) - 200).reshape(c, 2).astype(np.int16),
         "normal_cells": (np.stack([normals, np.full(c, 256)], axis=1) - 1).astype(np.uint8),
         "normal_slope": (noise(4 * c, 37, 255) - 127).reshape(c, 4).astype(np.int8),
+        "normal_lean": (noise(c, 41, 255) - 127).astype(np.int8),
         "normal_grid": noise(c, 40, 16).astype(np.uint8),
     }
+    reach = np.abs(frame_extents(arrays, np.ones(c))).max()  # so that cells lie in the boxes, wherever they begin
+    box = np.float32([-reach, -reach / 2, 0, 7 * reach, 7 * reach, 7 * reach])
+    arrays["frame_box"] = np.tile(box, (c, 1))
     splat, words = 0, []
+    group: list[int] = []
     for chunk in range(c):
         stream: list[int] = []
         for n in batch_count[chunk, :n_batches].tolist():
@@ -330,7 +338,10 @@ def _quadrics(case: Case, header: Header, batch_count: np.ndarray) -> dict[str, 
                 stream += [int(i in ones) for i in range(n + 2**high)]
             stream += [x >> i & 1 for x in numbers for i in range(int(bits[chunk]) - high)]
             splat += n
-        words.append(_packed(np.array(stream), 1))
+        group += stream
+        if chunk % CHUNKS_PER_GROUP == CHUNKS_PER_GROUP - 1 or chunk == c - 1:
+            words.append(_packed(np.array(group), 1))
+            group = []
     lengths = np.array([len(w) for w in words])
     arrays["splat_word"] = (np.cumsum(lengths) - lengths).astype(np.uint32)
     return arrays | {"splats": np.concatenate([*words, np.zeros(1, np.uint32)])}

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.geometry.frame import tangent_frames
+from storage.packed.batches import CHUNKS_PER_GROUP
 from storage.packed.scene import PackedScene
 from storage.packed.schema import CHUNK, CLIPLINE_BITS, FRAMES, GROUP
 
@@ -155,7 +156,12 @@ def decode_position(scene: PackedScene, splat: int) -> list[float]:
 def number_of(scene: PackedScene, splat: int) -> int:
     """The number of a splat of quadrics, its chunk's words read bit by bit."""
     arrays, (chunk, left) = scene.arrays, divmod(splat, CHUNK)
-    bits, at = int(arrays["frame_bits"][chunk]), 32 * int(arrays["splat_word"][chunk])
+    bits, at = int(arrays["frame_bits"][chunk]), 32 * int(arrays["splat_word"][chunk // CHUNKS_PER_GROUP])
+    for before in range(chunk // CHUNKS_PER_GROUP * CHUNKS_PER_GROUP, chunk):
+        width = int(arrays["frame_bits"][before])
+        for n in arrays["batch_count"][before].tolist():
+            high = min(max(0, n - 1).bit_length(), width - 16)
+            at += n * width + (n + 2**high - n * high if n * high > n + 2**high else 0)
     for n in arrays["batch_count"][chunk].tolist():
         high = min(max(0, n - 1).bit_length(), bits - 16)
         high = high if n * high > n + 2**high else 0
@@ -184,10 +190,14 @@ def decode_cell(scene: PackedScene, splat: int) -> tuple[list[float], list[int]]
     rise /= 2 ** int(max(of["frame_cells"])).bit_length()
     step = struct.unpack("<f", struct.pack("<I", of["frame_step"] << 16))[0]
     along = np.array([i + 0.5, j + 0.5, k + 0.5 + rise]) * step
-    position = np.array(of["frame_origin"]) + Rotation.from_quat([*of["frame_turn"], 117]).apply(along)
+    box = scene.arrays["frame_box"][splat // CHUNK].astype(np.float32)
+    unit = 2.0 ** (math.floor(math.log2(max(float((box[3:] - box[:3]).max()), 2.0**-100))) - 15)
+    origin = box[:3].astype(float) + np.array(of["frame_origin"]) * unit
+    position = origin + Rotation.from_quat([*of["frame_turn"], 117]).apply(along)
     slope = of["normal_slope"]
     p = a + of["normal_low"][0] + math.floor((slope[0] * x + slope[1] * y) / 256)
     q = b + of["normal_low"][1] + math.floor((slope[2] * x + slope[3] * y) / 256)
+    q += math.floor(of["normal_lean"] * a / 64)
     s = 175 - 8 * of["normal_grid"]
     p, q = max(-2 * s, min(2 * s, p)), max(-2 * s, min(2 * s, q))
     if abs(p) > s:

@@ -11,16 +11,16 @@ from pipeline.geometry.cliplines import encode_cliplines
 from pipeline.geometry.ellipsoids import encode_ellipsoids
 from pipeline.geometry.normals import encode_normals
 from pipeline.geometry.positions import encode_positions, fit_boxes
-from pipeline.geometry.quadrics.codes import asked_steps, encode_quadrics
-from pipeline.geometry.quadrics.frames import Frames, arrays_of_frames
+from pipeline.geometry.quadrics.codes import asked_steps
 from pipeline.geometry.sizes import encode_sizes, fit_scales
+from pipeline.splats.quadrics import quadrics_of_groups
 from pipeline.texture.colors import encode_colors, fit_color_boxes
 from storage.packed.batches import CHUNKS_PER_GROUP, count_batches, rows_of
 from storage.packed.bits import pack_bits, pack_sizes
 from storage.packed.codes import pack_codes
 from storage.packed.colors import pack_colors
 from storage.packed.packed import PackedScene
-from storage.packed.quadrics import number_words, pack_numbers
+from storage.packed.quadrics import number_starts, pack_numbers
 from storage.packed.schema import (
     BOXES,
     CHUNK,
@@ -152,7 +152,7 @@ def build_scene_and_order(
         if splats.size is not None:
             scales = fit_scales(splats.size[order], settings.radius, None)
             sizes = encode_sizes(splats.size[order], scales), scales.cells
-        number, frames = encode_quadrics(local[order], splats.normal[order], asked, sizes=sizes)
+        number, _, frames = quadrics_of_groups(local[order], splats.normal[order], asked, sizes=sizes)
         keys = [number, *keys]
     sorted_ = np.lexsort(keys)
     order = order[sorted_]
@@ -232,11 +232,12 @@ def build_scene_and_order(
     return PackedScene(header, arrays), order
 
 
-def _quadrics(number: np.ndarray, frames: Frames, batch_count: np.ndarray) -> dict[str, np.ndarray]:
+def _quadrics(number: np.ndarray, frames: dict[str, np.ndarray], batch_count: np.ndarray) -> dict[str, np.ndarray]:
     """The arrays of splats over quadrics, of numbers (n,) in the order of the file."""
-    words = number_words(batch_count, frames.bits)
-    stream = np.append(pack_numbers(number, batch_count, frames.bits), np.uint32(0))
-    return arrays_of_frames(frames) | {"splats": stream, "splat_word": (words.cumsum() - words).astype(np.uint32)}
+    bits = frames["frame_bits"]
+    _, words = number_starts(batch_count, bits)
+    stream = np.append(pack_numbers(number, batch_count, bits), np.uint32(0))
+    return frames | {"splats": stream, "splat_word": (words.cumsum() - words).astype(np.uint32)}
 
 
 def color_boxes(color: np.ndarray, step: int) -> dict[str, np.ndarray]:

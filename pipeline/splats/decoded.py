@@ -136,7 +136,7 @@ def decoded_centres(splats: Path, start: int, stop: int) -> np.ndarray:
         return arrays.read(splats, "centre", start, stop).astype(np.float64)
     chunks = slice(start // CHUNK, -(-stop // CHUNK))
     if arrays.exists(splats, FRAMES[0]):
-        named = [name for name in (*FRAMES, "size_scale") if arrays.exists(splats, name)]
+        named = [name for name in (*FRAMES, "frame_box", "size_scale") if arrays.exists(splats, name)]
         frames = {name: arrays.read(splats, name, chunks.start, chunks.stop) for name in named}
         return decode_quadrics(arrays.read(splats, "number", start, stop), frames_of_arrays(frames))[0]
     boxes = Boxes(

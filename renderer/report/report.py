@@ -116,7 +116,8 @@ def sizes_of(scene: PackedScene, file_bytes: int) -> Sizes:
         for name, a in scene.arrays.items()
     }
     if "splat_word" in arrays:
-        arrays["splat_word"] = 4 * scene.header.n_groups  # those of chunks stand in their frames' 9 words
+        arrays["splat_word"] = 20 * scene.header.n_groups  # with what origins of each group count in
+        del arrays["frame_box"]
     if scene.header.runs:
         arrays = _as_runs_are_uploaded(scene, arrays)
     return sizes_from(scene.header, arrays, file_bytes)

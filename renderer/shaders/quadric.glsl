@@ -1,7 +1,8 @@
 // Position and normal of a splat as a cell over its chunk's quadric: numbers as storage/packed/quadrics.py packs them, decoded as
-// pipeline/geometry/quadrics/frames.py does. Needs view.glsl, splat_word and `boxes` with BOX_WORDS a chunk: origin (0 to 2), turn, bits of
-// numbers and low bits of the normals' map (3), step, high bit of the map and steps of normals (4), curve and high parts of cells (5), low parts of cells and scale of sizes (6), slopes of
-// normals (7), where their steps begin and the chunk's first word in its group (8).
+// pipeline/geometry/quadrics/frames.py does. Needs view.glsl, splat_word and `boxes` with BOX_WORDS a chunk: origin in the group's box (0 and 1) and
+// step (1); turn, bits of numbers and low bits of the normals' map (2); curve and high parts of cells (3); low parts of cells and scale of sizes (4);
+// slopes of normals (5); where their steps begin, their lean and high bits of the first bit in the group's words and of the map (6); steps of normals
+// and low bits of the first bit (7).
 
 #include "running_counts.glsl"
 
@@ -31,9 +32,8 @@ uint high_bits(uint n, uint bits) {
 
 // The number of a splat: its bits above the lowest 16, and these.
 uvec2 number_of(uint splat) {
-    uint chunk = splat / CHUNK, place = splat % CHUNK, box = chunk * BOX_WORDS, bits = (boxes[box + 3u] >> 24 & 31u) + LEAST_BITS;
-    uint first = splat_word(chunk / CHUNKS_PER_GROUP) + (boxes[box + 8u] >> 18);
-    uint at = 0u, begin = 0u, n = 0u, high = 0u;
+    uint chunk = splat / CHUNK, place = splat % CHUNK, box = chunk * BOX_WORDS, bits = (boxes[box + 2u] >> 24 & 31u) + LEAST_BITS;
+    uint first = splat_word(chunk / CHUNKS_PER_GROUP * GROUP_WORDS), at = (boxes[box + 6u] >> 26 & 31u) << 16 | boxes[box + 7u] >> 16, begin = 0u, n = 0u, high = 0u;
     for (uint batch_above = 1u; batch_above <= scene.n_batches; ++batch_above) {
         uint end = counted(chunk, batch_above);
         if (chunk % CHUNKS_PER_GROUP > 0u) end -= counted(chunk - 1u, batch_above);
@@ -67,7 +67,7 @@ uvec2 number_of(uint splat) {
 }
 
 uvec2 cells_of(uint box) {
-    uint low = boxes[box + 6u], high = boxes[box + 5u] >> 24;
+    uint low = boxes[box + 4u], high = boxes[box + 3u] >> 24;
     return (uvec2(low, low >> 8) & 0xFFu | uvec2(high << 8 & 0xF00u, high << 4 & 0xF00u)) + 1u;
 }
 
@@ -94,7 +94,7 @@ uvec3 divided(uvec2 number, uint divisor) {
 // quotient of its number by sizes and steps of normals, which are its lowest digits.
 uint read_number(uint splat, out ivec3 normal, out uint size) {
     uint box = splat / CHUNK * BOX_WORDS;
-    uvec2 number = number_of(splat), steps = (uvec2(boxes[box + 4u]) >> uvec2(16u, 24u) & 0xFFu) + 1u, cells = cells_of(box);
+    uvec2 number = number_of(splat), steps = (uvec2(boxes[box + 7u]) >> uvec2(0u, 8u) & 0xFFu) + 1u, cells = cells_of(box);
     size = 0u;
 #ifdef SIZE_BITS
     uvec3 quotient = divided(number, sizes_of(box));
@@ -102,14 +102,16 @@ uint read_number(uint splat, out ivec3 normal, out uint size) {
     size = quotient.z;
 #endif
     uvec3 by_normals = divided(number, steps.x * steps.y);
-    uint cell = (by_normals.x << 16) + by_normals.y, which = by_normals.z, low = boxes[box + 8u];
+    uint cell = (by_normals.x << 16) + by_normals.y, which = by_normals.z, low = boxes[box + 6u];
     ivec2 across = ivec2(2u * digits_of(cell, cells).xy + 1u) - ivec2(cells);
-    ivec4 slope = bytes_of(boxes[box + 7u]);
+    ivec4 slope = bytes_of(boxes[box + 5u]);
     ivec2 sloped = ivec2(slope.x * across.x + slope.y * across.y, slope.z * across.x + slope.w * across.y) >> 8;
     ivec2 begin = ivec2(low & 0x1FFu, low >> 9 & 0x1FFu) - 256;
     uint row = which / steps.x;
-    int map = 175 - 8 * int(boxes[box + 3u] >> 29 | boxes[box + 4u] >> 12 & 8u);
-    normal = octahedron_of(wrapped(clamp(begin + ivec2(which - row * steps.x, row) + sloped, -2 * map, 2 * map), map), map);
+    ivec2 digit = ivec2(which - row * steps.x, row);
+    digit.y += (int(low << 6) >> 24) * digit.x >> 6;
+    int map = 175 - 8 * int(boxes[box + 2u] >> 29 | low >> 28 & 8u);
+    normal = octahedron_of(wrapped(clamp(begin + digit + sloped, -2 * map, 2 * map), map), map);
     return cell;
 }
 
@@ -127,9 +129,9 @@ vec3 place_in_frame(uint box, uint code) {
     uvec2 cells = cells_of(box);
     uvec3 cell = digits_of(code, cells);
     vec2 across = vec2(2u * cell.xy + 1u) - vec2(cells);
-    vec3 curve = vec3(bytes_of(boxes[box + 5u]).xyz) / float(1u << (bit_length(max(cells.x, cells.y)) + 7u));
+    vec3 curve = vec3(bytes_of(boxes[box + 3u]).xyz) / float(1u << (bit_length(max(cells.x, cells.y)) + 7u));
     float height = curve.x * across.x * across.x + curve.y * across.x * across.y + curve.z * across.y * across.y;
-    vec3 along = (vec3(cell) + vec3(0.5, 0.5, 0.5 + height)) * uintBitsToFloat(boxes[box + 4u] << 16 & 0x7FFFFFFFu);
-    vec4 turn = normalize(vec4(bytes_of(boxes[box + 3u]).xyz, 117));
+    vec3 along = (vec3(cell) + vec3(0.5, 0.5, 0.5 + height)) * uintBitsToFloat(boxes[box + 1u] & 0x7FFF0000u);
+    vec4 turn = normalize(vec4(bytes_of(boxes[box + 2u]).xyz, 117));
     return turned_by(turn, along);
 }

@@ -7,17 +7,19 @@ vec3 turned_by(vec4 q, vec3 p) { return p + 2.0 * cross(q.xyz, cross(q.xyz, p) +
 
 layout(std430, binding = 1) readonly buffer Boxes { uint boxes[]; };  // BOX_WORDS a chunk: low, size, bits and sizes, those of its colours, then the sizes of its splats
 #ifdef QUADRICS
-layout(std430, binding = 0) readonly buffer Splats { uint splats[]; };  // the first word of each group, then those of all numbers
+layout(std430, binding = 0) readonly buffer Splats { uint splats[]; };  // of each group its first word, where its box begins and the unit there; then the words of all numbers
+const uint GROUP_WORDS = 5u;
 
 uint splat_word(uint at) { return splats[at]; }
 
 layout(std430, binding = 10) readonly buffer Colors { uint colors[]; };  // in boxes, or 3 B a splat
-const uint COLOR_WORD = 9u;
+const uint COLOR_WORD = 8u;
+const uint SCALE_WORD = 4u;  // its upper half has the scale of sizes
 #ifdef COLOR_BOXES
 #include "bits.glsl"
-const uint SIZE_WORD = 13u;
+const uint SIZE_WORD = 12u;
 #else
-const uint SIZE_WORD = 9u;
+const uint SIZE_WORD = 8u;
 #endif
 #elif defined(RUNS)
 const uint COLOR_WORD = 7u;
@@ -63,6 +65,7 @@ uvec2 splat_words(uint splat) { return splats[splat]; }
 #endif
 
 #ifndef QUADRICS
+const uint SCALE_WORD = 6u;  // its upper half has the scale of sizes
 #ifdef SIZE_BITS
 #include "bits.glsl"
 const uint BOX_WORDS = SIZE_WORD + 4u * uint(SIZE_BITS);
@@ -97,7 +100,7 @@ const uint BOX_WORDS = SIZE_WORD;
 
 // How many values codes of sizes have in a chunk.
 uint sizes_of(uint box) {
-    uint scale = boxes[box + 6u] >> 16;
+    uint scale = boxes[box + SCALE_WORD] >> 16;
     return min(1u + (8u * ((scale >> 8) - (scale & 0xFFu)) + 14u) / 15u, 16u);
 }
 #endif
@@ -110,8 +113,10 @@ uint sizes_of(uint box) {
 // Against a place that is the sum of two floats, part by part.
 vec3 position_against(vec3 place_high, vec3 place_low, uint splat, uint code) {
     uint box = splat / CHUNK * BOX_WORDS;
-    vec3 origin = uintBitsToFloat(uvec3(boxes[box], boxes[box + 1u], boxes[box + 2u]));
-    return against(place_high, place_low, origin) + place_in_frame(box, code);
+    uint head = splat / GROUP * GROUP_WORDS;
+    vec3 low = uintBitsToFloat(uvec3(splat_word(head + 1u), splat_word(head + 2u), splat_word(head + 3u)));
+    vec3 origin = vec3(boxes[box] & 0xFFFFu, boxes[box] >> 16, boxes[box + 1u] & 0xFFFFu) * uintBitsToFloat(splat_word(head + 4u));
+    return against(place_high, place_low, low) + (origin + place_in_frame(box, code));
 }
 #elif !defined(RUNS)
 // Against a place that is the sum of two floats, part by part.
@@ -140,7 +145,7 @@ uint read_splat(uint splat, out ivec3 normal) {
 float radius_of(uint splat) {
 #ifdef SIZE_BITS
     uint box = splat / CHUNK * BOX_WORDS;
-    float low = float(boxes[box + 6u] >> 16 & 0xFFu), high = float(boxes[box + 6u] >> 24);
+    float low = float(boxes[box + SCALE_WORD] >> 16 & 0xFFu), high = float(boxes[box + SCALE_WORD] >> 24);
     float at = low + (high - low) * float(size_code(splat)) / float(max(sizes_of(box), 2u) - 1u);
     return scene.radius * exp2((at - 128.0) / 16.0) * GROWTH_OF(splat / GROUP);
 #else

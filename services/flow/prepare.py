@@ -210,7 +210,7 @@ def _over_quadrics_or_in_boxes(
     made = splats_with(error := quadric_error(asked))
     if error is None:
         return made
-    row = quadrics_row(asked, made.splats.summary)
+    row = quadrics_row(asked, made.splats.summary, made.sources.used_sizes is not None)
     return replace(made if row.enabled else splats_with(None), geometry=(row,))
 
 

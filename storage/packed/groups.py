@@ -15,7 +15,7 @@ import numpy as np
 from storage.packed.batches import group_batch_counts
 from storage.packed.bits import unpack_sizes
 from storage.packed.colors import color_words
-from storage.packed.quadrics import frame_boxes, frame_sizes, number_words, unpack_numbers
+from storage.packed.quadrics import check_frames, frame_boxes, frame_sizes, number_starts, unpack_numbers
 from storage.packed.runs.tables import DECODED, most_bytes, run_bounds
 from storage.packed.schema import (
     BOXES,
@@ -118,21 +118,20 @@ def rows_told(header: Header, arrays: dict[str, np.ndarray]) -> dict[str, np.nda
         words = color_words(header.n_splats, bits)
         told["colors"] = np.add.reduceat(words, np.arange(0, len(words), GROUP // CHUNK))
     if header.geometry == QUADRICS:
-        words = number_words(arrays["batch_count"], arrays["frame_bits"])
-        told["splats"] = np.add.reduceat(words, np.arange(0, len(words), GROUP // CHUNK))
+        told["splats"] = number_starts(arrays["batch_count"], arrays["frame_bits"])[1]
     return told
 
 
 def first_words(header: Header, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Where streams that stand one group after the other begin: of each group `group_word`, `clipline_word` and
-    `ellipsoid_word` (g,), and of each chunk `color_word` and `splat_word` (c,), uint32."""
+    """Where streams that stand one group after the other begin: of each group `group_word`, `clipline_word`,
+    `ellipsoid_word` and `splat_word` (g,), and of each chunk `color_word` (c,), uint32."""
     table_of = {extra.stream: extra.table for extra in EXTRAS} | {"codes": "group_word"}
     words = {table_of[name]: n for name, n in rows_told(header, arrays).items() if name in table_of}
     if header.color_step:
         bits = color_bits(arrays["color_size"], header.color_step).sum(axis=1)
         words["color_word"] = color_words(header.n_splats, bits)
     if header.geometry == QUADRICS:
-        words["splat_word"] = number_words(arrays["batch_count"], arrays["frame_bits"])
+        words["splat_word"] = number_starts(arrays["batch_count"], arrays["frame_bits"])[1]
     return {name: (np.cumsum(n) - n).astype(np.uint32) for name, n in words.items()}
 
 
@@ -162,8 +161,8 @@ def _bounds(header: Header, arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, 
     if header.runs:
         return run_bounds(header, arrays)
     if header.geometry == QUADRICS:
-        low, high = frame_boxes(arrays)
-        return low.min(axis=0), high.max(axis=0)
+        box = arrays["frame_box"][0].astype(np.float64)
+        return box[:3], box[3:]
     high = arrays["box_low"].astype(np.float64) + arrays["box_size"]
     return arrays["box_low"].min(axis=0).astype(np.float64), high.max(axis=0)
 
@@ -175,9 +174,8 @@ def radii_of(header: Header, arrays: dict[str, np.ndarray]) -> np.ndarray:
         return np.full(n, header.radius)
     chunk = np.arange(n) // CHUNK
     if header.geometry == QUADRICS:
-        words = number_words(arrays["batch_count"], arrays["frame_bits"])
-        stream = np.append(arrays["splats"][: words.sum()], np.uint32(0))
-        number = unpack_numbers(stream, words.cumsum() - words, arrays["batch_count"], arrays["frame_bits"])
+        stream = np.append(arrays["splats"], np.uint32(0))
+        number = unpack_numbers(stream, arrays["batch_count"], arrays["frame_bits"])
         cells = frame_sizes(arrays).astype(np.int64)[chunk]
         code = number.astype(np.int64) % cells
     else:
@@ -205,14 +203,22 @@ def _cone(code: np.ndarray) -> np.ndarray:
 def check_outline(header: Header, table: GroupTable, index: int, arrays: dict[str, np.ndarray]) -> None:
     """ValueError unless the table says of group `index` what its arrays show."""
     told = outline_of(header, arrays)
+    if header.geometry == QUADRICS:
+        _check_box(index, arrays)
     for name in ("low", "high"):
-        found, wanted = getattr(table, name)[index], told[name].astype(np.float32)
-        off = (
-            SAME_CORNER * np.abs(wanted).max() if header.geometry == QUADRICS else 0.0
-        )  # rotations round as machines do
-        if not (np.abs(found - wanted) <= off).all():
+        if not (getattr(table, name)[index] == told[name].astype(np.float32)).all():
             raise ValueError(f"group_{name} of group {index} is not that of its splats")
     if np.abs(table.cone[index].astype(int) - told["cone"]).max() > 1:
         raise ValueError(f"group_cone of group {index} is not that of its normals")
     if not np.allclose(table.radius[index], told["radius"], rtol=SAME_RADIUS, atol=0):
         raise ValueError(f"group_radius of group {index} is not that of its splats")
+
+
+def _check_box(index: int, arrays: dict[str, np.ndarray]) -> None:
+    """ValueError unless the box that a group's origins count in holds all of its cells."""
+    check_frames(arrays)
+    low, high = frame_boxes(arrays)
+    box = arrays["frame_box"][0].astype(np.float64)
+    off = SAME_CORNER * np.abs(box).max()  # rotations round as machines do
+    if not ((low >= box[:3] - off).all() and (high <= box[3:] + off).all()):
+        raise ValueError(f"group_low and group_high of group {index} do not hold its splats")

@@ -26,7 +26,7 @@ from storage.packed.groups import TABLE, GroupTable, check_outline, first_words,
 from storage.packed.layout import MODELS, chunk_bytes, chunk_member, chunk_shape, group_members, shape_of
 from storage.packed.runs.tables import DECODED, joined_tables
 from storage.packed.scene import PackedScene, check_tables
-from storage.packed.schema import BY_NAME, GROUP, Array, Header, arrays_of, atom_arrays
+from storage.packed.schema import BY_NAME, GROUP, QUADRICS, Array, Header, arrays_of, atom_arrays
 from storage.packed.seal import SUFFIX, check_seal, is_packed_file
 from storage.packed.totals import Totals, array_bytes
 
@@ -208,6 +208,9 @@ class PackedFile:
             for name, told in rows_told(header, arrays).items():
                 if n_rows[name] != told[0]:
                     raise ValueError(f"group_rows says {n_rows[name]} of {name} in group {index}, its counts {told[0]}")
+            if header.geometry == QUADRICS:
+                box = np.concatenate([self.groups.low[index], self.groups.high[index]])
+                arrays["frame_box"] = np.tile(box, (header.n_chunks, 1))
             if header.runs:
                 arrays |= decoded_runs(arrays.pop("run_codes"), header.n_splats)
             check_outline(header, self.groups, index, arrays)

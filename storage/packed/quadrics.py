@@ -4,7 +4,8 @@ need not be kept.
 The splats of a chunk that are of one batch may stand in any order, so they stand by their numbers. Of n numbers of
 `bits` bits each the highest h = ceil(log2 n) are kept in unary: a bit vector of n + 2^h bits that has its one for splat
 r at bit (high bits + r). The other bits follow, a field a splat. So n splats take n (bits - h + 1) + 2^h bits, for n
-bits without: 5 a splat less of a chunk of one batch. Every chunk begins on a whole word.
+bits without: 5 a splat less of a chunk of one batch. Chunks follow each other bit by bit, and every group begins on a whole
+word.
 
 Paper: Elias, "Efficient storage and retrieval by content and address of static files", J. ACM 1974; Fano 1971.
 """
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from storage.packed.batches import CHUNKS_PER_GROUP
 from storage.packed.schema import (
     CHUNK,
     LEAST_NUMBER_BITS,
@@ -23,6 +25,7 @@ from storage.packed.schema import (
     NORMAL_GRIDS,
     TURN_W,
     curve_units,
+    frame_origins,
     size_cells,
     steps_of,
 )
@@ -46,9 +49,15 @@ def _lengths(counts: np.ndarray, bits: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return high, vector, vector + n * (bits.astype(np.int64)[:, None] - high)
 
 
-def number_words(counts: np.ndarray, bits: np.ndarray) -> np.ndarray:
-    """Words (c,) int64 of each chunk, of splats of each batch (c, b) and bits of a number (c,)."""
-    return -(-_lengths(counts, bits)[2].sum(axis=1) // 32)
+def number_starts(counts: np.ndarray, bits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the numbers of each chunk begin, (c,) int64, in bits from the first of all groups', and the words (g,) int64
+    that those of each group take; of splats of each batch (c, b) and bits of a number (c,), which begin a group."""
+    taken = _lengths(counts, bits)[2].sum(axis=1)
+    first = np.arange(0, len(taken), CHUNKS_PER_GROUP)
+    words = -(-np.add.reduceat(taken, first) // 32)
+    group = np.arange(len(taken)) // CHUNKS_PER_GROUP
+    before = taken.cumsum() - taken
+    return before - before[first][group] + 32 * (words.cumsum() - words)[group], words
 
 
 @dataclass(frozen=True)
@@ -64,9 +73,9 @@ class _Places:
     n: np.ndarray  # (c b,) splats
 
 
-def _places(first_word: np.ndarray, counts: np.ndarray, bits: np.ndarray) -> _Places:
+def _places(first_bit: np.ndarray, counts: np.ndarray, bits: np.ndarray) -> _Places:
     high, vector, whole = _lengths(counts, bits)
-    at = 32 * first_word.astype(np.int64)[:, None] + whole.cumsum(axis=1) - whole
+    at = first_bit[:, None] + whole.cumsum(axis=1) - whole
     n, low = counts.astype(np.int64).ravel(), (bits.astype(np.int64)[:, None] - high).ravel()
     batch = np.repeat(np.arange(len(n)), n)
     rank = np.arange(len(batch)) - np.repeat(n.cumsum() - n, n)
@@ -75,9 +84,10 @@ def _places(first_word: np.ndarray, counts: np.ndarray, bits: np.ndarray) -> _Pl
 
 
 def pack_numbers(number: np.ndarray, counts: np.ndarray, bits: np.ndarray) -> np.ndarray:
-    """The words of numbers (n,) below 2^bits that ascend in each batch of each chunk, without the spare word."""
-    words = number_words(counts, bits)
-    places = _places(words.cumsum() - words, counts, bits)
+    """The words of numbers (n,) below 2^bits that ascend in each batch of each chunk, without the spare word; they begin
+    a group."""
+    first, words = number_starts(counts, bits)
+    places = _places(first, counts, bits)
     number, stream = number.astype(np.uint64), np.zeros(32 * int(words.sum()), np.uint8)
     unary = places.high[places.batch] > 0
     top = (number >> places.low.astype(np.uint64)).astype(np.int64)
@@ -88,17 +98,17 @@ def pack_numbers(number: np.ndarray, counts: np.ndarray, bits: np.ndarray) -> np
     return np.packbits(stream, bitorder="little").view("<u4").astype(np.uint32)
 
 
-def unpack_numbers(words: np.ndarray, first_word: np.ndarray, counts: np.ndarray, bits: np.ndarray) -> np.ndarray:
-    """The numbers (n,) uint64 that `pack_numbers` packed; `first_word` (c,) of each chunk in `words`, which end in a
-    spare word.
+def unpack_numbers(words: np.ndarray, counts: np.ndarray, bits: np.ndarray) -> np.ndarray:
+    """The numbers (n,) uint64 that `pack_numbers` packed to `words`, which end in a spare word.
 
     Raises: ValueError where a vector has not a one for each splat.
     """
-    places = _places(first_word, counts, bits)
+    first, _ = number_starts(counts, bits)
+    places = _places(first, counts, bits)
     low = places.low.astype(np.uint64)
     lowest = _field(words, places.field, np.full(len(low), LEAST_NUMBER_BITS, np.uint64))
     above = _field(words, places.field + LEAST_NUMBER_BITS, low - np.uint64(LEAST_NUMBER_BITS))
-    top = _tops(words, first_word, places, counts.shape)
+    top = _tops(words, first, places, counts.shape)
     return top << low | above << np.uint64(LEAST_NUMBER_BITS) | lowest
 
 
@@ -109,7 +119,7 @@ def _field(words: np.ndarray, first_bit: np.ndarray, width: np.ndarray) -> np.nd
     return (both >> shift) & ((np.uint64(1) << width) - np.uint64(1))
 
 
-def _tops(words: np.ndarray, first_word: np.ndarray, places: _Places, shape: tuple[int, ...]) -> np.ndarray:
+def _tops(words: np.ndarray, first: np.ndarray, places: _Places, shape: tuple[int, ...]) -> np.ndarray:
     """What the vectors say, (n,) uint64."""
     top = np.zeros(len(places.batch), np.uint64)
     of_batches = places.n.cumsum()
@@ -118,8 +128,8 @@ def _tops(words: np.ndarray, first_word: np.ndarray, places: _Places, shape: tup
         rows = rows[places.high[rows] > 0]
         if not len(rows):
             continue
-        begin = int(first_word[start])
-        end = int(first_word[start + _BLOCK]) if start + _BLOCK < shape[0] else len(words)
+        begin = int(first[start]) // 32
+        end = int(first[start + _BLOCK]) // 32 if start + _BLOCK < shape[0] else len(words)
         stream = np.unpackbits(words[begin:end].astype("<u4").view(np.uint8), bitorder="little")
         length = places.n[rows] + (1 << places.high[rows])
         of_vectors = length.cumsum() - length
@@ -127,9 +137,9 @@ def _tops(words: np.ndarray, first_word: np.ndarray, places: _Places, shape: tup
         ones = stream[np.repeat(places.vector[rows] - 32 * begin, length) + bit] > 0
         if not (np.add.reduceat(ones, of_vectors, dtype=np.int64) == places.n[rows]).all():
             raise ValueError("splats has a bit vector that has not a one for each splat of its batch")
-        first = of_batches[rows] - places.n[rows]
+        first_splat = of_batches[rows] - places.n[rows]
         splat = (
-            np.repeat(first, places.n[rows])
+            np.repeat(first_splat, places.n[rows])
             + np.arange(places.n[rows].sum())
             - np.repeat(places.n[rows].cumsum() - places.n[rows], places.n[rows])
         )
@@ -167,22 +177,25 @@ def check_numbers(arrays: dict[str, np.ndarray]) -> None:
     """ValueError unless frames and numbers are what decoders take them for, so that none leaves 32 bits or an array."""
     check_frames(arrays)
     bits = arrays["frame_bits"].astype(np.int64)
-    words = number_words(arrays["batch_count"], bits)
+    _, words = number_starts(arrays["batch_count"], bits)
     if len(arrays["splats"]) != words.sum() + 1 or not (arrays["splat_word"] == words.cumsum() - words).all():
         raise ValueError("splat_word and splats do not fit batch_count and frame_bits")
-    unpack_numbers(arrays["splats"], arrays["splat_word"], arrays["batch_count"], bits)
+    unpack_numbers(arrays["splats"], arrays["batch_count"], bits)
 
 
 def frame_boxes(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Low and high corner (c, 3) float64 against the origin of a box that holds all cells that numbers of each chunk
     can name; of frames that `check_frames` refuses, anything."""
     with np.errstate(all="ignore"):
-        return _frame_boxes(arrays)
+        low, high = frame_extents(arrays, frame_sizes(arrays))
+        origin = frame_origins(arrays)
+        return origin + low, origin + high
 
 
-def _frame_boxes(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def frame_extents(arrays: dict[str, np.ndarray], sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same against the frames' own origins, where codes of sizes have so many values (c,)."""
     cells = arrays["frame_cells"].astype(np.float64)
-    states = cells.prod(axis=1) * (arrays["normal_cells"] + 1.0).prod(axis=1) * frame_sizes(arrays)
+    states = cells.prod(axis=1) * (arrays["normal_cells"] + 1.0).prod(axis=1) * sizes
     squares = np.stack([cells[:, 0] ** 2, cells.prod(axis=1), cells[:, 1] ** 2], axis=1)
     rise = (np.abs(arrays["frame_curve"].astype(np.float64)) * squares).sum(axis=1) * curve_units(cells)
     ends = np.stack([cells[:, 0], cells[:, 1], 2.0 ** arrays["frame_bits"] / states + 2 * rise], axis=1)
@@ -193,5 +206,4 @@ def _frame_boxes(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]
     axis, w = turn[..., :3], turn[..., 3:]
     turned = corners + 2 * np.cross(axis, np.cross(axis, corners) + w * corners)
     turned *= steps_of(arrays["frame_step"])[:, None, None]
-    origin = arrays["frame_origin"].astype(np.float64)
-    return origin + turned.min(axis=1), origin + turned.max(axis=1)
+    return turned.min(axis=1), turned.max(axis=1)

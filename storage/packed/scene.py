@@ -79,8 +79,7 @@ class PackedScene:
     @cached_property
     def numbers(self) -> np.ndarray:
         """Of each splat, (n,) uint64, where the geometry is quadrics."""
-        words, first = self.arrays["splats"], self.arrays["splat_word"]
-        return unpack_numbers(words, first, self.arrays["batch_count"], self.arrays["frame_bits"])
+        return unpack_numbers(self.arrays["splats"], self.arrays["batch_count"], self.arrays["frame_bits"])
 
     @cached_property
     def size_codes(self) -> np.ndarray:

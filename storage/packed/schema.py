@@ -40,6 +40,7 @@ MOST_RUNS = 256  # of a section
 LEAST_NUMBER_BITS, MOST_NUMBER_BITS = 16, 47  # of the number of a splat over a quadric
 MOST_FRAME_CELLS = 4096  # along an axis of a quadric's frame
 NORMAL_GRIDS = 16  # of octahedral maps over quadrics: map x has 175 - 8 x steps
+LEAST_SIDE = 2.0**-100  # of a group's box, as origins of frames count in it
 TURN_W = 117  # of quaternions whose other entries are bytes; those of encoders are below 1.083 of it
 SIZE_BITS = (0, 2, 3, 4)  # that a splat's radius may take, 4 over quadrics; without any all have the header's
 SIZE_STEPS_AN_OCTAVE, ONE_SIZE = 16, 128  # of radii: step s is 2^((s - 128) / 16) of the header's
@@ -247,7 +248,7 @@ ARRAYS = (
     Array("sizes", ("c", "s"), "uint32", "geometry", "radius of each splat between them, a chunk in whole words"),
     Array("position", ("n", "3"), "uint8", "geometry", "24-bit cell index, little-endian: x lowest, then y, then z"),
     Array("normal", ("n", "2"), "int8", "geometry", "octahedral normal, -127..127"),
-    Array("frame_origin", ("c", "3"), "float32", "geometry", "lowest corner of each chunk's cells against the origin"),
+    Array("frame_origin", ("c", "3"), "uint16", "geometry", "lowest corner of each chunk's cells in its group's box"),
     Array("frame_turn", ("c", "3"), "int8", "geometry", "x, y, z of a quaternion with w 117: the chunk's axes"),
     Array("frame_step", ("c",), "uint16", "geometry", "side of each chunk's cells, unit: the upper half of a float32"),
     Array("frame_cells", ("c", "2"), "uint16", "geometry", "how many cells along the first two axes"),
@@ -256,6 +257,7 @@ ARRAYS = (
     Array("normal_low", ("c", "2"), "int16", "geometry", "octahedral coordinates that steps of normals count from"),
     Array("normal_cells", ("c", "2"), "uint8", "geometry", "steps of normals along each coordinate, less 1"),
     Array("normal_slope", ("c", "4"), "int8", "geometry", "256ths by which normals turn a half cell"),
+    Array("normal_lean", ("c",), "int8", "geometry", "64ths by which the second coordinate follows the first's steps"),
     Array("normal_grid", ("c",), "uint8", "geometry", "how fine the octahedral map of each chunk is: 175 - 8 x steps"),
     Array("splats", ("g", "e"), "uint32", "geometry", "number of each splat: its normal's steps lowest, then its cell"),
     Array("run_codes", ("g", "u"), "uint8", "geometry", "sections, starts, turns and steps of normals, range coded"),
@@ -402,6 +404,23 @@ def origin_quanta(code: np.ndarray) -> np.ndarray:
     import numpy as np
 
     return np.exp2((code.astype(np.int64) >> 7) - 128.0)
+
+
+def origin_units(box: np.ndarray) -> np.ndarray:
+    """What `frame_origin` counts in, (c,) float64, of the boxes (c, 6) float32 of groups, low corners first: the power
+    of two of which the box's longest side has 2^15 to 2^16."""
+    import numpy as np
+
+    longest = np.maximum((box[:, 3:] - box[:, :3]).max(axis=1), np.float32(LEAST_SIDE))
+    return np.exp2((longest.view(np.uint32) >> np.uint32(23)).astype(np.float64) - (127 + 15))
+
+
+def frame_origins(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """Lowest corners (c, 3) float64 against the origin of the cells of each chunk, by its group's box."""
+    import numpy as np
+
+    box = arrays["frame_box"]
+    return box[:, :3].astype(np.float64) + arrays["frame_origin"] * origin_units(box)[:, None]
 
 
 def normal_steps(grid: np.ndarray) -> np.ndarray:

@@ -50,4 +50,4 @@ def array_bytes(header: Header, rows: list[int]) -> dict[str, int]:
         if array.name in tables:
             found[tables[array.name]] = 4 * header.n_groups
     found |= {"color_word": 4 * header.n_chunks} if header.color_step else {}
-    return found | ({"splat_word": 4 * header.n_groups} if header.geometry == QUADRICS else {})
+    return found | ({"splat_word": 20 * header.n_groups} if header.geometry == QUADRICS else {})

@@ -99,6 +99,7 @@ WORK_ARRAYS = (
     WorkArray("box_low", "float32", ("c", 3), ("splats",), "corner of a chunk's box"),
     WorkArray("box_size", "float32", ("c", 3), ("splats",), "its sides"),
     WorkArray("box_bits", "uint8", ("c", 3), ("splats",), "bits that each of its axes gets"),
+    WorkArray("frame_box", "float32", ("c", 6), ("splats",), "corners of the box of a chunk's group"),
     *(WorkArray(name, BY_NAME[name].dtype, ("c", *map(int, BY_NAME[name].dims[1:])), ("splats",), "as packed")
       for name in FRAMES),
     WorkArray("centre", "float32", ("n", 3), ("splats",), "decoded, of runs"),

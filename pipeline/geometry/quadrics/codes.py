@@ -10,7 +10,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from pipeline.geometry.quadrics.frames import SLOPE_BITS, Frames, curved, sloped
+from pipeline.geometry.quadrics.frames import LEAN_BITS, SLOPE_BITS, Frames, curved, leaning, sloped
 from pipeline.geometry.quadrics.quaternions import axes_of
 from pipeline.geometry.quadrics.surfaces import WHOLE, Surface, surface
 from storage.packed.schema import (
@@ -45,14 +45,16 @@ def encode_quadrics(
     asked: np.ndarray,
     normal_error: float = NORMAL_ERROR,
     sizes: tuple[np.ndarray, np.ndarray] | None = None,
+    unit: np.ndarray | None = None,
 ) -> tuple[np.ndarray, Frames]:
     """Numbers (n,) uint64 and the frames of chunks, of positions (n, 3) float64 against the origin, unit
     normals (n, 3), sides of cells (c,) as `asked_steps` makes them, and how far normals may be off, degrees; of `sizes`
-    their codes (n,) and how many values these have in each chunk (c,).
+    their codes (n,) and how many values these have in each chunk (c,); powers of two `unit` (c,) that origins are whole
+    multiples of at least.
 
-    Guarantees: the decoded position lies within half a cell of the given one along every axis of its frame, but for
-    float32's rounding of `origin`; cells are at most 1.11 as wide as asked where 47 bits, 2^31 cells, 4,096 along an
-    axis and that rounding leave them so; normals are those of the best code on their chunk's map, whose mean error is the
+    Guarantees: the decoded position lies within half a cell of the given one along every axis of its frame; origins are
+    whole multiples of `unit`, or of half the power of two below their cells where that is more; cells are at most 1.13 as wide as asked where 47 bits, 2^31 cells, 4,096 along an
+    axis and 2^-22 of a coordinate leave them so; normals are those of the best code on their chunk's map, whose mean error is the
     one asked for within 4 %, where 55 to 175 steps do, and 127 in chunks that look all round. A chunk depends on no
     other.
     """
@@ -61,7 +63,8 @@ def encode_quadrics(
         n_chunks, CHUNK
     )  # the last splat fills up the last chunk
     code, values = sizes or (np.zeros(n, np.int64), np.ones(n_chunks, np.uint8))
-    piece = surface(position[rows], normal[rows], normal_error, code[rows].astype(np.int64), values)
+    unit = np.zeros(n_chunks) if unit is None else unit
+    piece = surface(position[rows], normal[rows], normal_error, code[rows].astype(np.int64), values, unit)
     least = np.maximum(_least_steps(piece), piece.smallest)
     step = _up(np.maximum(asked * TO_SPARE, least))
     frames, number, largest = _coded(piece, step)
@@ -104,11 +107,11 @@ def _coded(piece: Surface, step: np.ndarray) -> tuple[Frames, np.ndarray, np.nda
     cell, half = _cells(piece.point, frames)
     low, many = _normal_range(half, piece.unfolded, frames)
     folded = ((many > MOST_NORMALS) | (np.abs(low) > MOST_LOW)).any(axis=1)
-    frames.normal_slope[folded] = 0
+    frames.normal_slope[folded], frames.normal_lean[folded] = 0, 0
     codes = np.where((folded & (piece.grid >= WHOLE))[:, None, None], piece.normal, piece.unfolded)
     low, many = _normal_range(half, codes, frames)
     frames.normal_low[:], frames.normal_cells[:] = low, many - 1
-    digit = codes - sloped(half, frames.normal_slope[:, None]) - low[:, None]
+    digit = _left(half, codes, frames) - low[:, None]
     cells = frames.cells.astype(np.int64)[:, None]
     place = (cell[..., 2] * cells[..., 1] + cell[..., 1]) * cells[..., 0] + cell[..., 0]
     number = (place * many[:, None, 1] + digit[..., 1]) * many[:, None, 0] + digit[..., 0]
@@ -119,11 +122,12 @@ def _coded(piece: Surface, step: np.ndarray) -> tuple[Frames, np.ndarray, np.nda
 def _least_steps(piece: Surface) -> np.ndarray:
     """The side (c,) of the smallest cells of which the chunk's box has no more than MOST_PLACES, and MOST_FRAME_CELLS
     along U and V."""
-    largest = np.maximum(piece.extent.max(axis=1), piece.smallest)
+    extent = piece.extent + np.sqrt(3) * piece.unit[:, None]
+    largest = np.maximum(extent.max(axis=1), piece.smallest)
     low, high = np.full(len(largest), -32.0), np.full(len(largest), 1.0)
     for _ in range(20):
         middle = (low + high) / 2
-        cells = np.floor(piece.extent / (largest * np.exp2(middle))[:, None]) + 2
+        cells = np.floor(extent / (largest * np.exp2(middle))[:, None]) + 2
         fits = (cells.prod(axis=1) <= MOST_PLACES) & (cells[:, :2].max(axis=1) <= MOST_FRAME_CELLS)
         low, high = np.where(fits, low, middle), np.where(fits, middle, high)
     return largest * np.exp2(high)
@@ -131,24 +135,34 @@ def _least_steps(piece: Surface) -> np.ndarray:
 
 def _positioned(piece: Surface, step: np.ndarray) -> Frames:
     """Frames with cells of `step` (c,) uint16; of normals they have the slopes. Origins are whole multiples of half the
-    power of two below the step, which archives keep in few bytes, where all splats stay within the cells so."""
-    quantum = origin_quanta(step)
-    frames = _at_corners(piece, step, np.sqrt(0.75) * quantum)
-    frames.origin[:] = np.rint(frames.origin.astype(np.float64) / quantum[:, None]) * quantum[:, None]
-    along, half = _along(piece.point, frames)
-    height = along[..., 2] - curved(half, frames.curve[:, None], curve_units(frames.cells)[:, None])
-    flat = along[..., :2]
-    within = (flat >= 0) & (flat < frames.cells.astype(np.int64)[:, None])
-    outside = ~(within.all(axis=(1, 2)) & (height >= 0).all(axis=1))
-    if outside.any():
-        others = _at_corners(piece.at(outside), step[outside], np.zeros(int(outside.sum())))
+    power of two below the step, or of the piece's unit where that is larger."""
+    quantum = np.maximum(origin_quanta(step), piece.unit)
+    below = np.sqrt(0.75) * quantum  # along the third axis; where the quadric is steep a cell's move is more
+    frames = _at_corners(piece, step, quantum, below)
+    outside = np.arange(len(step))
+    for _ in range(MOST_ATTEMPTS):
+        low = _heights(piece.point[outside], frames.at(outside)).min(axis=1)
+        outside = outside[low < 0]
+        if not len(outside):
+            return frames
+        below[outside] += (0.5 - low[low < 0]) * steps_of(step[outside])
+        some = piece.at(outside)
+        others = _at_corners(some, step[outside], quantum[outside], below[outside])
         for field in fields(frames):
             getattr(frames, field.name)[outside] = getattr(others, field.name)
-    return frames
+    raise AssertionError(f"no origin of {len(outside)} chunks after {MOST_ATTEMPTS} attempts")
 
 
-def _at_corners(piece: Surface, step: np.ndarray, slack: np.ndarray) -> Frames:
-    """Frames whose origins are so far (c,) below the lowest splats along every axis."""
+def _heights(point: np.ndarray, frames: Frames) -> np.ndarray:
+    """Over the quadric in cells, (c, CHUNK)."""
+    along, half = _along(point, frames)
+    return along[..., 2] - curved(half, frames.curve[:, None], curve_units(frames.cells)[:, None])
+
+
+def _at_corners(piece: Surface, step: np.ndarray, quantum: np.ndarray, below: np.ndarray) -> Frames:
+    """Frames whose origins are multiples of `quantum` (c,), and at most half a diagonal of it above that far below the
+    lowest splats: that diagonal along the first two axes, `below` (c,) along the third."""
+    slack = np.sqrt(0.75) * quantum
     wide, flat = steps_of(step)[:, None], piece.along[..., :2]
     low = flat.min(axis=1) - slack[:, None]
     extent = np.ptp(flat, axis=1) + 2 * slack[:, None]
@@ -158,11 +172,12 @@ def _at_corners(piece: Surface, step: np.ndarray, slack: np.ndarray) -> Frames:
     slope = np.rint(piece.plane * wide[..., None] / 2 * 2**SLOPE_BITS).clip(-127, 127).astype(np.int8)
     cell = np.floor((flat - low[:, None]) / wide[:, None]).clip(0, many - 1)
     height = piece.along[..., 2] / wide - curved(2 * cell + 1 - many, curve[:, None], unit)
-    corner = np.concatenate([low, height.min(axis=1, keepdims=True) * wide - slack[:, None]], axis=1)
+    corner = np.concatenate([low, height.min(axis=1, keepdims=True) * wide - below[:, None]], axis=1)
     origin = piece.middle + np.einsum("ci,cij->cj", corner, axes_of(piece.turn))
+    origin = np.rint(origin / quantum[:, None]) * quantum[:, None]
     two = np.zeros((len(step), 2))
     return Frames(
-        origin.astype(np.float32),
+        origin,
         piece.turn.copy(),
         step.copy(),
         cells,
@@ -171,6 +186,7 @@ def _at_corners(piece: Surface, step: np.ndarray, slack: np.ndarray) -> Frames:
         two.astype(np.int16),
         two.astype(np.uint8),
         slope.reshape(-1, 4),
+        np.rint(piece.lean * 2**LEAN_BITS).clip(-127, 127).astype(np.int8),
         piece.grid.copy(),
         piece.sizes.copy(),
     )
@@ -195,6 +211,13 @@ def _cells(point: np.ndarray, frames: Frames) -> tuple[np.ndarray, np.ndarray]:
 
 def _normal_range(half: np.ndarray, unfolded: np.ndarray, frames: Frames) -> tuple[np.ndarray, np.ndarray]:
     """The lowest steps (c, 2) and how many there are (c, 2), int64."""
-    left = unfolded - sloped(half, frames.normal_slope[:, None])
+    left = _left(half, unfolded, frames)
     low = left.min(axis=1)
     return low, left.max(axis=1) - low + 1
+
+
+def _left(half: np.ndarray, codes: np.ndarray, frames: Frames) -> np.ndarray:
+    """What octahedral codes (c, CHUNK, 2) are beside their chunk's planes, the second beside the first too, int64."""
+    left = codes - sloped(half, frames.normal_slope[:, None])
+    first = left[..., 0] - left[..., 0].min(axis=1, keepdims=True)
+    return np.stack([left[..., 0], left[..., 1] - leaning(first, frames.normal_lean[:, None])], axis=2)

@@ -21,17 +21,27 @@ import numpy as np
 
 from pipeline.geometry.normals import octahedron_of
 from pipeline.geometry.quadrics.quaternions import axes_of
-from storage.packed.schema import CHUNK, FRAMES, curve_units, normal_steps, size_cells, steps_of
+from storage.packed.schema import (
+    CHUNK,
+    FRAMES,
+    curve_units,
+    frame_origins,
+    normal_steps,
+    origin_units,
+    size_cells,
+    steps_of,
+)
 
 SLOPE_BITS = 8  # slopes of normals are in 2^-8 steps a half cell
+LEAN_BITS = 6
 
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames of consecutive chunks, against the scan's origin, in the order of storage.packed.schema.FRAMES; 36
-    bytes a chunk."""
+    """The frames of consecutive chunks, against the scan's origin, in the order of storage.packed.schema.FRAMES; 32
+    bytes a chunk with the scale of its sizes."""
 
-    origin: np.ndarray  # (c, 3) float32: lowest corner of the cells
+    origin: np.ndarray  # (c, 3) float64: lowest corner of the cells
     turn: np.ndarray  # (c, 3) int8: quaternion x, y, z with w TURN_W, from the frame's axes to the file's
     step: np.ndarray  # (c,) uint16: side of a cell, the upper half of a float32
     cells: np.ndarray  # (c, 2) uint16, 1..MOST_FRAME_CELLS: how many along U and V
@@ -42,6 +52,7 @@ class Frames:
     normal_slope: (
         np.ndarray
     )  # (c, 4) int8: 2^-SLOPE_BITS a half cell, of the first coordinate along x and y, then the second
+    normal_lean: np.ndarray  # (c,) int8: 2^-LEAN_BITS of the second coordinate a step of the first
     normal_grid: np.ndarray  # (c,) uint8: how fine the octahedral map is, see normal_steps
     sizes: np.ndarray  # (c,) uint8: values of codes of sizes, 1 where all are of one; size_scale tells them
 
@@ -50,16 +61,25 @@ class Frames:
         return Frames(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
-def arrays_of_frames(frames: Frames) -> dict[str, np.ndarray]:
-    """By their names in a packed file, which tells sizes elsewhere."""
+def named_frames(frames: Frames) -> dict[str, np.ndarray]:
+    """By their names in a packed file, which tells sizes elsewhere; origins as they are."""
     return {name: getattr(frames, field.name) for name, field in zip(FRAMES, fields(frames)[:-1], strict=True)}
+
+
+def arrays_of_frames(frames: Frames, box: np.ndarray) -> dict[str, np.ndarray]:
+    """By their names in a packed file, with the box (c, 6) float32 of each chunk's group."""
+    named = named_frames(frames)
+    place = np.rint((frames.origin - box[:, :3]) / origin_units(box)[:, None])
+    assert place.min(initial=0) >= 0 and place.max(initial=0) < 1 << 16
+    return named | {"frame_origin": place.astype(np.uint16), "frame_box": box}
 
 
 def frames_of_arrays(arrays: dict[str, np.ndarray]) -> Frames:
     """Of the arrays of a packed file."""
     first = arrays[FRAMES[0]]
     sizes = size_cells(arrays["size_scale"]) if "size_scale" in arrays else np.ones(len(first), np.uint8)
-    return Frames(*(*(arrays[name] for name in FRAMES), sizes))
+    named = arrays | {"frame_origin": frame_origins(arrays)}
+    return Frames(*(*(named[name] for name in FRAMES), sizes))
 
 
 def wrapped(code: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -89,7 +109,8 @@ def decode_quadrics(
     along[:, 2] += curved(half, frames.curve[chunk], curve_units(frames.cells)[chunk])
     along *= steps_of(frames.step)[chunk, None]
     position = frames.origin[chunk] + np.einsum("ni,nij->nj", along, axes_of(frames.turn)[chunk])
-    normal = np.stack(digits[:2], axis=1) + frames.normal_low[chunk] + sloped(half, frames.normal_slope[chunk])
+    step = np.stack([digits[0], digits[1] + leaning(digits[0], frames.normal_lean[chunk])], axis=1)
+    normal = step + frames.normal_low[chunk] + sloped(half, frames.normal_slope[chunk])
     steps = normal_steps(frames.normal_grid)[chunk]
     code = wrapped(normal.clip(-2 * steps[:, None], 2 * steps[:, None]), steps)
     return position, octahedron_of(code, steps).astype(np.int16)
@@ -99,6 +120,11 @@ def curved(half: np.ndarray, curve: np.ndarray, unit: np.ndarray) -> np.ndarray:
     """Height of the quadric in cells, at half cells (..., 2)."""
     a, b = half[..., 0].astype(np.float64), half[..., 1].astype(np.float64)
     return (curve[..., 0] * a * a + curve[..., 1] * a * b + curve[..., 2] * b * b) * unit
+
+
+def leaning(step: np.ndarray, lean: np.ndarray) -> np.ndarray:
+    """What is added to the second octahedral coordinate at steps of the first: whole numbers, as `sloped`."""
+    return (lean.astype(np.int64) * step) >> LEAN_BITS
 
 
 def sloped(half: np.ndarray, slope: np.ndarray) -> np.ndarray:

@@ -40,10 +40,12 @@ class Surface:
     along: np.ndarray  # (c, CHUNK, 3) from that middle, along its frame's axes
     quadric: np.ndarray  # (c, 3) of a^2, a b, b^2
     plane: np.ndarray  # (c, 2, 2) slopes of both octahedral coordinates along a and b
+    lean: np.ndarray  # (c,) how the second follows what the first's plane leaves
     extent: np.ndarray  # (c, 3) along the axes, the third over the quadric
     smallest: np.ndarray  # (c,) step below which float32 origins have no say
     size: np.ndarray  # (c, CHUNK) int64 codes of sizes
     sizes: np.ndarray  # (c,) uint8: how many values these have
+    unit: np.ndarray  # (c,) of which origins are whole multiples at least, or 0
 
     def at(self, rows: np.ndarray) -> Surface:
         """Some chunks."""
@@ -51,10 +53,16 @@ class Surface:
 
 
 def surface(
-    point: np.ndarray, direction: np.ndarray, normal_error: float, size: np.ndarray, sizes: np.ndarray
+    point: np.ndarray,
+    direction: np.ndarray,
+    normal_error: float,
+    size: np.ndarray,
+    sizes: np.ndarray,
+    unit: np.ndarray,
 ) -> Surface:
     """Chunks of points (c, CHUNK, 3) float64 with unit normals (c, CHUNK, 3) that may be off by `normal_error` degrees
-    on average, whatever they are a piece of; and with codes of sizes (c, CHUNK), of so many values (c,)."""
+    on average, whatever they are a piece of; and with codes of sizes (c, CHUNK), of so many values (c,), and what
+    origins are multiples of (c,)."""
     turn, grid = _turns(point), _grids(direction, normal_error)
     normal, unfolded = _coded(direction, grid)
     wide = (grid < WHOLE) & ((np.ptp(unfolded, axis=1) > WIDEST) | (np.abs(unfolded).max(axis=1) > WIDEST)).any(axis=1)
@@ -66,14 +74,18 @@ def surface(
     ones = np.ones_like(a)
     quadric = _closest(np.stack([a * a, a * b, b * b, ones], axis=2), along[..., 2])[:, :3] / scale**2
     level = np.stack([a, b, ones], axis=2)
-    plane = np.stack([_closest(level, unfolded[..., k].astype(np.float64))[:, :2] for k in (0, 1)], axis=1)
+    first, second = (unfolded[..., k].astype(np.float64) for k in (0, 1))
+    of_first = _closest(level, first)
+    left = (first - np.einsum("cmp,cp->cm", level, of_first)) / WIDEST
+    of_second = _closest(np.concatenate([level, left[..., None]], axis=2), second)
+    plane, lean = np.stack([of_first[:, :2], of_second[:, :2]], axis=1), of_second[:, 3] / WIDEST
     a, b = along[..., 0], along[..., 1]
     over = along[..., 2] - (quadric[:, :1] * a * a + quadric[:, 1:2] * a * b + quadric[:, 2:] * b * b)
     extent = np.stack([np.ptp(a, axis=1), np.ptp(b, axis=1), np.ptp(over, axis=1)], axis=1)
     smallest = np.maximum(2.0**-22 * np.abs(point).max(axis=(1, 2)), SMALLEST_STEP)
     slope = plane / scale[..., None]
     folded = grid, normal, unfolded
-    return Surface(point, *folded, turn, middle, along, quadric, slope, extent, smallest, size, sizes)
+    return Surface(point, *folded, turn, middle, along, quadric, slope, lean, extent, smallest, size, sizes, unit)
 
 
 def _about_middle(point: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from storage.packed.bits import pack_bits, pack_sizes
 from storage.packed.codes import pack_codes
 from storage.packed.colors import pack_colors
 from storage.packed.layout import shape_of
-from storage.packed.quadrics import number_words, pack_numbers
+from storage.packed.quadrics import number_starts, pack_numbers
 from storage.packed.scene import streams_of
 from storage.packed.schema import (
     BY_NAME,
@@ -106,7 +106,8 @@ class Pack:
         for place in range(-(-(stop - start) // GROUP)):
             chunks = slice(place * CHUNKS_PER_GROUP, (place + 1) * CHUNKS_PER_GROUP)
             splats = slice(place * GROUP, (place + 1) * GROUP)
-            part = {name: values[chunks if BY_NAME[name].dims[0] == "c" else splats] for name, values in rows.items()}
+            of_chunks = {name for name in rows if name == "frame_box" or BY_NAME[name].dims[0] == "c"}
+            part = {name: values[chunks if name in of_chunks else splats] for name, values in rows.items()}
             part |= {name: streams[place] for name, streams in words.items()}
             if self.runs:
                 at = start + place * GROUP
@@ -168,7 +169,8 @@ class Pack:
         return np.lexsort((arrays.read(self.splats, "number", start, stop), *keys) if self._of_quadrics else keys)
 
     def _frames(self, start: int, stop: int) -> dict[str, np.ndarray]:
-        return {name: arrays.read(self.splats, name, start // CHUNK, -(-stop // CHUNK)) for name in FRAMES}
+        names = *FRAMES, "frame_box"
+        return {name: arrays.read(self.splats, name, start // CHUNK, -(-stop // CHUNK)) for name in names}
 
     def _number_words(
         self, rows: dict[str, np.ndarray], start: int, stop: int, order: np.ndarray, counts: np.ndarray
@@ -177,8 +179,8 @@ class Pack:
         if not self._of_quadrics:
             return {}
         number, bits = arrays.read(self.splats, "number", start, stop)[order], rows["frame_bits"]
-        ends = np.cumsum(number_words(counts, bits))[CHUNKS_PER_GROUP - 1 :: CHUNKS_PER_GROUP]
-        return {"splats": np.split(pack_numbers(number, counts, bits), ends[: -(-(stop - start) // GROUP) - 1])}
+        ends = np.cumsum(number_starts(counts, bits)[1])
+        return {"splats": np.split(pack_numbers(number, counts, bits), ends[:-1])}
 
     def _boxes(self, start: int, stop: int, order: np.ndarray) -> dict[str, np.ndarray]:
         code, chunks = (

@@ -11,12 +11,13 @@ from pipeline.geometry.ellipsoids import encode_ellipsoids
 from pipeline.geometry.frame import directions_of
 from pipeline.geometry.normals import decode_normals, encode_normals
 from pipeline.geometry.positions import decode_positions, encode_positions, fit_boxes
-from pipeline.geometry.quadrics.codes import asked_steps, encode_quadrics
-from pipeline.geometry.quadrics.frames import arrays_of_frames, decode_quadrics
+from pipeline.geometry.quadrics.codes import asked_steps
+from pipeline.geometry.quadrics.frames import decode_quadrics
 from pipeline.splats.cameras import best_cameras
 from pipeline.splats.colors import point_colors
 from pipeline.splats.decoded import read_sizes, seen_by_cameras, splat_radii
 from pipeline.splats.normals import turned_to, usable_normals
+from pipeline.splats.quadrics import quadrics_of_groups
 from pipeline.stages.points.sizes import create_sizes, write_sizes
 from pipeline.summaries import Points, ScanRead, Spacings, SplatsMade
 from storage.packed.schema import BY_NAME, CHUNK, ELLIPSOID_FIELDS, FRAMES, NO_CAMERA
@@ -68,6 +69,8 @@ class Splats:
         for name in () if self.of_runs else BOX_ARRAYS if self.quadric_error is None else FRAMES:
             width = tuple(int(dim) for dim in BY_NAME[name].dims[1:])
             arrays.create(folder, name, (-(-n // CHUNK), *width), BY_NAME[name].dtype, (arrays.BLOCK // CHUNK, *width))
+        if self.quadric_error is not None:
+            arrays.create(folder, "frame_box", (-(-n // CHUNK), 6), "float32", (arrays.BLOCK // CHUNK, 6))
         if self.sizes:
             create_sizes(folder, n)
         if self.ellipsoids:
@@ -144,8 +147,8 @@ class Splats:
             error, normal_error = self.quadric_error
             asked = asked_steps(self._radii(start, stop), error)
             sizes = self._sizes(start, stop)
-            number, frames = encode_quadrics(position, normal, asked, normal_error, sizes)
-            coded, of_chunks = ("number", number), arrays_of_frames(frames)
+            number, frames, of_chunks = quadrics_of_groups(position, normal, asked, normal_error, sizes)
+            coded = "number", number
             decoded, normal_code = decode_quadrics(number, frames)
             bits = int(frames.bits[np.arange(stop - start) // CHUNK].sum())
         else:

@@ -14,50 +14,59 @@ from pipeline.geometry.normals import decode_normals
 from pipeline.splats.decoded import scene_bounds, scene_normal_codes, scene_radii
 from storage.packed.batches import CHUNKS_PER_GROUP, group_batch_counts
 from storage.packed.packed import PackedScene
-from storage.packed.schema import GROUP, LEAST_NUMBER_BITS
+from storage.packed.quadrics import number_starts
+from storage.packed.schema import GROUP, LEAST_NUMBER_BITS, origin_units
 
+FRAME_WORDS = 8  # of a chunk over a quadric
 ROUNDING = 1e-5  # of a cone's cosine: so much wider, or float32 might narrow it
 
 
 def splat_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
     """Position, normal and, where it is in whole bytes, colour of each splat side by side, (n, 8) or (n, 5) uint8: one
-    load instead of five; of quadrics the first word of each group, in what follows too, and the words of numbers,
-    uint32."""
+    load instead of five; of quadrics of each group its first word, in what follows too, where its box begins and the unit
+    of origins in it, and then the words of numbers, uint32."""
     if "splats" in arrays:
-        first = arrays["splat_word"][::CHUNKS_PER_GROUP]
-        return np.concatenate([first + np.uint32(len(first)), arrays["splats"]])
+        first, box = arrays["splat_word"], arrays["frame_box"][::CHUNKS_PER_GROUP]
+        place = np.column_stack([box[:, :3], origin_units(box)]).astype(np.float32).view(np.uint32)
+        heads = np.column_stack([first + np.uint32(5 * len(first)), place])
+        return np.concatenate([heads.ravel(), arrays["splats"]]).astype(np.uint32)
     color = [arrays["color"]] if "color" in arrays else []
     return np.concatenate([arrays["position"], arrays["normal"].view(np.uint8), *color], axis=1)
 
 
 def box_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
     """Low corner, size, bits along x and y, and the scale of its splats' sizes, of each chunk's box, (n_chunks, 7)
-    uint32; of quadrics (n_chunks, 9), as renderer/shaders/quadric.glsl reads them."""
+    uint32; of quadrics (n_chunks, FRAME_WORDS), as renderer/shaders/quadric.glsl reads them."""
     words = _frame_words(arrays) if "splats" in arrays else np.zeros((len(arrays["batch_count"]), 7), np.uint32)
     if "box_low" in arrays:
         _add_boxes(words, arrays)
     if "size_scale" in arrays:
-        words[:, 6] |= arrays["size_scale"].astype(np.uint32) @ np.array([1 << 16, 1 << 24], np.uint32)
+        at = 4 if "splats" in arrays else 6
+        words[:, at] |= arrays["size_scale"].astype(np.uint32) @ np.array([1 << 16, 1 << 24], np.uint32)
     return words
 
 
 def _frame_words(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """Origin; turn, bits of numbers and the map of normals; step and steps of normals; curve and high parts of cells; low parts of cells and the scale
-    of sizes; slopes; where normals begin and the first word."""
+    """Origin in the group's box, the third with the step; turn, bits of numbers and the map of normals; curve and high
+    parts of cells; low parts of cells and the scale of sizes; slopes; where normals begin, their lean and the high parts
+    of the first bit and the map; steps of normals and the low part of the first bit."""
     cells, step = arrays["frame_cells"].astype(np.uint32) - 1, arrays["frame_step"].astype(np.uint32)
     low, many = (arrays["normal_low"] + 256).astype(np.uint32), arrays["normal_cells"].astype(np.uint32)
     bits = arrays["frame_bits"].astype(np.uint32) - LEAST_NUMBER_BITS
-    grid = arrays["normal_grid"].astype(np.uint32)
-    in_group = arrays["splat_word"] - np.repeat(arrays["splat_word"][::CHUNKS_PER_GROUP], CHUNKS_PER_GROUP)[: len(low)]
+    grid, origin = arrays["normal_grid"].astype(np.uint32), arrays["frame_origin"].astype(np.uint32)
+    first, _ = number_starts(arrays["batch_count"], arrays["frame_bits"])
+    in_group = first - np.repeat(first[::CHUNKS_PER_GROUP], CHUNKS_PER_GROUP)[: len(first)]
+    in_group, lean = in_group.astype(np.uint32), arrays["normal_lean"].view(np.uint8).astype(np.uint32)
     return np.column_stack(
         [
-            arrays["frame_origin"].view(np.uint32),
+            origin[:, 0] | origin[:, 1] << 16,
+            origin[:, 2] | step << 16,
             _bytes_word(arrays["frame_turn"], bits | (grid & 7) << 5),
-            step | grid >> 3 << 15 | many[:, 0] << 16 | many[:, 1] << 24,
             _bytes_word(arrays["frame_curve"], cells[:, 0] >> 8 | cells[:, 1] >> 8 << 4),
             cells[:, 0] & 0xFF | (cells[:, 1] & 0xFF) << 8,
             np.ascontiguousarray(arrays["normal_slope"]).view(np.uint32)[:, 0],
-            low[:, 0] | low[:, 1] << 9 | in_group << 18,
+            low[:, 0] | low[:, 1] << 9 | lean << 18 | in_group >> 16 << 26 | grid >> 3 << 31,
+            many[:, 0] | many[:, 1] << 8 | (in_group & 0xFFFF) << 16,
         ]
     )
 

@@ -8,7 +8,8 @@ from pipeline.summaries import SplatsMade
 from services.flow.points.runs import AUTO, BOX_BITS, GeometryRequest
 from storage.packed.schema import CHUNK, QUADRICS
 
-FRAME_BITS = 9 * 32 / CHUNK  # a splat, of its chunk's frame on a graphics card
+FRAME_BITS = 8 * 32 / CHUNK  # a splat, of its chunk's frame on a graphics card
+SIZE_BITS = 3 + 16 / CHUNK  # a splat in boxes that has a size of its own, which numbers over quadrics have already
 
 
 def quadric_error(asked: GeometryRequest) -> tuple[float, float] | None:
@@ -18,10 +19,11 @@ def quadric_error(asked: GeometryRequest) -> tuple[float, float] | None:
     return None
 
 
-def quadrics_row(asked: GeometryRequest, made: SplatsMade) -> Row:
+def quadrics_row(asked: GeometryRequest, made: SplatsMade, with_sizes: bool) -> Row:
     """The row of the plan: bits a splat over quadrics by those of boxes, before numbers are sorted by batches, which
     takes up to 5 away."""
-    share = (made.number_bits + FRAME_BITS) / BOX_BITS
+    of_boxes = BOX_BITS + (SIZE_BITS if with_sizes else 0)
+    share = (made.number_bits + FRAME_BITS) / of_boxes
     is_asked = asked.form == QUADRICS
     enabled = is_asked or share < 1
     return Row(
@@ -37,7 +39,7 @@ def quadrics_row(asked: GeometryRequest, made: SplatsMade) -> Row:
         "fewer bytes at the error that is asked for",
         {
             "seconds": 7e-6 * made.n_splats,
-            "bytes": round((share - 1) * BOX_BITS / 8 * made.n_splats),
+            "bytes": round((share - 1) * of_boxes / 8 * made.n_splats),
             "frame_share": 0.0,
         },
         None,

@@ -12,7 +12,7 @@ export const MIP_SIZES = [32, 16, 8, 4, 2, 1];
 const MOST_CHUNK_BYTES = 1 << 24;
 const TYPES = {
   box_low: Float32Array, box_size: Float32Array, color_low: Int16Array, colors: Uint32Array, codes: Uint32Array, weight_levels: Float32Array,
-  frame_origin: Float32Array, frame_step: Uint16Array, frame_cells: Uint16Array, normal_low: Int16Array, splats: Uint32Array, atom_scale: Float32Array, cliplines: Uint32Array, sizes: Uint32Array, ellipsoids: Uint32Array, camera: Uint16Array, group_low: Float32Array,
+  frame_origin: Uint16Array, frame_step: Uint16Array, frame_cells: Uint16Array, normal_low: Int16Array, splats: Uint32Array, atom_scale: Float32Array, cliplines: Uint32Array, sizes: Uint32Array, ellipsoids: Uint32Array, camera: Uint16Array, group_low: Float32Array,
   group_high: Float32Array, group_radius: Float32Array, group_rows: Uint32Array, group_start: BigUint64Array, group_bytes: BigUint64Array,
 }; // all others are bytes
 const SIGNED = new Set(["normal", "color_turn", "frame_turn", "frame_curve", "normal_slope", "run_codebook"]);

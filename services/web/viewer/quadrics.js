@@ -3,8 +3,9 @@
 
 import { CHUNK } from "./packed.js";
 
-export const FRAMES = ["frame_origin", "frame_turn", "frame_step", "frame_cells", "frame_curve", "frame_bits", "normal_low", "normal_cells", "normal_slope", "normal_grid"];
-export const FRAME_WORDS = 9;
+export const FRAMES = ["frame_origin", "frame_turn", "frame_step", "frame_cells", "frame_curve", "frame_bits", "normal_low", "normal_cells", "normal_slope", "normal_lean", "normal_grid"];
+export const FRAME_WORDS = 8;
+export const GROUP_WORDS = 5; // of the head of a group: its first word, where its box begins, the unit there
 const LEAST_BITS = 16, TURN_W = 117;
 
 // How many bits of its numbers a batch of n splats keeps in unary.
@@ -14,39 +15,50 @@ function highBits(n, bits) {
   return n * high > n + (1 << high) ? high : 0;
 }
 
-/** Words of a chunk's numbers, of its splats of each batch. */
-export function numberWords(counts, bits) {
+/** Bits of a chunk's numbers, of its splats of each batch. */
+export function numberBits(counts, bits) {
   let sum = 0;
   for (const n of counts) {
     const high = highBits(n, bits);
     sum += n * (bits - high) + (high ? n + (1 << high) : 0);
   }
-  return Math.ceil(sum / 32);
+  return sum;
 }
 
 const floatOf = (upper) => new Float32Array(new Uint32Array([upper << 16]).buffer)[0];
 const bytesWord = (a, b, c, d) => (a & 0xff) | ((b & 0xff) << 8) | ((c & 0xff) << 16) | (d << 24);
 
-/** The words of the frame of `chunk` at `at` of `words`; `first` is where its numbers begin in its group. */
+/** What origins of frames count in, of the sides of a group's box: the power of two of which the longest has 2^15 to 2^16. */
+const originUnit = (sides) => 2 ** ((new Uint32Array(Float32Array.of(Math.max(...sides, 2 ** -100)).buffer)[0] >>> 23) - 142);
+
+/** Where the box of a group begins, and the unit of origins in it, of the table of groups. */
+export function originOf({ group_low: low, group_high: high }, group) {
+  const at = [...low.subarray(3 * group, 3 * group + 3)];
+  return [...at, originUnit(at.map((x, i) => high[3 * group + i] - x))];
+}
+
+/** The words of the frame of `chunk` at `at` of `words`; `first` is the bit where its numbers begin in its group. */
 export function putFrame(words, at, chunk, arrays, first) {
   const of = (name, width) => arrays[name].subarray(chunk * width, (chunk + 1) * width);
   const turn = of("frame_turn", 3), curve = of("frame_curve", 3), [u, v] = of("frame_cells", 2).map((n) => n - 1), many = of("normal_cells", 2);
   const low = of("normal_low", 2), slope = of("normal_slope", 4);
-  new Float32Array(words.buffer).set(of("frame_origin", 3), at);
-  const grid = arrays.normal_grid[chunk];
-  words[at + 3] = bytesWord(...turn, (arrays.frame_bits[chunk] - LEAST_BITS) | ((grid & 7) << 5));
-  words[at + 4] = arrays.frame_step[chunk] | ((grid >> 3) << 15) | (many[0] << 16) | (many[1] << 24);
-  words[at + 5] = bytesWord(...curve, (u >> 8) | ((v >> 8) << 4));
-  words[at + 6] = (u & 0xff) | ((v & 0xff) << 8);
-  words[at + 7] = bytesWord(...slope);
-  words[at + 8] = (low[0] + 256) | ((low[1] + 256) << 9) | (first << 18);
+  const grid = arrays.normal_grid[chunk], origin = of("frame_origin", 3), lean = arrays.normal_lean[chunk] & 0xff;
+  words[at] = origin[0] | (origin[1] << 16);
+  words[at + 1] = origin[2] | (arrays.frame_step[chunk] << 16);
+  words[at + 2] = bytesWord(...turn, (arrays.frame_bits[chunk] - LEAST_BITS) | ((grid & 7) << 5));
+  words[at + 3] = bytesWord(...curve, (u >> 8) | ((v >> 8) << 4));
+  words[at + 4] = (u & 0xff) | ((v & 0xff) << 8);
+  words[at + 5] = bytesWord(...slope);
+  words[at + 6] = (low[0] + 256) | ((low[1] + 256) << 9) | (lean << 18) | ((first >>> 16) << 26) | ((grid >> 3) << 31);
+  words[at + 7] = many[0] | (many[1] << 8) | ((first & 0xffff) << 16);
 }
 
 // How many values codes of sizes have in a chunk, the lowest digit of its numbers.
 const sizesOf = ({ size_scale: scale }, chunk) => (scale ? Math.min(16, 1 + Math.ceil((8 * (scale[2 * chunk + 1] - scale[2 * chunk])) / 15)) : 1);
 
-/** Low corners and sizes (nChunks, 3) against the origin of boxes that hold all cells that numbers of each chunk can name. */
-export function frameBoxes(arrays, nChunks) {
+/** Low corners and sizes (nChunks, 3) against the origin of boxes that hold all cells that numbers of each chunk can name; `begin` is where the
+ *  group's box begins, and the unit of origins. */
+export function frameBoxes(arrays, nChunks, begin) {
   const box_low = new Float32Array(3 * nChunks), box_size = new Float32Array(3 * nChunks);
   for (let chunk = 0; chunk < nChunks; ++chunk) {
     const [u, v] = arrays.frame_cells.subarray(2 * chunk, 2 * chunk + 2), [a, b, c] = arrays.frame_curve.subarray(3 * chunk, 3 * chunk + 3);
@@ -66,17 +78,17 @@ export function frameBoxes(arrays, nChunks) {
         low += Math.min(...reached);
         high += Math.max(...reached);
       });
-      box_low[3 * chunk + axis] = arrays.frame_origin[3 * chunk + axis] + low;
+      box_low[3 * chunk + axis] = begin[axis] + begin[3] * arrays.frame_origin[3 * chunk + axis] + low;
       box_size[3 * chunk + axis] = high - low;
     }
   }
   return { box_low, box_size };
 }
 
-/** Where the numbers of each chunk of a group begin, in words. */
+/** Where the numbers of each chunk of a group begin, in bits. */
 export function firstNumbers({ batch_count: counts, frame_bits: bits }, nSplats, nBatches) {
   const found = new Uint32Array(Math.ceil(nSplats / CHUNK));
   for (let chunk = 1; chunk < found.length; ++chunk)
-    found[chunk] = found[chunk - 1] + numberWords(counts.subarray((chunk - 1) * nBatches, chunk * nBatches), bits[chunk - 1]);
+    found[chunk] = found[chunk - 1] + numberBits(counts.subarray((chunk - 1) * nBatches, chunk * nBatches), bits[chunk - 1]);
   return found;
 }

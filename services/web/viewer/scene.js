@@ -7,7 +7,7 @@ import { groupTree, sharesOf } from "./detail.js";
 import { mapFrames, mapTextures } from "./maps.js";
 import { CHUNK, CHUNKS_PER_GROUP, GROUP, MIP_SIZES } from "./packed.js";
 import { Pool } from "./pool.js";
-import { FRAMES, frameBoxes } from "./quadrics.js";
+import { FRAMES, GROUP_WORDS, frameBoxes, originOf } from "./quadrics.js";
 import { decodeRuns } from "./runs.js";
 import { Seals } from "./seals.js";
 import { groupBoxes, splatWords, tablesOf, widthsOf } from "./tables.js";
@@ -160,6 +160,7 @@ export class Scene {
       .map(([name, [Type, width]]) => [name, new Type(this.nChunks * width)]));
     this.kept.box_low.fill(Infinity); // of what is not there yet
     this.codebook = tables.run_codebook;
+    this.outlines = tables;
     this.rows = tables.group_rows;
     this.seals = new Seals(tables.group_seal, packed.ofGroups);
     this.groupBoxes = groupBoxes(packed, tables);
@@ -180,7 +181,7 @@ export class Scene {
       const words = Array.from({ length: nGroups }, (_, group) => this.rowsOf(name, group)), first = [0];
       if (pool.isWhole) for (const n of words) first.push(first.at(-1) + n);
       const most = words.reduce((a, b) => Math.max(a, b), 0);
-      const ahead = name === "splats" ? pool.nSlots : 0; // words that say where each slot's begin
+      const ahead = name === "splats" ? GROUP_WORDS * pool.nSlots : 0; // where each slot's begin, and its group's box
       return [name, { begin: pool.isWhole ? (slot) => ahead + first[slot] : (slot) => ahead + slot * most,
         total: ahead + (pool.isWhole ? first[nGroups] : pool.nSlots * most) }];
     }));
@@ -204,7 +205,6 @@ export class Scene {
     if ((RUNS || QUADRICS) && pairs) textures.colors = words(Math.ceil((3 * n) / 4) + 1);
     if (!QUADRICS) textures.splats = RUNS ? words(4 * n) : new Words(gl, pairs ? n : Math.ceil((n * 5) / 4) + 1, pairs);
     for (const name of packed.streams) textures[name] = words(this.streams[name].total + 1);
-    if (QUADRICS) textures.splats.put(0, Uint32Array.from({ length: nSlots }, (_, slot) => this.streams.splats.begin(slot)));
   }
 
   // Boxes of chunks that hold the scene, before a camera is placed: those of the coarsest level, which is the first picture too, else of all groups.
@@ -225,7 +225,7 @@ export class Scene {
     } else if (this.geometryArrays.includes(array)) {
       const parts = { ...this.waiting.get(group), [array]: values };
       if (this.runArrays.includes(array) && this.runArrays.every((name) => parts[name])) this.decodeRuns(group, parts);
-      if (this.frameArrays.includes(array) && this.frameArrays.every((name) => parts[name])) this.keep(group, frameBoxes(parts, Math.ceil(this.splatsOf(group) / CHUNK)));
+      if (this.frameArrays.includes(array) && this.frameArrays.every((name) => parts[name])) this.keep(group, frameBoxes(parts, Math.ceil(this.splatsOf(group) / CHUNK), originOf(this.outlines, group)));
       this.waiting.set(group, parts);
       this.keep(group, { [array]: values });
       if (this.geometryArrays.every((name) => parts[name])) {
@@ -256,6 +256,7 @@ export class Scene {
       const perGroup = header.color_step ? (GROUP * 5) / 4 : GROUP, spared = n < GROUP ? undefined : perGroup * (header.color_step ? 1 : 2);
       textures.splats.put(slot * perGroup, splatWords(n, parts).subarray(0, spared));
     } else if (parts.color) textures.colors.put((slot * GROUP * 3) / 4, asWords(parts.color, 3 * n));
+    if (this.defines.QUADRICS) textures.splats.put(slot * GROUP_WORDS, this.headOf(group));
     if (parts.station) textures.splat_maps.put((slot * GROUP) / 4, asWords(parts.station, n));
     const first = Object.fromEntries(Object.entries(this.streams).map(([name, { begin }]) => [name, begin(slot)]));
     const { counts, boxes, running, groups } = tablesOf(header, parts, n, first);
@@ -263,6 +264,14 @@ export class Scene {
     textures.boxes.put(chunk * widths.boxes, boxes);
     textures.running_counts.put((chunk * widths.running) / 2, running);
     textures.groups.put(slot * widths.groups, groups);
+  }
+
+  // The first word of a slot's numbers, and where the box of its group begins.
+  headOf(group) {
+    const head = new Uint32Array(GROUP_WORDS);
+    head[0] = this.streams.splats.begin(this.pool.slotOf[group]);
+    new Float32Array(head.buffer).set(originOf(this.outlines, group), 1);
+    return head;
   }
 
   advance(group) {

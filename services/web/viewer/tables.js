@@ -45,7 +45,7 @@ function boxWords(header, arrays, nSplats, colorWord) {
       words[at + 6] = arrays.box_bits[i] | (arrays.box_bits[i + 1] << 8);
     }
     if (header.size_bits) {
-      words[at + 6] |= (arrays.size_scale[2 * chunk] << 16) | (arrays.size_scale[2 * chunk + 1] << 24);
+      words[at + (ofFrames ? 4 : 6)] |= (arrays.size_scale[2 * chunk] << 16) | (arrays.size_scale[2 * chunk + 1] << 24);
       if (!ofFrames) words.set(arrays.sizes.subarray(chunk * perChunk, (chunk + 1) * perChunk), at + sizeAt);
     }
     if (!header.color_step) continue;

@@ -1,27 +1,34 @@
 """What a group's chunks have, as whole numbers: each by that of the chunk before, or by the mean of those of late.
 
-Origins of frames are whole multiples of half the power of two below their cells' side, as encoders make them, and are
-told as those; of any others, and of other floats, the upper half is told by that of the chunk before, the lower half as
-it stands.
+Origins of frames are whole multiples of some power of two of their group's units, that goes with the power of two below
+their cells' side, as encoders make them, and are told as those. Of floats the upper half is told by that of the chunk
+before, the lower half as it stands.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from storage.packed.archive.coder import SIGNED, compiled, even, length_of, within
-from storage.packed.archive.mixing import MOST_PLACES, SIGNED_SETS, mixed, mixed_signed
-from storage.packed.schema import Array, Header, arrays_of, origin_quanta
+from storage.packed.archive.mixing import MOST_PLACES, SIGNED_SETS, mixed_signed
+from storage.packed.schema import Array, Header, arrays_of
 
 DERIVED = "batch_count", "sizes"  # what the splats tell
-_BY_MEAN = ("box_bits", "color_turn", "frame_turn", "frame_cells", "frame_curve", "normal_cells", "normal_slope")
+_BY_MEAN = (
+    "box_bits",
+    "color_turn",
+    "frame_turn",
+    "frame_cells",
+    "frame_curve",
+    "normal_cells",
+    "normal_slope",
+    "normal_lean",
+)
 MEAN, PREVIOUS, FLOAT, ORIGIN = range(4)  # kinds of columns
 _ORIGIN = "frame_origin"
 _SIZES = 16  # of what was off, in octaves
-MODELS_A_COLUMN = (1 + 2 * _SIZES) * SIGNED + 1
-_MOST_MULTIPLE = 1 << 32
+MODELS_A_COLUMN = (1 + 2 * _SIZES) * SIGNED
+_MOST_SHIFT, _ORIGINS = 15, 1 << 16
 
 
 def tables_in(header: Header) -> list[Array]:
@@ -42,7 +49,7 @@ def columns_of(header: Header) -> np.ndarray:
     for array in tables_in(header):
         if array.name == "frame_step":
             step = len(rows)
-        if array.dtype == "float32":
+        if array.name == _ORIGIN or array.dtype == "float32":
             row = (ORIGIN if array.name == _ORIGIN else FLOAT, 0, 1 << 16, step)
         else:
             info = np.iinfo(array.dtype)
@@ -52,18 +59,17 @@ def columns_of(header: Header) -> np.ndarray:
 
 
 def numbers_of(header: Header, arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """The numbers (c, w) int64 of a group's chunks, and in one more column whether their origins are no multiples."""
-    parts, odd = [], np.zeros(header.n_chunks, np.int64)
+    """The numbers (c, w) int64 of a group's chunks, and in one more column what exponents of steps are above the powers
+    of two that origins are multiples of."""
+    parts, above = [], 0
     for array in tables_in(header):
         values = np.ascontiguousarray(arrays[array.name].reshape(header.n_chunks, -1))
         if array.name == _ORIGIN:
-            multiple = values.astype(np.float64) / origin_quanta(arrays["frame_step"])[:, None]
-            odd = ((multiple != np.floor(multiple)) | (np.abs(multiple) >= _MOST_MULTIPLE)).any(axis=1).astype(np.int64)
-            words = values.view(np.uint32).astype(np.int64)
-            parts.append(np.where(odd[:, None], words, np.where(odd[:, None], 0, multiple).astype(np.int64)))
-        else:
-            parts.append((values.view(np.uint32) if array.dtype == "float32" else values).astype(np.int64))
-    return np.concatenate([*parts, odd[:, None]], axis=1)
+            joined = np.bitwise_or.reduce(values.astype(np.int64), axis=1) | 1 << _MOST_SHIFT
+            shift = np.frexp((joined & -joined).astype(np.float64))[1] - 1
+            above = max(0, int(((arrays["frame_step"] >> 7).astype(np.int64) - shift).max()))
+        parts.append((values.view(np.uint32) if array.dtype == "float32" else values).astype(np.int64))
+    return np.concatenate([*parts, np.full((header.n_chunks, 1), above)], axis=1)
 
 
 def of_numbers(header: Header, rows: np.ndarray) -> dict[str, np.ndarray]:
@@ -74,11 +80,7 @@ def of_numbers(header: Header, rows: np.ndarray) -> dict[str, np.ndarray]:
         shape, width = (header.n_chunks, *(int(dim) for dim in array.dims[1:])), _width(array)
         values, at = rows[:, at : at + width], at + width
         if array.dtype == "float32":
-            words = np.ascontiguousarray(values.astype(np.uint32)).view(np.float32)
-            if array.name == _ORIGIN:
-                multiple = (values * origin_quanta(arrays["frame_step"])[:, None]).astype(np.float32)
-                words = np.where(rows[:, -1:] > 0, words, multiple)
-            arrays[array.name] = words.reshape(shape)
+            arrays[array.name] = np.ascontiguousarray(values.astype(np.uint32)).view(np.float32).reshape(shape)
         else:
             arrays[array.name] = values.reshape(shape).astype(array.dtype)
     return arrays
@@ -89,26 +91,25 @@ def code_tables(state, data, models, weights, base, which, columns, rows):
     """Writes or reads the numbers `rows` (c, w + 1) int64. Models begin at `base`, sets of weights at `which`."""
     n = len(columns)
     before, mean, sizes = np.zeros(n, np.int64), np.zeros(n), np.zeros(n, np.int64)
-    place, bases = np.zeros(n), np.empty(MOST_PLACES, np.int64)
+    bases = np.empty(MOST_PLACES, np.int64)
     for chunk in range(len(rows)):
         row, left = rows[chunk], 0
         for c in range(n):
             kind, least, many = columns[c, 0], columns[c, 1], columns[c, 2]
             own = base + c * MODELS_A_COLUMN
             if kind == ORIGIN and columns[c - 1, 0] != ORIGIN:
-                bases[0] = own + MODELS_A_COLUMN - 1
-                row[n] = mixed(state, data, models, weights, bases, 1, 0, which + c * SIGNED_SETS, row[n])
+                row[n] = even(state, data, 8, row[n]) if chunk == 0 else rows[0, n]
             bases[0] = own
             bases[1] = own + (1 + sizes[c]) * SIGNED
             bases[2] = own + (1 + _SIZES + left) * SIGNED
             at, sets = row[c], which + c * SIGNED_SETS
-            if kind == ORIGIN and not row[n]:
-                quantum = math.ldexp(1.0, (row[columns[c, 3]] >> 7) - 128)
-                usual = np.int64(np.floor(min(max(place[c] / quantum, -_MOST_MULTIPLE), _MOST_MULTIPLE) + 0.5))
-                off = mixed_signed(state, data, models, weights, bases, 3, sets, at - usual)
-                row[c] = usual + off
-                place[c] = row[c] * quantum
-            elif kind >= FLOAT:
+            if kind == ORIGIN:
+                shift = min(max((row[columns[c, 3]] >> 7) - row[n], 0), _MOST_SHIFT)
+                usual = before[c] >> shift
+                off = mixed_signed(state, data, models, weights, bases, 3, sets, (at >> shift) - usual)
+                row[c] = within(state, usual + off, _ORIGINS >> shift) << shift
+                before[c] = row[c]
+            elif kind == FLOAT:
                 off = mixed_signed(state, data, models, weights, bases, 3, sets, (at >> 16) - before[c])
                 upper = within(state, before[c] + off, many)
                 row[c] = upper << 16 | even(state, data, 16, at & 0xFFFF)

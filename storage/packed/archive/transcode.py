@@ -52,7 +52,8 @@ def archive_packed(source: Path, target: Path) -> None:
             scene, arrays = packed.group(index), packed.rows_of_group(index)
             data = pack_group(scene, arrays, priors)
             n_rows = {array.name: len(arrays[array.name]) for array in ragged_in(header)}
-            return unpack_group(scene.header, data, n_rows, priors) | {"archive": data}
+            box = {name: arrays[name] for name in ("frame_box",) if name in arrays}
+            return unpack_group(scene.header, data, n_rows, priors) | box | {"archive": data}
 
         _write(replace(header, archive=form), target, rows_of, shared)
 

@@ -53,7 +53,7 @@ WRONG = {
     "normals beyond both edges": ("normal_low", 255, "normal_low"),
     "a map of normals too coarse": ("normal_grid", 16, "normal_grid"),
     "a turn of -128": ("frame_turn", -128, "-128"),
-    "an origin that is not finite": ("frame_origin", np.inf, "."),
+    "an origin beyond its group's box": ("frame_origin", 65535, "do not hold"),
     "a vector without ones": ("splats", 0, "bit vector"),
     "sizes upside down": ("size_scale", (90, 80), "size_scale"),
 }

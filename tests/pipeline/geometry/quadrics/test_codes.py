@@ -8,10 +8,11 @@ import pytest
 from pipeline.geometry.chunks import median_split
 from pipeline.geometry.normals import decode_normals
 from pipeline.geometry.quadrics.codes import asked_steps, encode_quadrics
-from pipeline.geometry.quadrics.frames import Frames, arrays_of_frames, decode_quadrics
+from pipeline.geometry.quadrics.frames import Frames, decode_quadrics, frames_of_arrays, named_frames
 from pipeline.geometry.quadrics.quaternions import axes_of
-from storage.packed.quadrics import check_numbers, number_words, pack_numbers, unpack_numbers
-from storage.packed.schema import CHUNK, MOST_FRAME_CELLS, normal_steps, steps_of
+from pipeline.splats.quadrics import quadrics_of_groups
+from storage.packed.quadrics import check_numbers, number_starts, pack_numbers, unpack_numbers
+from storage.packed.schema import CHUNK, GROUP, MOST_FRAME_CELLS, frame_origins, normal_steps, steps_of
 
 
 def unit(rows: np.ndarray) -> np.ndarray:
@@ -51,7 +52,8 @@ def test_quadrics__positions_come_back_within_half_a_cell_and_normals_on_their_c
     position, normal = cases()[name]
     values = 1 + np.arange(-(-len(position) // CHUNK), dtype=np.uint8) * 15
     size = np.arange(len(position)) % values[np.arange(len(position)) // CHUNK]
-    number, frames = encode_quadrics(position, normal, asked(position), sizes=(size, values))
+    number, frames, named = quadrics_of_groups(position, normal, asked(position), sizes=(size, values))
+    assert (frame_origins(named) == frames.origin).all()
     found, point = decode_quadrics(number, frames)
     assert (number % values[np.arange(len(position)) // CHUNK] == size).all()
     assert number.dtype == np.uint64 and len(number) == len(position)
@@ -62,10 +64,10 @@ def test_quadrics__positions_come_back_within_half_a_cell_and_normals_on_their_c
     chunk = np.arange(len(position)) // CHUNK
     step = steps_of(frames.step)[chunk]
     off = np.einsum("nij,nj->ni", axes_of(frames.turn)[chunk], found - position)
-    rounding = np.spacing(np.abs(position).max().astype(np.float32))
+    rounding = np.spacing(np.abs(position).max())
     assert (np.abs(off) <= (0.5 + 1e-6) * step[:, None] + 2 * rounding).all()
     span = np.ptp(position, axis=0).max()
-    widest = max(1.11 * 0.01, 1.1 * span / MOST_FRAME_CELLS, 2**-21 * np.abs(position).max())
+    widest = max(1.13 * 0.01, 1.1 * span / MOST_FRAME_CELLS, 2**-21 * np.abs(position).max())
     assert step.max() <= (widest if name != "all round" else 1.11 * 0.08)  # of which 2^31 cells fill the box
     scale = np.stack([0 * values, (values - 1.0) * 1.875], axis=1).astype(np.uint8)
     check_numbers(arrays_of(number, frames) | {"size_scale": scale})
@@ -78,20 +80,20 @@ def arrays_of(number: np.ndarray, frames: Frames, n_batches: int = 1) -> dict[st
     counts = np.diff(ends, axis=1, prepend=0).astype(np.uint8)
     batch = np.repeat(np.tile(np.arange(n_batches), len(n)), counts.ravel().astype(int))
     number = number[np.lexsort((number, batch, np.arange(len(number)) // CHUNK))]
-    words = number_words(counts, frames.bits)
+    _, words = number_starts(counts, frames.bits)
     stream = np.append(pack_numbers(number, counts, frames.bits), np.uint32(0))
     tables = {"splats": stream, "splat_word": words.cumsum() - words, "batch_count": counts}
-    assert (unpack_numbers(stream, tables["splat_word"], counts, frames.bits) == number).all()
-    return arrays_of_frames(frames) | tables
+    assert (unpack_numbers(stream, counts, frames.bits) == number).all()
+    return named_frames(frames) | tables
 
 
 @pytest.mark.parametrize("n_batches", [1, 3, 20, 60])
 def test_numbers__sorted_take_fewer_bits_and_never_more(n_batches):
     position, normal = cases()["a bowl"]
-    number, frames = encode_quadrics(position, normal, asked(position))
+    number, frames = encode_quadrics(position, normal, asked(position, 0.005))
     bits = 32 * (len(arrays_of(number, frames, n_batches)["splats"]) - 1) / len(number)
     saved = {1: 5, 3: 3.5, 20: 0.5, 60: 0}[n_batches]
-    assert bits <= frames.bits.mean() - saved + 32 / CHUNK
+    assert bits <= frames.bits.mean() - saved + 32 / len(number)
 
 
 def test_numbers__a_vector_that_lacks_a_splat_is_refused():
@@ -147,10 +149,25 @@ def test_quadrics__normals_across_the_edges_of_the_map_take_no_more_steps():
     assert (down.prod(axis=1) < 3 * up.prod(axis=1)).all() and up.prod(axis=1).max() < 300
 
 
+@pytest.mark.parametrize("stray", [0.0, 30.0, 1e4, 1e9])
+def test_quadrics__origins_count_in_their_groups_box_whatever_strays_there_are(stray):
+    """Cells far smaller than units: of 1e9 2^14."""
+    rng = np.random.default_rng(5)
+    position = rng.uniform(0, 1, (GROUP + 200, 3)) * [1, 1, 0]
+    position[7], normal = (stray, -stray, stray), np.tile([0.0, 0, 1], (GROUP + 200, 1))
+    number, frames, named = quadrics_of_groups(position, normal, asked(position))
+    assert (frame_origins(named) == frames.origin).all() and len(np.unique(named["frame_box"], axis=0)) == 2
+    found, _ = decode_quadrics(number, frames_of_arrays(named))
+    others = np.arange(len(position)) >= CHUNK
+    assert np.abs(found - position)[others].max() <= max(0.01, 2e-8 * stray)
+    alone, _, second = quadrics_of_groups(position[GROUP:], normal[GROUP:], asked(position[GROUP:]))
+    assert (alone == number[GROUP:]).all() and (second["frame_box"] == named["frame_box"][-2:]).all()
+
+
 def test_quadrics__a_chunk_does_not_depend_on_the_others():
     position, normal = cases()["a bowl"]
     whole, frames = encode_quadrics(position, normal, asked(position))
     second, alone = encode_quadrics(position[CHUNK:], normal[CHUNK:], asked(position[CHUNK:]))
     assert (whole[CHUNK:] == second).all()
-    for name, values in arrays_of_frames(frames).items():
-        assert (values[1:] == arrays_of_frames(alone)[name]).all()
+    for name, values in named_frames(frames).items():
+        assert (values[1:] == named_frames(alone)[name]).all()
