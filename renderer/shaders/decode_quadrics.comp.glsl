@@ -7,7 +7,7 @@ layout(local_size_x = 128) in;
 
 struct Draw { uint n_indices, n_instances, first_index, base_vertex, base_instance; };
 layout(std430, binding = 8) readonly buffer Draws { Draw draws[]; };  // of cull.comp.glsl
-layout(std430, binding = 14) writeonly buffer DecodedSplats { uvec4 decoded_splats[]; };  // from the chunk's origin, three floats; a point of an octahedron, 9 bits each, and the code of its size
+layout(std430, binding = 19) writeonly buffer DecodedSplats { uvec4 decoded_splats[]; };  // from the chunk's origin, three floats; a point of an octahedron, 9 bits each, and the code of its size
 uniform uint first_group;
 uniform bool drawn_alone;  // of groups that are not, nothing is written
 

@@ -1,4 +1,4 @@
-layout(std430, binding = 14) readonly buffer DecodedSplats { uvec4 decoded_splats[]; };  // of decode_quadrics.comp.glsl
+layout(std430, binding = 19) readonly buffer DecodedSplats { uvec4 decoded_splats[]; };  // of decode_quadrics.comp.glsl
 uniform uint first_decoded;
 
 // The normal of a splat, as a point of an octahedron, and where it was decoded to.

@@ -51,7 +51,7 @@ def test_pages__refuses_scans_without_photographs_and_wrong_forms(scan, tmp_path
 @pytest.fixture(scope="module")
 def packed(scan, tmp_path_factory):
     out = tmp_path_factory.mktemp("packed") / "out"
-    options = "--preset draft --executor serial --no-render --training-splats 256 --iterations 1 --effects exposure=on --pages --page-codec webp"
+    options = "--preset draft --executor serial --no-render --training-splats 256 --iterations 1 --effects exposure=on --pages --page-codec webp --geometry quadrics"
     assert main(["compress", str(scan), "--out", str(out), "--work", str(out.parent / "work"), *options.split()]) == 0
     return next(out.glob("*.splatpress"))
 
