@@ -339,7 +339,7 @@ KNOBS = (
         str,
         "how positions and normals are coded: in boxes of 128; over a quadric that is fitted to each 128; as runs of cells in a hexagonal close "
         "packed grid; auto: boxes, or what takes fewer bytes at the error that is asked for, with `cell` runs, with `geometry_error` quadrics",
-        "quadrics: 27 to 29 bits a splat for 42; runs: 9.5 to 15, and 1.6 points a splat",
+        "quadrics: 25 to 28 bits a splat for 42, and 2.5 for 3.1 where splats have sizes; runs: 9.5 to 15, and 1.6 points a splat",
         "quadrics: positions 1/30 of a radius off on average for 1/50 to 1/70, normals .32 degrees for .26 to .32; runs: positions at most cell / sqrt(2) off, "
         "normals by 2 to 4 degrees; no ellipsoids and no levels",
         "run-grid",
