@@ -166,9 +166,9 @@ def test_off__all_is_the_shortest_path(made):
         "by",
         "batch",
         "color",
-        "boxes",
         "resolve",
     }
+    assert scene.header.color_step and any(f"color boxes={scene.header.color_step}" in p for p in picture.programs)
     assert picture.accumulation == "RGBA16F"
 
 
