@@ -2,21 +2,25 @@
 
     python -m benchmarks.archives PACKED...
 
-A part's bits are those that groups take less without it: geometry is coded alone, then with batches, and so on.
+A part's bits are those that a file takes less without it: geometry is coded alone, then with batches, and so on, all
+groups each time, with models that they begin with and that count as what a file holds of them.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from numcodecs.zstd import Zstd
 
-from storage.packed.archive.coder import WRITING, begin, end
+from storage.packed.archive.coder import MOST_USES, WRITING, begin, end
 from storage.packed.archive.columns import axis_of_heights, chunks_of, form_of, kinds_of, splats_of
-from storage.packed.archive.mixing import SIGNED_SETS, fresh_models
+from storage.packed.archive.continued import Looks, looks_of
+from storage.packed.archive.mixing import SIGNED_SETS, Models, fresh_models
 from storage.packed.archive.splats import (
     BATCH,
     N_BATCHES,
@@ -25,16 +29,19 @@ from storage.packed.archive.splats import (
     N_SETS,
     N_STATIONS,
     SIZE_BITS,
+    SIZES,
     code_splats,
     models_of,
 )
+from storage.packed.archive.squares import squares_of
 from storage.packed.archive.tables import MODELS_A_COLUMN, code_tables, columns_of, numbers_of, tables_in
-from storage.packed.archive.transcode import archive_packed
+from storage.packed.archive.transcode import LEARNED_FROM, LEAST_GROUPS, USES_OF_ALL, archive_packed
+from storage.packed.layout import ZSTD_LEVEL
 from storage.packed.packed import PackedFile
+from storage.packed.scene import PackedScene
 from storage.packed.schema import BOXES, Header
 
 PARTS = ("geometry", "batches", "sizes", "colours", "cameras and stations", "cliplines, ellipsoids, atoms, weights")
-STRIDE = 4  # of the groups that are looked at
 
 
 def forms_of(header: Header) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -49,35 +56,40 @@ def forms_of(header: Header) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def part_bits(packed: PackedFile) -> tuple[np.ndarray, dict[str, float]]:
-    """Bits a splat of PARTS, models learning from group to group, and of tables of chunks."""
-    groups = [packed.group(index) for index in range(0, packed.header.n_groups, STRIDE)]
-    n = sum(group.header.n_splats for group in groups)
-    sums = np.zeros(len(PARTS))
+    """Bits a splat of PARTS, with their shares of the models that a file holds, and of tables of chunks."""
+    groups = [packed.group(index) for index in range(packed.header.n_groups)]
+    n, n_groups = packed.header.n_splats, len(groups)
+    looks, sums = looks_of(packed.header, packed.of_all("dictionary")), np.zeros(len(PARTS))
     for part, (form, kinds) in enumerate(forms_of(packed.header)):
-        models = fresh_models(int(models_of(form)[-1]), N_SETS)
-        for group in groups:
-            axis = axis_of_heights(group) if group.header.geometry == BOXES else np.zeros(group.header.n_chunks, int)
-            chunks, steps = chunks_of(group.header, group.arrays, axis)
-            s, order = splats_of(group, chunks), np.arange(group.header.n_splats)
-            s.fields[:, BATCH] *= form[N_BATCHES] > 1
-            out = np.empty(1 << 16 | 1024 * len(order), np.uint8)
-            state = begin(WRITING, out)
-            code_splats(
-                state,
-                out,
-                *models.pair,
-                models_of(form),
-                form,
-                chunks,
-                steps,
-                kinds,
-                s.fields,
-                s.first,
-                s.entries,
-                order,
-            )
-            sums[part] += 8 * end(state, out)
+        fresh = fresh_models(int(models_of(form)[-1]), N_SETS)
+        known = np.zeros(fresh.n_known, np.uint8)
+        if n_groups >= LEAST_GROUPS:
+            learned = fresh.begun(known)
+            for group in groups[:: -(-n_groups // LEARNED_FROM)]:
+                _bytes_of(group, learned, form, kinds, looks)
+            known = learned.known(max(MOST_USES, USES_OF_ALL // n_groups))
+            sums[part] += 8 * len(Zstd(ZSTD_LEVEL).encode(known))
+        sums[part] += 8 * sum(_bytes_of(group, fresh.begun(known), form, kinds, looks) for group in groups)
     return np.diff(sums / n, prepend=0), _table_bits(packed.header, groups, n)
+
+
+def _bytes_of(group: PackedScene, models: Models, form: np.ndarray, kinds: np.ndarray, looks: Looks) -> int:
+    header = group.header
+    axis = axis_of_heights(group) if header.geometry == BOXES else np.zeros(header.n_chunks, int)
+    chunks, steps = chunks_of(header, group.arrays, axis)
+    if not form[SIZE_BITS]:
+        chunks[:, SIZES] = 1
+    s, order = splats_of(group, chunks), np.arange(header.n_splats)
+    s.fields[:, BATCH] *= form[N_BATCHES] > 1
+    if not kinds.any():  # so that no texture is looked at where none is coded
+        looks = looks_of(replace(header, n_dictionary=0), {})
+    out = np.empty(1 << 16 | 1024 * len(order), np.uint8)
+    state = begin(WRITING, out)
+    code_splats(
+        state, out, *models.pair, models_of(form), form, chunks, steps, kinds, looks.arrays,
+        squares_of(header, group.arrays, axis, chunks[:, SIZES]).arrays, s.fields, s.first, s.entries, order,
+    )  # fmt: skip
+    return int(end(state, out))
 
 
 def _table_bits(header: Header, groups: list, n: int) -> dict[str, float]:

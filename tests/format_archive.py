@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from tests.format_textures import Atoms, Square, normal_of, tree_of, turns_of
+
 SIGNED = 98
 SHIFTS = [1] + [2] * 2 + [3] * 4 + [4] * 8 + [5] * 16 + [6] * 32
 SQUASH = [min(4095, max(1, round(4096 / (1 + math.exp(-x / 256))))) for x in range(-2048, 2048)]
@@ -30,7 +32,7 @@ class Coder:
     def __init__(self, data: bytes, n_models: int, n_sets: int) -> None:
         self.data, self.at, self.code, self.range = data, 4, int.from_bytes(data[:4], "big"), 2**32 - 1
         self.p, self.t = [32768] * n_models, [0] * n_models
-        self.w = [[16384] * 6 for _ in range(n_sets)]
+        self.w = [[16384] * 7 for _ in range(n_sets)]
 
     def by(self, bound: int) -> int:
         bit = 0 if self.code < bound else 1
@@ -40,13 +42,15 @@ class Coder:
             self.range, self.code, self.at = self.range << 8, self.code << 8 | byte, self.at + 1
         return bit
 
-    def bit(self, models: list[int], which: int = 0) -> int:
+    def bit(self, models: list[int], which: int = 0, masses: tuple = (0, 0)) -> int:
         n = len(models)
         said = [STRETCH[self.p[m] >> 4] for m in models]
         chance = self.p[models[0]] >> 4
+        a, both = masses[0], masses[0] + masses[1]
+        known = STRETCH[min(4095, max(1, int(np.float32(4096) * a / both)))] if both > 0 else 0
         if n > 1:
             w = self.w[which]
-            total = sum(x * y for x, y in zip(w, said)) * (6 // n) >> 16
+            total = (sum(x * y for x, y in zip(w, said)) + w[6] * known) * (6 // n) >> 16
             chance = SQUASH[min(2047, max(-2047, total)) + 2048]
         found = self.by((self.range >> 12) * chance)
         error = (0 if found else 4096) - chance
@@ -56,6 +60,8 @@ class Coder:
             p, shift = self.p[m], SHIFTS[min(self.t[m], 62)]
             self.p[m] = p - ((p - 16) >> shift) if found else p + ((65520 - p) >> shift)
             self.t[m] += 1
+        if known:
+            w[6] += (known * error + 2048) >> 12
         return found
 
     def share(self, a: int, b: int) -> int:
@@ -67,10 +73,11 @@ class Coder:
             value = 2 * value + self.by((self.range >> 12) * 2048)
         return value
 
-    def tree(self, bases: list[int], bits: int, which: int = 0) -> int:
+    def tree(self, bases: list[int], bits: int, which: int = 0, masses: list | None = None) -> int:
         node = 1
         for _ in range(bits):
-            node = 2 * node + self.bit([base + node for base in bases], which + min(31, node))
+            known = (masses[2 * node], masses[2 * node + 1]) if masses else (0, 0)
+            node = 2 * node + self.bit([base + node for base in bases], which + min(31, node), known)
         return node - 2**bits
 
     def signed(self, bases: list[int], which: int = 0) -> int:
@@ -109,11 +116,11 @@ class Sets:
         atoms, levels = 1 << self.atom_bits, 1 << header["weight_bits"]
         sizes = {
             "counts": 9 * 8 * 16, "many": 9 * SIGNED, "values": 6 * sum(VALUES) * SIGNED,
-            "batches": (2 * (b + 1) + (b + 1) ** 2 + 2 * 34 * 34) << self.batch_bits,
+            "batches": (2 * (b + 1) + (b + 1) ** 2 + 3 * 34 * 34) << self.batch_bits,
             "sizes": (64 + 17 * 17 + 2 * 62 * 64) * 16,
             "sources": 2 * (4 + 72 + 257 * 9 + 136 + 515 * 256), "cliplines": 3 * 272 * 16, "ellipsoids": 1024,
             "atoms": 9 * atoms, "turns": (1 + atoms) << self.turn_bits,
-            "weights": (256 + 256 * 17 + 512 + 512) * levels, "axes": 4, "tables": n_columns * 33 * SIGNED,
+            "weights": (256 + 256 * 17 + 512 + 512 + 257) * levels, "axes": 4, "tables": n_columns * 33 * SIGNED,
         }  # fmt: skip
         self.n = 0
         for name, n in sizes.items():
@@ -137,8 +144,11 @@ class Sets:
         self.n_sets = self.w_tables + 15 * n_columns
 
 
-def decode_group(header: dict, data: bytes, n: int) -> tuple[dict, list[dict]]:
-    """The tables of a group of `n` splats, and its splats in the order in which they are told."""
+def decode_group(header: dict, data: bytes, n: int, dictionary: tuple | None = None) -> tuple[dict, list[dict]]:
+    """The tables of a group of `n` splats, and its splats in the order in which they are told. `dictionary`: texels of
+    the finest level, scales, weights."""
+    looked_at = dictionary is not None and header["n_turns"] == 8 and header["n_dictionary"] <= 512
+    atoms = Atoms(*dictionary) if looked_at and header["atom_size"] >= 8 else None
     assert data[0] == 0
     boxes = "geometry" not in header
     names = [name for name in TABLES if _is_there(name, header, boxes)]
@@ -149,7 +159,7 @@ def decode_group(header: dict, data: bytes, n: int) -> tuple[dict, list[dict]]:
     splats, late = [], {}
     for chunk in range(n_chunks):
         row = {name: values[chunk] for name, values in tables.items()}
-        splats += _Chunk(header, coder, sets, row, axes[chunk], boxes, late).splats(min(128, n - 128 * chunk))
+        splats += _Chunk(header, coder, sets, row, axes[chunk], boxes, late, atoms).splats(min(128, n - 128 * chunk))
     assert coder.at == len(data) - 1
     return tables, splats
 
@@ -199,8 +209,8 @@ def _tables(coder: Coder, sets: Sets, names: list[str], n_chunks: int) -> dict[s
 
 
 class _Chunk:
-    def __init__(self, header, coder, sets, row, axis, boxes, late) -> None:
-        self.late = late
+    def __init__(self, header, coder, sets, row, axis, boxes, late, dictionary) -> None:
+        self.late, self.row, self.dictionary = late, row, dictionary
         self.header, self.coder, self.sets, self.boxes = header, coder, sets, boxes
         self.sizes = 2 ** header["size_bits"]
         if boxes:
@@ -210,6 +220,7 @@ class _Chunk:
             self.sides = [side / max(sides) if max(sides) > 0 else 1.0 for side in sides]
             self.cells, self.normals = [2**b for b in bits], [255, 255]
         else:
+            self.axes = [0, 1, 2]
             self.normals = [row["normal_cells"][i] + 1 for i in range(2)]
             u, v = row["frame_cells"]
             if header["size_bits"]:
@@ -306,9 +317,6 @@ class _Chunk:
     def fields(self, splat: dict) -> None:
         coder, sets, header, near, d = self.coder, self.sets, self.header, self.near, len(self.header["batches"])
         three = (near + [near[-1]] * 2)[:3] if near else []
-        splat["batch"] = 0
-        if d > 1:
-            splat["batch"] = self.batch(near, three, d)
         splat["size"] = self.size(near, three) if self.sizes > 1 else 0
         before = 0
         for i, name in enumerate(("a", "b", "height")):
@@ -316,11 +324,21 @@ class _Chunk:
             if name == "height" and self.boxes:
                 said = [self.height(splat, o) for o in near]
             before = self.value(splat, name, i, (*self.normals, self.cells[2])[i], said, 0, before)
+        square, contrast = None, 0
+        if self.dictionary:
+            half = [2 * splat[k] + 1 - n for k, n in zip("uv", self.cells)]
+            normal = normal_of(self.row, self.boxes, splat["a"], splat["b"], *half)
+            square = Square(header, self.row, self.axes, self.boxes, self.sizes, splat, normal)
+            place = [splat[name] * side for name, side in zip(("u", "v", "height"), self.sides)]
+            square.see(place, [o["square"] for o in near])
         before = 0
         for f in range(3):
             added = 0 if header["color_step"] else before
             name = f"color{f}"
             before = self.value(splat, name, 3 + f, self.colors[f], [o[name] for o in near], added, before)
+        if square:
+            contrast = square.differ(square.light(header, self.row, [splat[f"color{f}"] for f in range(3)]))
+        splat["batch"], splat["square"] = self.batch(near, three, d, contrast) if d > 1 else 0, square
         batch = header["batches"][splat["batch"]]
         for i, (name, n) in enumerate([("camera", len(header["cameras"])), ("station", len(header.get("maps", [])))]):
             if n:
@@ -334,9 +352,9 @@ class _Chunk:
             splat["clipline"] = line
         if batch.get("ellipsoid"):
             splat["ellipsoid"] = [coder.tree([sets.ellipsoids + 256 * f], 8) for f in range(4)]
-        splat["atoms"] = self.atoms(batch["n_atoms"])
+        splat["atoms"] = self.atoms(batch["n_atoms"], square)
 
-    def batch(self, near: list[dict], three: list[dict], d: int) -> int:
+    def batch(self, near: list[dict], three: list[dict], d: int, contrast: int) -> int:
         batches, late = self.header["batches"], self.late.get("atoms", 0.0)
         first, second, atoms, lines = d, d, 0, 0
         if near:
@@ -347,7 +365,7 @@ class _Chunk:
         rest = 2 * (d + 1) + (d + 1) ** 2
         places = [
             2 * first + (first == second), 2 * (d + 1) + first * (d + 1) + second, rest + 34 * atoms + lines,
-            rest + 34 * 34 + 34 * atoms + int(2 * late),
+            rest + 34 * 34 + 34 * atoms + int(2 * late), rest + 2 * 34 * 34 + 34 * atoms + contrast,
         ]  # fmt: skip
         bits = self.sets.batch_bits
         found = self.coder.tree([self.sets.batches + (p << bits) for p in places], bits, self.sets.w["batch"])
@@ -368,20 +386,26 @@ class _Chunk:
         self.late["size"] = late + (found - late) / 8
         return found
 
-    def atoms(self, n_atoms: int) -> list[tuple[int, int]]:
+    def atoms(self, n_atoms: int, square: Square | None) -> list[tuple[int, int]]:
         sets, coder, bits = self.sets, self.coder, self.header["weight_bits"]
         found, before, earlier = [], 0, 0
         for rank in range(n_atoms):
             bases = [sets.atoms, sets.atoms + (1 + min(rank, 7) << sets.atom_bits)]
-            atom = coder.tree(bases, sets.atom_bits, sets.w["atom"])
+            masses = square.look(self.dictionary) if square else None
+            atom = coder.tree(bases, sets.atom_bits, sets.w["atom"], tree_of(masses, sets.atom_bits))
             bases = [sets.turns, sets.turns + (1 + atom << sets.turn_bits)]
-            turn = coder.tree(bases, sets.turn_bits, sets.w["turn"])
+            inside = square is not None and atom < len(self.dictionary.worth)
+            knows = inside and masses is not None
+            turn = coder.tree(bases, sets.turn_bits, sets.w["turn"], turns_of(masses[atom]) if knows else [])
+            met = square.met(self.dictionary, rank, atom, turn, max(0, bits - 4)) if knows else 0
             place = 16 * rank + before
             places = [
                 place, 256 + 17 * place + n_atoms, 256 * 18 + 2 * (16 * earlier + before) + (rank == 0),
-                256 * 20 + (atom >> max(0, sets.atom_bits - 9)),
+                256 * 20 + (atom >> max(0, sets.atom_bits - 9)), 256 * 22 + met,
             ]  # fmt: skip
             weight = coder.tree([sets.weights + (p << bits) for p in places], bits, sets.w[f"weight{min(rank, 3)}"])
+            if inside:
+                square.add(self.dictionary, rank, atom, turn, weight)
             found.append((atom << sets.turn_bits | turn, weight))
             earlier, before = before, weight >> max(0, bits - 4)
         return found

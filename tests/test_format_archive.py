@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from storage.packed.archive.columns import axis_of_heights, chunks_of, splats_of
+from storage.packed.archive.continued import looks_of
 from storage.packed.archive.group import code_group, group_models
 from storage.packed.archive.splats import BATCH, CAMERA, ELLIPSOID, HEIGHT, LINE, RED, SIZE, STATION, A, B
 from storage.packed.packed import PackedFile
@@ -20,6 +21,8 @@ CASES = [
     Case(cliplines=True, period=40),
     Case(n_splats=129, quadrics=True, cliplines=True, ellipsoids=True, size_bits=3, color_step=100, atom_size=8),
     Case(n_dictionary=0, atom_counts=(0,), n_cameras=0, n_maps=2, size_bits=3, period=50),
+    Case(n_splats=200, n_turns=8, n_dictionary=19, cliplines=True, size_bits=3, color_step=100),
+    Case(n_splats=130, n_turns=8, n_dictionary=19, atom_size=8, quadrics=True, size_bits=4, period=37),
     Case(n_splats=140, ellipsoids=True, dictionary_bits=12, weight_bits=6, n_dictionary=300, color_step=112),
 ]
 
@@ -31,16 +34,19 @@ def test_format_archive__knows_nothing_of_the_product():
         "__future__",
         "math",
         "numpy",
+        "tests.format_textures",
     }
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_format_archive__decodes_what_the_product_wrote(case, tmp_path):
     with PackedFile(write_packed_file(case, tmp_path / "a.splatpress")) as opened:
-        scene = opened.group(0)
+        scene, shared = opened.group(0), opened.of_all("dictionary")
     header = scene.header
-    data = b"\0" + code_group(scene, group_models(header)).tobytes()
-    tables, found = decode_group(header.to_json() | {"cameras": list(header.cameras)}, data, header.n_splats)
+    data = b"\0" + code_group(scene, group_models(header), looks_of(header, shared)).tobytes()
+    size, told = f"atoms_{header.atom_size}", header.to_json() | {"cameras": list(header.cameras)}
+    dictionary = (shared[size], shared["atom_scale"], shared["weight_levels"]) if size in shared else None
+    tables, found = decode_group(told, data, header.n_splats, dictionary)
     for name, rows in tables.items():
         values = scene.arrays[name].reshape(header.n_chunks, -1)
         assert rows == (values.view(np.uint32) if values.dtype == np.float32 else values).tolist(), name

@@ -12,7 +12,9 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numcodecs.zstd import Zstd
@@ -29,6 +31,9 @@ from storage.packed.scene import PackedScene, check_tables
 from storage.packed.schema import BY_NAME, GROUP, QUADRICS, Array, Header, arrays_of, atom_arrays
 from storage.packed.seal import SUFFIX, check_seal, is_packed_file
 from storage.packed.totals import Totals, array_bytes
+
+if TYPE_CHECKING:
+    from storage.packed.archive.continued import Looks
 
 __all__ = ["SUFFIX", "PackedFile", "PackedScene", "is_packed_file"]
 
@@ -135,9 +140,11 @@ class PackedFile:
         rows = self.groups.rows.sum(axis=0, dtype=np.int64)
         return Totals(self.header, array_bytes(self.header, rows.tolist()), counts)
 
-    def of_all(self) -> dict[str, np.ndarray]:
-        """The arrays that all groups share: dictionary, also one that ships with the program, maps."""
+    def of_all(self, part: str = "") -> dict[str, np.ndarray]:
+        """The arrays that all groups share: dictionary, also one that ships with the program, maps; or those of one
+        `part` alone."""
         shared = [a for a in arrays_of(self._stored) if not (a.in_groups or a.name in (*TABLE, MODELS))]
+        shared = [a for a in shared if part in ("", a.part)]
         found = {array.name: self._rows(array) for array in shared}
         if "archive_atoms" in found:
             from storage.packed.archive.atoms import unpack_atoms  # compiles loops: for archives alone
@@ -148,6 +155,12 @@ class PackedFile:
             with _damage_is_an_error(self.path):
                 found |= shipped_arrays(self.header)
         return found
+
+    @cached_property
+    def _looks(self) -> Looks:
+        from storage.packed.archive.continued import looks_of
+
+        return looks_of(self.header, self.of_all("dictionary"))
 
     def _models(self) -> np.ndarray | None:
         """What models of groups begin with, where the file says so."""
@@ -204,7 +217,7 @@ class PackedFile:
             if self.is_archive:
                 from storage.packed.archive.group import unpack_group  # compiles loops: for archives alone
 
-                arrays = unpack_group(header, arrays["archive"], n_rows, self._priors)
+                arrays = unpack_group(header, arrays["archive"], n_rows, self._priors, self._looks)
             for name, told in rows_told(header, arrays).items():
                 if n_rows[name] != told[0]:
                     raise ValueError(f"group_rows says {n_rows[name]} of {name} in group {index}, its counts {told[0]}")

@@ -114,7 +114,7 @@ class RunGrid:
     n_runs: int
 
 
-CODER = 2  # of archives: models that are mixed; files of any other are refused
+CODER = 3  # of archives: models that are mixed, and told of neighbours' textures; files of any other are refused
 
 
 @dataclass(frozen=True)

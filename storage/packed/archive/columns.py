@@ -40,6 +40,7 @@ from storage.packed.archive.splats import (
     B,
     U,
 )
+from storage.packed.archive.squares import PLANES
 from storage.packed.batches import count_batches, rows_of
 from storage.packed.bits import pack_bits, pack_sizes, unpack_bits
 from storage.packed.codes import pack_codes
@@ -102,7 +103,7 @@ def chunks_of(header: Header, tables: dict[str, np.ndarray], axis: np.ndarray) -
     chunks[:, SIZES] = 1 << header.size_bits
     chunks[:, COUNT] = np.minimum(CHUNK, header.n_splats - CHUNK * np.arange(n_chunks))
     if header.geometry == BOXES:
-        axes = np.array([[1, 2, 0], [0, 2, 1], [0, 1, 2]])[axis]
+        axes = PLANES[axis]
         bits = np.take_along_axis(tables["box_bits"].astype(np.int64), axes, axis=1)
         side = np.take_along_axis(tables["box_size"].astype(np.float64), axes, axis=1) / 2.0**bits
         longest = side.max(axis=1, keepdims=True)

@@ -22,8 +22,10 @@ from storage.packed.archive.columns import (
     kinds_of,
     splats_of,
 )
-from storage.packed.archive.mixing import MOST_PLACES, SIGNED_SETS, Models, fresh_models, mixed_tree
-from storage.packed.archive.splats import N_FIELDS, N_SETS, code_splats, models_of
+from storage.packed.archive.continued import Looks
+from storage.packed.archive.mixing import N_BASES, SIGNED_SETS, Models, fresh_models, mixed_tree
+from storage.packed.archive.splats import N_FIELDS, N_SETS, SIZES, code_splats, models_of
+from storage.packed.archive.squares import squares_of
 from storage.packed.archive.tables import MODELS_A_COLUMN, code_tables, columns_of, numbers_of, of_numbers
 from storage.packed.scene import PackedScene
 from storage.packed.schema import BOXES, Header, arrays_of, dimensions_of
@@ -47,13 +49,13 @@ def group_models(header: Header, priors: np.ndarray | None = None) -> Models:
 
 @compiled
 def _code_axes(state, data, models, weights, base, axis):
-    bases = np.full(MOST_PLACES, base)
+    bases = np.full(N_BASES, base)
     for chunk in range(len(axis)):
         found = mixed_tree(state, data, models, weights, bases, 1, _AXIS_SET, 2, axis[chunk])
         axis[chunk] = within(state, found, 3)
 
 
-def code_group(scene: PackedScene, models: Models) -> np.ndarray:
+def code_group(scene: PackedScene, models: Models, looks: Looks) -> np.ndarray:
     """The bytes (m,) uint8 of a group's splats and chunks; the models learn from it."""
     header, at = scene.header, models_of(form_of(scene.header))
     out = np.empty(_ROOM + _ROOM_A_SPLAT * header.n_splats, np.uint8)
@@ -67,12 +69,13 @@ def code_group(scene: PackedScene, models: Models) -> np.ndarray:
     s, form = splats_of(scene, chunks), form_of(header)
     order = np.arange(header.n_splats)
     code_splats(
-        state, out, *models.pair, at, form, chunks, steps, kinds_of(header), s.fields, s.first, s.entries, order
-    )
+        state, out, *models.pair, at, form, chunks, steps, kinds_of(header), looks.arrays,
+        squares_of(header, scene.arrays, axis, chunks[:, SIZES]).arrays, s.fields, s.first, s.entries, order,
+    )  # fmt: skip
     return out[: end(state, out)].copy()
 
 
-def _read_group(header: Header, data: np.ndarray, models: Models) -> dict[str, np.ndarray]:
+def _read_group(header: Header, data: np.ndarray, models: Models, looks: Looks) -> dict[str, np.ndarray]:
     """The way back of `code_group`, with the models as they were."""
     at, n = models_of(form_of(header)), header.n_splats
     state, columns = begin(READING, data), columns_of(header)
@@ -85,22 +88,27 @@ def _read_group(header: Header, data: np.ndarray, models: Models) -> dict[str, n
     chunks, steps = chunks_of(header, tables, axis)
     fields, first, form = np.zeros((n, N_FIELDS), np.int64), np.zeros(n, np.int64), form_of(header)
     entries, order = np.zeros((n * header.n_ranks, 2), np.int64), np.arange(n)
-    code_splats(state, data, *models.pair, at, form, chunks, steps, kinds_of(header), fields, first, entries, order)
+    code_splats(
+        state, data, *models.pair, at, form, chunks, steps, kinds_of(header), looks.arrays,
+        squares_of(header, tables, axis, chunks[:, SIZES]).arrays, fields, first, entries, order,
+    )  # fmt: skip
     if not end(state, data):
         raise ValueError(f"{len(data)} bytes of a group that are not those of its {n} splats")
     return arrays_of_splats(header, tables, chunks, Splats(fields, first, entries))
 
 
-def pack_group(scene: PackedScene, arrays: dict[str, np.ndarray], priors: np.ndarray | None) -> np.ndarray:
+def pack_group(
+    scene: PackedScene, arrays: dict[str, np.ndarray], priors: np.ndarray | None, looks: Looks
+) -> np.ndarray:
     """The bytes (m,) uint8 of a group: `scene` is it alone, `arrays` are its rows that count."""
-    coded = code_group(scene, group_models(scene.header, priors))
+    coded = code_group(scene, group_models(scene.header, priors), looks)
     stood = _as_they_stand(scene.header, arrays)
     kind, data = (CODED, coded) if len(coded) <= len(stood) else (AS_THEY_STAND, stood)
     return np.concatenate([np.array([kind], np.uint8), data])
 
 
 def unpack_group(
-    header: Header, data: np.ndarray, n_rows: dict[str, int], priors: np.ndarray | None
+    header: Header, data: np.ndarray, n_rows: dict[str, int], priors: np.ndarray | None, looks: Looks
 ) -> dict[str, np.ndarray]:
     """The arrays of a group of bytes (m,) uint8, the rows that count; `header` is the group's alone, of the plain form,
     `n_rows` are what the table says of arrays with any number of rows.
@@ -111,7 +119,7 @@ def unpack_group(
         raise ValueError(f"a group that begins with {data[:1].tolist()}, not {CODED} or {AS_THEY_STAND}")
     if data[0] == AS_THEY_STAND:
         return _stood(header, data[1:], n_rows)
-    return _read_group(header, np.array(data[1:]), group_models(header, priors))
+    return _read_group(header, np.array(data[1:]), group_models(header, priors), looks)
 
 
 def _as_they_stand(header: Header, arrays: dict[str, np.ndarray]) -> np.ndarray:

@@ -11,8 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 from storage.packed.archive.coder import compiled, even, length_of, within
-from storage.packed.archive.mixing import MOST_PLACES, TREE_SETS, mixed, mixed_tree
-from storage.packed.archive.near import N_VALUE_MODELS, N_VALUE_SETS, NEAREST, code_value, nearest, weigh
+from storage.packed.archive.continued import TEXELS, continued, differing
+from storage.packed.archive.mixing import N_BASES, TREE_SETS, mixed, mixed_tree
+from storage.packed.archive.near import N_VALUE_MODELS, N_VALUE_SETS, NEAREST, code_value, nearest, octaves, weigh
+from storage.packed.archive.squares import axes_of, octahedral
+from storage.packed.archive.supports import ATOM_MODELS, N_SUPPORT_SETS, WEIGHT_MODELS, code_atoms, room_of
 from storage.packed.archive.tree import COUNT_MODELS, MANY_MODELS, code_cells
 
 # Columns of a splat.
@@ -31,13 +34,12 @@ COUNT, CELLS, N_A, N_B, COLORS, AXES, SIZES = 0, 1, 4, 5, 6, 9, 12
 N_CHUNK = 13
 
 TREE_BITS = 8  # bits of a camera or a station that have models; those above are even
-INDEX_CONTEXT_BITS = 9  # of an atom's index that its weight is told by
 ATOMS, LINES = 17, 8  # how many of its neighbours' atoms, in whole ones, and cliplines, in sixths, a batch is told by
 
 # The first sets of weights of each kind of field.
 W_BATCH = 6 * N_VALUE_SETS  # behind those of values
-W_SIZE, W_SAME, W_SOURCE, W_LINE, W_ATOM, W_TURN, W_WEIGHT = (W_BATCH + 32 * k for k in (1, 2, 3, 4, 7, 8, 9))
-N_SETS = W_WEIGHT + 4 * 32
+W_SIZE, W_SAME, W_SOURCE, W_LINE, W_ATOM = (W_BATCH + 32 * k for k in (1, 2, 3, 4, 7))
+N_SETS = W_ATOM + N_SUPPORT_SETS
 assert TREE_SETS == 32
 
 
@@ -49,25 +51,32 @@ def models_of(form: np.ndarray) -> np.ndarray:
     counts = [
         COUNT_MODELS + MANY_MODELS,
         *[N_VALUE_MODELS] * 6,
-        (2 * (n + 1) + (n + 1) ** 2 + 2 * 34 * 34) << batch_bits,
+        (2 * (n + 1) + (n + 1) ** 2 + 3 * 34 * 34) << batch_bits,
         (64 + 17 * 17 + 2 * 62 * 64) << 4,
         2 * (4 + 72 + 257 * 9 + 4 * 34 + (1 + 2 * 257 << TREE_BITS)),
         3 * (16 + 16 * 16) * 16,
         4 << 8,
-        9 * atoms + (1 + atoms) * turns,
-        (16 * 16 + 16 * 16 * 17 + 2 * 16 * 16 + (1 << INDEX_CONTEXT_BITS)) * levels,
+        ATOM_MODELS * atoms + (1 + atoms) * turns,
+        WEIGHT_MODELS * levels,
     ]
     return np.concatenate([[0], np.cumsum(counts)])
 
 
 @compiled
-def code_splats(state, data, models, weights, at, form, chunks, steps, kinds, fields, first, entries, order):
+def code_splats(
+    state, data, models, weights, at, form, chunks, steps, kinds, looks, squares, fields, first, entries, order
+):
     """Writes or reads all splats of a group: `fields` (n, N_FIELDS), and of each its atoms and weights, rows of
-    `entries` (m, 2) from `first` (n,) on. `order` (n,) becomes that in which they are told."""
+    `entries` (m, 2) from `first` (n,) on. `order` (n,) becomes that in which they are told. `looks` and `squares` are
+    the arrays of those of continued.py and squares.py."""
     n_entries, begin, n_splats = 0, 0, len(fields)
     near, asked, off = np.zeros(NEAREST, np.int64), np.zeros(4, np.int64), np.zeros((n_splats + 1, N_FIELDS))
     away, weight, said = np.zeros(NEAREST), np.zeros(NEAREST + 1), np.zeros(NEAREST)
-    bases = np.zeros(MOST_PLACES, np.int64)
+    bases, sees = np.zeros(N_BASES, np.int64), len(looks[0]) > 0
+    along, maps, radii, lights, upright = squares
+    places, own, radius = np.zeros((n_splats, 3)), np.zeros((n_splats, 6)), np.ones(n_splats)
+    shown, texels = np.zeros((n_splats if sees else 0, TEXELS), np.float32), np.zeros((4, TEXELS), np.float32)
+    room = room_of(len(looks[0]), form[INDEX_BITS] - form[TURN_BITS])
     for c in range(len(chunks)):
         chunk, step = chunks[c], steps[c]
         rows = order[begin : begin + chunk[COUNT]]
@@ -76,11 +85,11 @@ def code_splats(state, data, models, weights, at, form, chunks, steps, kinds, fi
         for i in range(len(rows)):
             splat, n = rows[i], nearest(fields, rows, i, step, near, away)
             asked[1], asked[2] = weigh(away, n, area, weight), min(length_of(i), 7) >> 1
-            _code_kind(
-                state, data, models, weights, at, form, kinds, splat, n, near, weight, asked, fields, off, bases,
-                chunk[SIZES],
-            )  # fmt: skip
-            kind = kinds[fields[splat, BATCH]]
+            if form[SIZE_BITS] and chunk[SIZES] > 1:
+                _code_size(
+                    state, data, models, weights, at[8], form[SIZE_BITS], chunk[SIZES], splat, n, near, weight, asked[1],
+                    fields, off, bases,
+                )  # fmt: skip
             asked[0] = asked[3] = 0
             for f in range(3):  # the normal, then the height
                 column = HEIGHT if f == 2 else A + f
@@ -94,6 +103,17 @@ def code_splats(state, data, models, weights, at, form, chunks, steps, kinds, fi
                     state, data, models, weights, at[1 + f], f * N_VALUE_SETS, fields, column, n_values, splat, near, n,
                     step, weight, said, asked, off, bases,
                 )  # fmt: skip
+            covered, light, contrast = 0, 0.0, 0
+            if sees:
+                for k in range(3):
+                    places[splat, k] = fields[splat, U + k] * step[k]
+                a, b, u, v = fields[splat, A], fields[splat, B], fields[splat, U], fields[splat, V]
+                u, v = 2 * u + 1 - chunk[CELLS], 2 * v + 1 - chunk[CELLS + 1]
+                axes_of(a, b, u, v, maps[c], along[c], upright, own[splat])
+                radius[splat] = radii[c, fields[splat, SIZE]]
+                covered = continued(
+                    places, own, radius, shown, splat, near, n, texels[0], texels[1], texels[2], texels[3]
+                )
             asked[3] = 0
             for f in range(form[N_COLORS]):
                 for k in range(n):
@@ -103,6 +123,17 @@ def code_splats(state, data, models, weights, at, form, chunks, steps, kinds, fi
                     state, data, models, weights, at[4 + f], (3 + f) * N_VALUE_SETS, fields, RED + f, chunk[COLORS + f],
                     splat, near, n, step, weight, said, asked, off, bases,
                 )  # fmt: skip
+            if sees:
+                light = lights[c, 0] + lights[c, 1] * fields[splat, RED]
+                light = light + lights[c, 2] * fields[splat, GREEN] + lights[c, 3] * fields[splat, BLUE]
+                if form[IS_BYTES]:
+                    light = 2 * (fields[splat, RED] + fields[splat, GREEN] + fields[splat, BLUE]) / 3
+                squares_ = differing(texels[0], texels[1], light, room[0], room[1])
+                contrast = min(1 + octaves(squares_ / covered), 33) if covered else 0
+            _code_batch(
+                state, data, models, weights, at[7], form, kinds, splat, n, near, weight, contrast, fields, off, bases
+            )
+            kind = kinds[fields[splat, BATCH]]
             for name in range(2):
                 if form[N_CAMERAS + name]:
                     _code_source(
@@ -115,68 +146,63 @@ def code_splats(state, data, models, weights, at, form, chunks, steps, kinds, fi
                 _code_ellipsoid(state, data, models, weights, at[11], splat, fields, bases)
             if not state[5]:
                 first[splat] = n_entries
-            _code_atoms(state, data, models, weights, at, form, entries, first[splat], kind[0], bases)
+            code_atoms(
+                state, data, models, weights, at[12:14], W_ATOM, form[WEIGHT_BITS], form[TURN_BITS],
+                form[INDEX_BITS] - form[TURN_BITS], looks, room, covered, light, shown[splat : splat + 1], entries,
+                first[splat], kind[0], bases,
+            )  # fmt: skip
             n_entries += kind[0]
         begin += chunk[COUNT]
 
 
 @compiled
-def _code_kind(
-    state, data, models, weights, at, form, kinds, splat, n, near, weight, asked, fields, off, bases, sizes
-):  # fmt: skip
-    """Batch and size."""
-    late = off[-1]
-    x, y, z = near[0], near[1], near[2]
+def _code_size(state, data, models, weights, base, bits, sizes, splat, n, near, weight, far, fields, off, bases):
+    late, usual, first, second, mean = off[-1], 63, 16, 16, 61
+    if n:
+        first, second = fields[near[0], SIZE], fields[near[1], SIZE]
+        usual, sum_ = 2 * first + second + fields[near[2], SIZE], 0.0
+        for k in range(n):
+            sum_ += weight[k] * fields[near[k], SIZE]
+        mean = np.int64(4 * sum_ / weight[NEAREST])
+    bases[0] = base + (usual << 4)
+    bases[1] = base + ((64 + first * 17 + second) << 4)
+    bases[2] = base + ((64 + 17 * 17 + mean * 64 + far) << 4)
+    bases[3] = base + ((64 + 17 * 17 + 62 * 64 + mean * 64 + np.int64(4 * late[SIZE])) << 4)
+    found = mixed_tree(state, data, models, weights, bases, 4, W_SIZE, bits, fields[splat, SIZE])
+    fields[splat, SIZE] = within(state, found, sizes)
+    late[SIZE] += (fields[splat, SIZE] - late[SIZE]) / 8
+
+
+@compiled
+def _code_batch(state, data, models, weights, begin, form, kinds, splat, n, near, weight, contrast, fields, off, bases):
     if form[N_BATCHES] > 1:
-        bits, none = length_of(form[N_BATCHES] - 1), form[N_BATCHES]
+        bits, none, late = length_of(form[N_BATCHES] - 1), form[N_BATCHES], off[-1]
         first, second, atoms, lines = none, none, 0, 0
         if n:
-            first, second = fields[x, BATCH], fields[y, BATCH]
+            first, second = fields[near[0], BATCH], fields[near[1], BATCH]
             mean_atoms, mean_lines = 0.0, 0.0
             for k in range(n):
                 mean_atoms += weight[k] * kinds[fields[near[k], BATCH], 0]
                 mean_lines += weight[k] * kinds[fields[near[k], BATCH], 1]
             atoms = 1 + np.int64(2 * mean_atoms / weight[NEAREST])
             lines = 1 + np.int64(6 * mean_lines / weight[NEAREST])
-        bases[0] = at[7] + ((2 * first + (1 if first == second else 0)) << bits)
-        bases[1] = at[7] + ((2 * (none + 1) + first * (none + 1) + second) << bits)
+        bases[0] = begin + ((2 * first + (1 if first == second else 0)) << bits)
+        bases[1] = begin + ((2 * (none + 1) + first * (none + 1) + second) << bits)
         base = 2 * (none + 1) + (none + 1) * (none + 1)
-        bases[2] = at[7] + ((base + atoms * 34 + lines) << bits)
-        bases[3] = at[7] + ((base + 34 * 34 + atoms * 34 + np.int64(2 * late[BATCH])) << bits)
-        found = mixed_tree(state, data, models, weights, bases, 4, W_BATCH, bits, fields[splat, BATCH])
+        bases[2] = begin + ((base + atoms * 34 + lines) << bits)
+        bases[3] = begin + ((base + 34 * 34 + atoms * 34 + np.int64(2 * late[BATCH])) << bits)
+        bases[4] = begin + ((base + 2 * 34 * 34 + atoms * 34 + contrast) << bits)
+        found = mixed_tree(state, data, models, weights, bases, 5, W_BATCH, bits, fields[splat, BATCH])
         fields[splat, BATCH] = within(state, found, form[N_BATCHES])
         late[BATCH] += (kinds[fields[splat, BATCH], 0] - late[BATCH]) / 16
-    if form[SIZE_BITS] and sizes > 1:
-        usual, first, second, mean = 63, 16, 16, 61
-        if n:
-            first, second = fields[x, SIZE], fields[y, SIZE]
-            usual, sum_ = 2 * first + second + fields[z, SIZE], 0.0
-            for k in range(n):
-                sum_ += weight[k] * fields[near[k], SIZE]
-            mean = np.int64(4 * sum_ / weight[NEAREST])
-        bases[0] = at[8] + (usual << 4)
-        bases[1] = at[8] + ((64 + first * 17 + second) << 4)
-        bases[2] = at[8] + ((64 + 17 * 17 + mean * 64 + asked[1]) << 4)
-        bases[3] = at[8] + ((64 + 17 * 17 + 62 * 64 + mean * 64 + np.int64(4 * late[SIZE])) << 4)
-        found = mixed_tree(state, data, models, weights, bases, 4, W_SIZE, form[SIZE_BITS], fields[splat, SIZE])
-        fields[splat, SIZE] = within(state, found, sizes)
-        late[SIZE] += (fields[splat, SIZE] - late[SIZE]) / 8
-
-
-@compiled
-def _octahedral(a, b):
-    c = 127 - abs(a) - abs(b)
-    if c >= 0:
-        return a, b, c
-    return (127 - abs(b)) * (1 if a >= 0 else -1), (127 - abs(a)) * (1 if b >= 0 else -1), c
 
 
 @compiled
 def _height_by(fields, splat, other, chunk, step):
     """The height of a splat in a box, where the plane through another passes that is tilted as both their normals."""
     n = chunk[CELLS + 2]
-    own = _octahedral(fields[splat, A] - 127, fields[splat, B] - 127)
-    at_other = _octahedral(fields[other, A] - 127, fields[other, B] - 127)
+    own = octahedral(fields[splat, A] - 127, fields[splat, B] - 127, 127)
+    at_other = octahedral(fields[other, A] - 127, fields[other, B] - 127, 127)
     normal = (own[0] + at_other[0], own[1] + at_other[1], own[2] + at_other[2])
     rise = (fields[splat, U] - fields[other, U]) * step[0] * normal[chunk[AXES]]
     rise += (fields[splat, V] - fields[other, V]) * step[1] * normal[chunk[AXES + 1]]
@@ -239,28 +265,3 @@ def _code_ellipsoid(state, data, models, weights, base, splat, fields, bases):
         bases[0] = base + (f << 8)
         found |= mixed_tree(state, data, models, weights, bases, 1, W_LINE, 8, (word >> 8 * f) & 255) << 8 * f
     fields[splat, ELLIPSOID] = found
-
-
-@compiled
-def _code_atoms(state, data, models, weights, at, form, entries, first, n_atoms, bases):
-    """Atoms by themselves and by rank, and weights by rank, by those before, by how many there are and by the atom."""
-    bits, turn_bits, atom_bits = form[WEIGHT_BITS], form[TURN_BITS], form[INDEX_BITS] - form[TURN_BITS]
-    base, turns, before, earlier = at[13], at[12] + (9 << atom_bits), 0, 0
-    short = max(0, atom_bits - INDEX_CONTEXT_BITS)
-    for rank in range(n_atoms):
-        entry = entries[first + rank]
-        bases[0] = at[12]
-        bases[1] = at[12] + (1 + min(rank, 7) << atom_bits)
-        atom = mixed_tree(state, data, models, weights, bases, 2, W_ATOM, atom_bits, entry[0] >> turn_bits)
-        bases[0] = turns
-        bases[1] = turns + (1 + atom << turn_bits)
-        turn = entry[0] & ((1 << turn_bits) - 1)
-        turn = mixed_tree(state, data, models, weights, bases, 2, W_TURN, turn_bits, turn)
-        entry[0] = atom << turn_bits | turn
-        place = 16 * rank + before
-        bases[0] = base + (place << bits)
-        bases[1] = base + ((256 + place * 17 + n_atoms) << bits)
-        bases[2] = base + ((256 * 18 + 2 * (16 * earlier + before) + (1 if rank == 0 else 0)) << bits)
-        bases[3] = base + ((256 * 20 + (atom >> short)) << bits)
-        entry[1] = mixed_tree(state, data, models, weights, bases, 4, W_WEIGHT + 32 * min(rank, 3), bits, entry[1])
-        earlier, before = before, entry[1] >> max(0, bits - 4)

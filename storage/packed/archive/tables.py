@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from storage.packed.archive.coder import SIGNED, compiled, even, length_of, within
-from storage.packed.archive.mixing import MOST_PLACES, SIGNED_SETS, mixed_signed
+from storage.packed.archive.mixing import N_BASES, SIGNED_SETS, mixed_signed
 from storage.packed.schema import Array, Header, arrays_of
 
 DERIVED = "batch_count", "sizes"  # what the splats tell
@@ -91,7 +91,7 @@ def code_tables(state, data, models, weights, base, which, columns, rows):
     """Writes or reads the numbers `rows` (c, w + 1) int64. Models begin at `base`, sets of weights at `which`."""
     n = len(columns)
     before, mean, sizes = np.zeros(n, np.int64), np.zeros(n), np.zeros(n, np.int64)
-    bases = np.empty(MOST_PLACES, np.int64)
+    bases = np.empty(N_BASES, np.int64)
     for chunk in range(len(rows)):
         row, left = rows[chunk], 0
         for c in range(n):

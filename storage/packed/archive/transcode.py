@@ -12,6 +12,7 @@ import numpy as np
 from storage.errors import InvalidPackedFile
 from storage.packed.archive.atoms import pack_atoms
 from storage.packed.archive.coder import MOST_USES
+from storage.packed.archive.continued import Looks, looks_of
 from storage.packed.archive.group import code_group, group_models, pack_group, unpack_group
 from storage.packed.dictionaries.levels import levels_of
 from storage.packed.groups import ragged_in
@@ -40,7 +41,9 @@ def archive_packed(source: Path, target: Path) -> None:
         header = packed.header
         if header.runs:
             raise InvalidPackedFile(str(source), "a geometry of runs, which are coded already", "boxes or quadrics")
-        shared, priors = packed.of_all(), _learned(packed)
+        shared = packed.of_all()
+        looks = looks_of(header, shared)
+        priors = _learned(packed, looks)
         atoms = _atoms(header, shared)
         form = Archived(0 if atoms is None else len(atoms), 0 if priors is None else len(priors), CODER)
         if atoms is not None:
@@ -50,10 +53,10 @@ def archive_packed(source: Path, target: Path) -> None:
 
         def rows_of(index: int) -> dict[str, np.ndarray]:
             scene, arrays = packed.group(index), packed.rows_of_group(index)
-            data = pack_group(scene, arrays, priors)
+            data = pack_group(scene, arrays, priors, looks)
             n_rows = {array.name: len(arrays[array.name]) for array in ragged_in(header)}
             box = {name: arrays[name] for name in ("frame_box",) if name in arrays}
-            return unpack_group(scene.header, data, n_rows, priors) | box | {"archive": data}
+            return unpack_group(scene.header, data, n_rows, priors, looks) | box | {"archive": data}
 
         _write(replace(header, archive=form), target, rows_of, shared)
 
@@ -97,12 +100,12 @@ def _atoms(header: Header, shared: dict[str, np.ndarray]) -> np.ndarray | None:
     return pack_atoms(finest)
 
 
-def _learned(packed: PackedFile) -> np.ndarray | None:
+def _learned(packed: PackedFile, looks: Looks) -> np.ndarray | None:
     """What models of groups begin with, (m,) uint8: those that were often used in groups from all over the file."""
     n = packed.header.n_groups
     if n < LEAST_GROUPS:
         return None
     models = group_models(packed.header)
     for index in range(0, n, -(-n // LEARNED_FROM)):
-        code_group(packed.group(index), models)
+        code_group(packed.group(index), models, looks)
     return models.known(max(MOST_USES, USES_OF_ALL // n))

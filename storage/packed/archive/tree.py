@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from storage.packed.archive.coder import SIGNED, compiled, length_of, share, within
-from storage.packed.archive.mixing import MOST_PLACES, mixed_signed, mixed_tree
+from storage.packed.archive.mixing import N_BASES, mixed_signed, mixed_tree
 from storage.packed.schema import CHUNK
 
 FEW = 8  # splats of a cell that have models of their own, by how crowded it is
@@ -26,7 +26,7 @@ def code_cells(state, data, models, weights, base, cells, steps, order, fields):
     `cells` (2,) and sides `steps` (2,). A writer finds `order` put in the order in which a reader finds the cells."""
     n, few, many = len(order), base, base + COUNT_MODELS
     waiting = np.zeros((_DEEPEST, 5), np.int64)
-    second, bases = np.zeros(CHUNK, np.int64), np.empty(MOST_PLACES, np.int64)
+    second, bases = np.zeros(CHUNK, np.int64), np.empty(N_BASES, np.int64)
     waiting[0, 0], waiting[0, 2], waiting[0, 4] = n, cells[0], cells[1]
     top, at = 1, 0
     while top:

@@ -20,12 +20,21 @@ from storage.packed.archive.coder import (
     signed,
     tree,
 )
+from storage.packed.archive.continued import looks_of
 from storage.packed.archive.group import code_group, group_models, unpack_group
-from storage.packed.archive.mixing import MOST_PLACES, SIGNED_SETS, TREE_SETS, fresh_models, mixed_signed, mixed_tree
+from storage.packed.archive.mixing import (
+    MOST_PLACES,
+    N_BASES,
+    SIGNED_SETS,
+    TREE_SETS,
+    fresh_models,
+    mixed_signed,
+    mixed_tree,
+)
 from storage.packed.packed import PackedFile
 from tests.packed_files import Case, header_of, write_packed_file
 
-CASE = Case(cliplines=True, ellipsoids=True, size_bits=3, color_step=100, period=50, n_splats=200)
+CASE = Case(n_turns=8, cliplines=True, ellipsoids=True, size_bits=3, color_step=100, period=50, n_splats=200)
 
 
 CODERS = (
@@ -70,7 +79,7 @@ def test_mixed__numbers_come_back_by_any_number_of_models(values, n):
     def coded_by(mode, data, given_):
         models, bases = (
             fresh_models(MOST_PLACES * SIGNED + 16, SIGNED_SETS + TREE_SETS),
-            SIGNED * np.arange(MOST_PLACES),
+            SIGNED * np.arange(N_BASES),
         )
         state, found = begin(mode, data), []
         for value in given_:
@@ -97,26 +106,26 @@ def group(request, tmp_path_factory):
     """The scene of a group of one file, its arrays, and its bytes."""
     case = Case(**(CASE.__dict__ | {"quadrics": request.param}))
     with PackedFile(write_packed_file(case, tmp_path_factory.mktemp("group") / "a.splatpress")) as opened:
-        scene, arrays = opened.group(0), opened.rows_of_group(0)
+        scene, arrays, looks = opened.group(0), opened.rows_of_group(0), looks_of(opened.header, opened.of_all())
     n_rows = {name: len(values) for name, values in arrays.items()}
-    return scene, n_rows, np.append(np.uint8(0), code_group(scene, group_models(scene.header)))
+    return scene, n_rows, looks, np.append(np.uint8(0), code_group(scene, group_models(scene.header), looks))
 
 
 def test_group__bytes_that_are_cut_or_longer_are_refused(group):
-    scene, n_rows, data = group
+    scene, n_rows, looks, data = group
     for kind in (0, 1):
         data = np.append(np.uint8(kind), data[1:])
         for n in [*range(40), len(data) // 2, len(data) - 1]:
             with pytest.raises(ValueError):
-                unpack_group(scene.header, data[:n], n_rows, None)
+                unpack_group(scene.header, data[:n], n_rows, None, looks)
         with pytest.raises(ValueError):
-            unpack_group(scene.header, np.append(data, np.uint8(0)), n_rows, None)
+            unpack_group(scene.header, np.append(data, np.uint8(0)), n_rows, None, looks)
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_group__any_bytes_are_a_group_or_refused(group, data):
-    scene, n_rows, sound = group
+    scene, n_rows, looks, sound = group
     drawn = data.draw(
         st.one_of(
             st.binary(max_size=300).map(lambda b: np.frombuffer(b"\0" + b, np.uint8)),
@@ -126,7 +135,7 @@ def test_group__any_bytes_are_a_group_or_refused(group, data):
         )
     )
     try:
-        arrays = unpack_group(scene.header, drawn, n_rows, None)
+        arrays = unpack_group(scene.header, drawn, n_rows, None, looks)
     except ValueError:
         return
     assert arrays["batch_count"].sum() == scene.header.n_splats
