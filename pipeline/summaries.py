@@ -261,6 +261,7 @@ class Updated:
     n_replaced: int
     n_atoms_used: int
     quantised_error: float  # of the best, over those patches that quantising looks at
+    as_coded: bool = False  # errors are with weights at levels, and the multiplier times atoms
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from pipeline.catalogue import CATALOGUE, Phase, Task
 from pipeline.coding.beam.form import Beam, beam_of
 from pipeline.coding.ksvd import BLOCK as TRAINING_BLOCK
-from pipeline.coding.passes import quantised_share, rounds_of_passes
+from pipeline.coding.passes import learning_pursuit, quantised_share, rounds_of_passes
 from pipeline.costs.job import ATOMS, KILO, SMALLEST, Dispatch, Job, StageCost, StagePlan
 from pipeline.costs.makespan import makespan
 from pipeline.costs.of_maps import told_by_stations
@@ -168,18 +168,24 @@ def _is_called_for(name: str, job: Job) -> bool:
 
 
 def _plan_stage(name: str, cost: StageCost, known: _Known) -> StagePlan:
-    rounds = [(_plan_once(name, cost, known, share), n) for share, n in _rounds(name, known.job)]
+    rounds = [
+        (_plan_once(name, cost, known._replace(job=replace(known.job, pursuit=pursuit)), share), n)
+        for share, n, pursuit in _rounds(name, known.job)
+    ]
     summed = ("n_tasks", "seconds", "once_s", "dispatch_s", "read_bytes", "written_bytes")
     return replace(rounds[-1][0], **{key: sum(n * getattr(plan, key) for plan, n in rounds) for key in summed})
 
 
-def _rounds(name: str, job: Job) -> tuple[tuple[float, int], ...]:
-    """How often a stage runs, and over which share of its units: levels of weights are first those for learning, then
-    those for the Lagrange multiplier that was found."""
-    n_units = int(_units(name, job))
+def _rounds(name: str, job: Job) -> tuple[tuple[float, int, str], ...]:
+    """How often a stage runs, over which share of its units, and by which pursuit: levels of weights are first those
+    for learning, then those for the last passes, then those for the Lagrange multiplier that was found."""
+    n_units, learning = int(_units(name, job)), learning_pursuit(job.pursuit)
     if name == "ksvd-update":
-        return rounds_of_passes(job.iterations, n_units)
-    return {"quantise": ((quantised_share(n_units), 2),), "multipliers": ((1.0, 2),)}.get(name, ((1.0, 1),))
+        first, *last = rounds_of_passes(job.iterations, n_units)
+        return (*first, "omp"), *((*found, learning) for found in last)
+    if name == "multipliers":
+        return (1.0, 1, learning), (1.0, 1, job.pursuit)
+    return ((quantised_share(n_units), 3, job.pursuit),) if name == "quantise" else ((1.0, 1, job.pursuit),)
 
 
 def _plan_once(name: str, cost: StageCost, known: _Known, share: float) -> StagePlan:

@@ -230,7 +230,7 @@ KNOBS = (
         "see what rounding left",
         "time of coding: 0.3 us a splat, support followed and 1,024 indices of atoms, and 0.2 us a support and atom tried: 2x2 1.3 "
         "times omp's, 4x2 1.8 times, 4x4 twice, 8x4 2.9 times; monstree, with twice the atoms a splat, 2.1, 3.1 and 3.6 times; "
-        "learning stays with omp, which learned the better dictionaries",
+        "the last passes of learning are with 2x2 at most",
         "multipliers",
         choices=PURSUITS,
         ladder=("omp", "2x2", "4x4", "8x4"),
@@ -238,7 +238,8 @@ KNOBS = (
     Knob(
         "iterations",
         int,
-        "passes of k-SVD; with the default coder those before the last four look at 10,000 patches",
+        "passes of k-SVD; with the default coder the last six, of fewer than 12 the second half, look at all patches as they will be "
+        "coded, with a beam of 2x2 at most and weights as stored, those before them at 10,000 with exact weights",
         "a dictionary nearer to its best; each pass gives less than the one before",
         "time of learning, in proportion",
         "ksvd-update",

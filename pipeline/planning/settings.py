@@ -27,10 +27,10 @@ class Settings:
     target_psnr_db: float = 40.0
     budget_bytes: float | None = None
     atom_search: str = "certified"
-    pursuit: str = "4x2"
-    iterations: int = 12
+    pursuit: str = "8x2"
+    iterations: int = 14
     least_gain_db: float = 0.01
-    training_splats: int = 40_000
+    training_splats: int = 60_000
     subspace_floor_db: float = 10.0
     density: float = 1.0
     radius: float | None = None
@@ -99,8 +99,8 @@ PRESETS = {
         dictionary_bits=12,
         max_atoms=MAX_ATOMS,
         target_psnr_db=44.0,
-        pursuit="4x2",
-        iterations=12,
+        pursuit="4x4",
+        iterations=14,
         training_splats=80_000,
     ),
     "archive": Settings(
@@ -109,7 +109,7 @@ PRESETS = {
         weight_bits=6,
         max_atoms=MAX_ATOMS,
         target_psnr_db=48.0,
-        pursuit="4x2",
+        pursuit="8x4",
         iterations=16,
         least_gain_db=0.005,
         training_splats=80_000,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
+from pipeline.planning.color_step import color_step
 from pipeline.planning.settings import Settings
 from pipeline.stages.maps.map_pictures import PicturesMade
 from pipeline.stages.maps.resample_maps import ResampleMaps
@@ -17,7 +18,7 @@ from services.flow.maps import Mapped, map_pictures, map_textures
 from services.flow.pack import pack, packed_gpu_bytes, texels_of_levels
 from services.flow.prepare import Prepared, wants_texture
 from services.flow.run import Run
-from services.flow.textures import Coded, code_patches, color_step
+from services.flow.textures import Coded, code_patches
 from storage.maps import MOST_MAPS
 from storage.packed.dictionaries.shipped import NEWEST
 

@@ -12,6 +12,7 @@ from pipeline.effects.plan.request import ON, parse_request
 from pipeline.execution.stage import StageRecord
 from pipeline.geometry.frame import directions_of
 from pipeline.geometry.sizes import BITS
+from pipeline.planning.color_step import color_step
 from pipeline.planning.settings import Settings
 from pipeline.stages.maps.map_pictures import stored_maps
 from pipeline.stages.packed.join import FILE, Join, hand_over, is_joined_by_all
@@ -23,7 +24,7 @@ from services.flow.maps import Mapped
 from services.flow.points.runs import RunGeometry
 from services.flow.prepare import Prepared
 from services.flow.run import Run
-from services.flow.textures import Coded, color_step
+from services.flow.textures import Coded
 from storage.packed.groups import FIRST_WORDS
 from storage.packed.schema import BOXES, BY_NAME, EXTRAS, MOST_SIZES, QUADRICS, RUNS, Header, RunGrid
 from storage.packed.writing.joined import seal_packed

@@ -6,15 +6,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.coding.grid import SYMMETRIES, AtomForm
-from pipeline.coding.passes import quantised_share, rounds_of_passes
+from pipeline.coding.passes import learning_pursuit, passes_as_coded, quantised_share, rounds_of_passes
 from pipeline.execution.stage import StageRecord
 from pipeline.numerics.accuracy import psnr_db, squared_error_at
+from pipeline.planning.color_step import color_step
 from pipeline.planning.dictionary_size import (
     FEWEST_INDEX_BITS,
     PATCHES_AN_ATOM,
@@ -31,7 +31,6 @@ from pipeline.stages.texture.multipliers import WHILE_LEARNING, Multipliers, mul
 from pipeline.stages.texture.quantise import Quantisation
 from pipeline.stages.texture.training import HELD, MOST_HELD, Coefficients, Components, TrainingSet
 from pipeline.summaries import AverageColors, CodesMade, Ladder, PatchesMade, Quantised, Training, Updated
-from pipeline.texture.colors import step_for
 from pipeline.texture.resample import PATCH_DIM
 from renderer.report.document import LearningPass
 from services.flow.run import Run
@@ -43,10 +42,6 @@ SHIPPED_FORM = AtomForm(ATOM_SIZE, SYMMETRIES)  # of atoms that ship with the pr
 # are then taken for fountain_p11 (51 dB), 16 for monstree (41 and 51 dB), each the better one there at the bytes of its
 # target.
 BEYOND_ATOMS = 0.25
-# 255ths that cells of average colours may span at 40 dB, and in proportion to the error elsewhere: with 2 and 2.6
-# `balanced` of fountain_p11 has 40.52 and 40.47 dB at 5.00 and 4.90 bytes of textures; an atom's bytes would take 0.04
-# for that. Beyond the last, flat walls show them.
-COLOR_STEP_AT_40_DB, MOST_COLOR_STEP = 2.5, 3.2
 
 
 @dataclass(frozen=True)
@@ -122,14 +117,21 @@ def code_patches(
     n_taken_back += sum(not row.accepted for row in learning)
     multiplier = 0.0
     if form is not None:
-        # Learning is at a lower multiplier than coding, so its patches have weights that are never used then: levels
-        # for these are lost to all others.
-        found = partial(_multiplier, run, training, space, settings, tolerance, multiplier_of)
-        if math.isfinite(multiplier := found(quantised)):
-            quantised = run.do(
-                replace(quantising, multiplier=multiplier, pursuit=settings.pursuit, chosen=training.folder)
-            )
-            multiplier = found(quantised)
+        # Learning is at a lower multiplier than coding: levels for weights that are never used then are lost to others.
+        quantising = replace(quantising, pursuit=settings.pursuit, chosen=training.folder)
+        narrow = replace(settings, pursuit=learning_pursuit(settings.pursuit))
+        ladder = _ladder(run, training, space, narrow, tolerance, quantised)
+        if math.isfinite(multiplier := multiplier_of(ladder, training.summary)):
+            if not shipped and (n_passes := passes_as_coded(settings.iterations)):
+                # At the target's multiplier, so that all trials of a budget share these passes.
+                price = multiplier_for(ladder, training.summary)
+                priced = replace(quantising, multiplier=price, pursuit=narrow.pursuit)
+                learned = _learn_as_coded(run, priced, n_passes, settings.iterations)
+                last = "dictionary" if learned.summary.accepted else "best"
+                quantising = replace(quantising, learned=learned.folder, learned_array=last)
+            quantised = run.do(replace(quantising, multiplier=multiplier))
+            ladder = _ladder(run, training, space, settings, tolerance, quantised)
+            multiplier = multiplier_of(ladder, training.summary)
     codes = encode(run, patches.folder, colors.folder, quantised, settings, multiplier)
     return Coded(patches, colors, codes, quantised, learning, quantised.summary.n_atoms, n_taken_back, shipped)
 
@@ -137,15 +139,6 @@ def code_patches(
 def n_held(settings: Settings) -> int:
     """How many patches are chosen besides those that are learned from, to find the multiplier by."""
     return 0 if settings.coder == "paper" else min(HELD, int(settings.training_splats * MOST_HELD / (1 - MOST_HELD)))
-
-
-def color_step(settings: Settings) -> int:
-    """The code of the largest cell of average colours; 0, whole bytes, for the paper's coder."""
-    return (
-        0
-        if settings.coder == "paper"
-        else step_for(min(MOST_COLOR_STEP, COLOR_STEP_AT_40_DB * 10 ** ((40 - settings.target_psnr_db) / 20)))
-    )
 
 
 def _form(training: Training, settings: Settings, tolerance: float, most_texels: int, n_splats: int) -> AtomForm | None:
@@ -211,7 +204,7 @@ def _learn(
     of_turns = form or AtomForm()
 
     n_patches = space.summary.n_patches
-    rounds = ((1.0, settings.iterations),) if form is None else rounds_of_passes(settings.iterations, n_patches)
+    rounds = ((1.0, settings.iterations),) if form is None else rounds_of_passes(settings.iterations, n_patches)[:1]
 
     def updated(previous: Path, iteration: int, share: float) -> StageRecord[Updated]:
         stops = settings.max_atoms, stop.tolerance, iteration, stop.multiplier, of_turns
@@ -275,19 +268,29 @@ def _quantise_best(
     return (best, of_best, 1) if best.summary.squared_error < last.summary.squared_error else (last, of_last, 0)
 
 
-def _multiplier(
+def _learn_as_coded(run: Run, priced: Quantisation, n_passes: int, iterations: int) -> StageRecord[Updated]:
+    """The last passes, by all patches as they will be coded: with the pursuit, the multiplier and the weight levels of a
+    quantising, from its atoms as they will be decoded."""
+    quantised = run.do(priced)
+    previous, stops = quantised.folder, (priced.multiplier, priced.form)
+    for iteration in range(iterations - n_passes, iterations):
+        place, coding = (priced.training, previous, priced.max_atoms, 0.0), (quantised.folder, priced.pursuit)
+        record: StageRecord[Updated] = run.do(KsvdUpdate(*place, iteration, *stops, 1.0, 1.0, *coding))
+        previous = record.folder
+    return record
+
+
+def _ladder(
     run: Run,
     training: StageRecord[Training],
     space: StageRecord,
     settings: Settings,
     tolerance: float,
-    multiplier_of: Callable[[Ladder, Training], float],
     quantised: StageRecord[Quantised],
-) -> float:
-    """What patches are coded with by these atoms and weight levels."""
+) -> Ladder:
+    """What patches lose and take at several multipliers, by these atoms and weight levels."""
     places = space.folder, training.folder, quantised.folder
-    ladder = run.do(Multipliers(*places, settings.max_atoms, tolerance, settings.pursuit)).summary
-    return multiplier_of(ladder, training.summary)
+    return run.do(Multipliers(*places, settings.max_atoms, tolerance, settings.pursuit)).summary
 
 
 def estimated_psnr_db(training: Training, update: Updated) -> float:

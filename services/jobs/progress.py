@@ -64,7 +64,7 @@ class JobProgress:
         self._portion.passed(record.name)
         if record.name == TrainingSet.name:
             self._training = record.summary
-        if record.name == KsvdUpdate.name:
+        if record.name == KsvdUpdate.name and not record.summary.as_coded:
             self._psnr_db = estimated_psnr_db(self._training, record.summary)
             self.learning.append(
                 {

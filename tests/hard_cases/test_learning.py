@@ -226,6 +226,33 @@ def test_learning__passes_over_few_patches_are_of_each_part_and_judged_by_themse
     assert told == pytest.approx(here, rel=1e-6) and accepted[3]  # errors of few are never compared with those of all
 
 
+def test_learning__passes_as_coded_are_judged_by_what_coding_costs_and_lower_it(staged):
+    """With beams, weights at levels and a multiplier: error alone may rise where atoms are saved."""
+    folder, patches = staged
+    space, multiplier = folder / "training", 0.05
+    learned = run_stage(DictionarySeed(space, 8, 0), folder, SerialExecutor(), Heard()).folder
+    for iteration in range(2):
+        learned = run_stage(KsvdUpdate(space, learned, 2, 0.0, iteration), folder, SerialExecutor(), Heard()).folder
+    levels = np.tile(np.linspace(-2, 2, 8, dtype=np.float32), (2, 1))
+    arrays.store(folder / "quantised", "weight_levels", levels)
+
+    def cost(dictionary):
+        found = pursue_patches(
+            patches, dictionary, max_atoms=2, multiplier=multiplier, weight_levels=levels, pursuit="2x2"
+        )
+        return found.residual.sum() + multiplier * found.codes.n_atoms.sum()
+
+    costs, before = [], arrays.read(learned, "dictionary")
+    for iteration in range(2, 8):
+        stage = KsvdUpdate(space, learned, 2, 0.0, iteration, multiplier, quantised=folder / "quantised", pursuit="2x2")
+        record = run_stage(stage, folder, SerialExecutor(), Heard())
+        learned = record.folder
+        costs.append(record.summary.squared_error)
+        assert record.summary.as_coded
+    assert costs[0] <= cost(before) * (1 + 1e-6) and (np.diff(costs) <= 0).all()
+    assert costs[-1] == pytest.approx(cost(arrays.read(learned, "best")), rel=1e-6) and costs[-1] < 0.9 * costs[0]
+
+
 # --- atoms that are not used, or not told apart
 # -------------------------------------------------------------------------
 

@@ -63,7 +63,7 @@ class PartPursued:
 @dataclass(frozen=True)
 class KsvdUpdate:
     """One iteration: a task codes one part of the training set and sums it, or of some parts a `share`; finalise merges,
-    judges and updates.
+    judges and updates: by squared error, or with weight levels by that and the multiplier times atoms.
 
     Arrays: those of `atoms`, the next trial; before (k, d), the one just measured; best (k, d), the best of all
     measured so far on as many patches: errors of few and of all do not compare.
@@ -78,6 +78,8 @@ class KsvdUpdate:
     form: AtomForm = AtomForm()
     share: float = 1.0
     quantised_share: float = 1.0  # that quantising looks at, no more than `share`: its error is told besides
+    quantised: Path | None = None  # whose weight levels patches are coded with; None: with exact weights
+    pursuit: str = "omp"  # of pipeline.coding.beam.form
     name = "ksvd-update"
 
     def init(self, folder: Path) -> int:
@@ -86,9 +88,12 @@ class KsvdUpdate:
     def run(self, folder: Path, index: int) -> PartPursued:
         atoms = load_atoms(self.previous)
         patches, rest = training_share(self.training, index, self.share)
-        found = atoms.pursue(patches, self.max_atoms, np.maximum(self.tolerance - rest, 0), multiplier=self.multiplier)
+        levels, enough = self._levels, np.maximum(self.tolerance - rest, 0)
+        found = atoms.pursue(patches, self.max_atoms, enough, levels, self.multiplier, pursuit=self.pursuit)
         pursuit = found.beside(rest)  # errors are those of whole patches
         sums = _of_atoms(block_sums(patches, atoms.dictionary, pursuit), self.form)
+        if levels is not None:
+            sums = replace(sums, error=sums.error + self.multiplier * int(found.codes.n_atoms.sum()))
         _store_sums(work.parts(folder), f"sums-{index}", sums)
         n_quantised = math.ceil(self.quantised_share / self.share * len(patches))
         return PartPursued(
@@ -97,10 +102,14 @@ class KsvdUpdate:
             quantised_error=float(pursuit.residual[:n_quantised].sum()),
         )
 
+    @property
+    def _levels(self) -> np.ndarray | None:
+        return arrays.read(self.quantised, "weight_levels") if self.quantised else None
+
     def finalise(self, folder: Path, results: list[PartPursued]) -> Updated:
         measured = arrays.read(self.previous, "dictionary")
         sums = _merged(work.parts(folder), len(results), measured.shape)
-        best, accepted = judge(_best_of(self.previous, sums.n_patches), measured, sums)
+        best, accepted = judge(_best_of(self.previous, sums.n_patches, self.quantised is not None), measured, sums)
         quantised_error = sum(r.quantised_error for r in results)
         before = arrays.read(self.previous, "before") if arrays.exists(self.previous, "before") else None
         trial, n_replaced = next_trial(best, measured, before, sums)
@@ -117,6 +126,7 @@ class KsvdUpdate:
             n_replaced=n_replaced,
             n_atoms_used=sum(r.n_atoms_used for r in results),
             quantised_error=quantised_error if accepted else work.summary(self.previous, Updated).quantised_error,
+            as_coded=self.quantised is not None,
         )
 
 
@@ -128,9 +138,12 @@ def _of_atoms(sums: Sums, form: AtomForm) -> Sums:
     return replace(sums, moment=form.summed_back(sums.moment), gain=gain, n_users=n_users)
 
 
-def _best_of(previous: Path, n_patches: int) -> Best | None:
-    """What the iteration before judged best; None where it was the seed, or looked at another number of patches."""
-    if not arrays.exists(previous, "best") or work.summary(previous, Updated).n_patches != n_patches:
+def _best_of(previous: Path, n_patches: int, as_coded: bool) -> Best | None:
+    """What the iteration before judged best; None where it was the seed, or judged by other errors or patches."""
+    if not arrays.exists(previous, "best"):
+        return None
+    judged = work.summary(previous, Updated)
+    if (judged.n_patches, judged.as_coded) != (n_patches, as_coded):
         return None
     sums = _load_sums(previous, "best-sums")
     return Best(

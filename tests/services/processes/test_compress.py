@@ -84,7 +84,7 @@ def test_workflow__the_report_has_its_keys_and_its_figures_agree(packed_serially
     assert (
         0 < made["atoms"]["mean"] < 8 and made["sizes"]["file_bytes"] == (out / "wavy plane.splatpress").stat().st_size
     )
-    assert len(made["learning"]) == 2 and made["learning"][1]["psnr_db"] > made["learning"][0]["psnr_db"]
+    assert len(made["learning"]) == 1  # the other pass is as coded, whose error does not compare
     names = [s["name"] for s in made["stages"]]
     assert names == [
         "ingest",
@@ -178,7 +178,7 @@ def test_workflow__what_a_change_does_not_touch_is_used_again(scan, packed_seria
     )
     better = compress(scan, tmp_path / "b", other, SerialExecutor(), second, render=False, work=tmp_path / "work")
     reused = {s["name"]: s["reused"] for s in better["stages"]}
-    assert reused["resample"] and reused["ksvd-update"] and not reused["quantise"] and not reused["encode"]
+    assert reused["resample"] and reused["dictionary-seed"] and not reused["quantise"] and not reused["encode"]
     kept, made_again = (next(out.glob("*.splatpress")) for out in (tmp_path / "a", packed_serially[0]))
     assert next((tmp_path / "work").glob("resample-*/texel.zarr")) and kept.read_bytes() == made_again.read_bytes()
 
