@@ -77,9 +77,9 @@ def _bytes_of(group: PackedScene, models: Models, form: np.ndarray, kinds: np.nd
     header = group.header
     axis = axis_of_heights(group) if header.geometry == BOXES else np.zeros(header.n_chunks, int)
     chunks, steps = chunks_of(header, group.arrays, axis)
+    s, order = splats_of(group, chunks), np.arange(header.n_splats)
     if not form[SIZE_BITS]:
         chunks[:, SIZES] = 1
-    s, order = splats_of(group, chunks), np.arange(header.n_splats)
     s.fields[:, BATCH] *= form[N_BATCHES] > 1
     if not kinds.any():  # so that no texture is looked at where none is coded
         looks = looks_of(replace(header, n_dictionary=0), {})
