@@ -106,7 +106,8 @@ class AtomsUsed(Part, frozen=True):
 
 
 class LearningPass(Part, frozen=True):
-    """An iteration of k-SVD: seconds since learning began, and the PSNR of the whole scan as it estimates it."""
+    """An iteration of k-SVD with exact weights: seconds since learning began, and the PSNR of the whole scan as it
+    estimates it."""
 
     seconds: float | None = None
     psnr_db: float | None = None

@@ -46,14 +46,16 @@ def atom_bars(histogram: list[int]) -> figure:
 
 
 def learning_curve(learning: list[dict]) -> figure:
-    """PSNR over the seconds of learning, a dot for each pass, as the paper's Figure 7."""
+    """PSNR over the seconds of learning, a dot for each pass with exact weights, as the paper's Figure 7."""
     data = {
         "seconds": [entry["seconds"] for entry in learning],
         "psnr": [entry["psnr_db"] for entry in learning],
         "replaced": [entry.get("replaced_atoms") for entry in learning],
         "pass": list(range(1, len(learning) + 1)),
     }
-    plot = plain_figure(260, x_axis_label="seconds of learning", y_axis_label="PSNR of training patches, dB")
+    plot = plain_figure(
+        260, x_axis_label="seconds of passes with exact weights", y_axis_label="PSNR of training patches, dB"
+    )
     source = source_of(data)
     plot.line("seconds", "psnr", source=source, color=BLUE, width=2)
     dots = plot.scatter("seconds", "psnr", source=source, color=BLUE, size=8)

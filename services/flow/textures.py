@@ -61,7 +61,7 @@ class Coded:
     colors: StageRecord[AverageColors]
     codes: StageRecord[CodesMade]
     quantised: StageRecord[Quantised] | None
-    learning: tuple[LearningPass, ...]
+    learning: tuple[LearningPass, ...]  # passes with exact weights; those as coded have errors of another kind
     n_dictionary: int
     safeguard_steps: int  # dictionaries that did worse than the best before them
     shipped: str = ""  # the dictionary that ships with the program, where that is the one
@@ -126,7 +126,8 @@ def code_patches(
                 # At the target's multiplier, so that all trials of a budget share these passes.
                 price = multiplier_for(ladder, training.summary)
                 priced = replace(quantising, multiplier=price, pursuit=narrow.pursuit)
-                learned = _learn_as_coded(run, priced, n_passes, settings.iterations)
+                learned, n_worse = _learn_as_coded(run, priced, n_passes, settings.iterations)
+                n_taken_back += n_worse
                 last = "dictionary" if learned.summary.accepted else "best"
                 quantising = replace(quantising, learned=learned.folder, learned_array=last)
             quantised = run.do(replace(quantising, multiplier=multiplier))
@@ -195,18 +196,17 @@ def _learn(
     bits: int,
     n_splats: int | None,
 ) -> tuple[StageRecord[Updated], tuple[LearningPass, ...]]:
-    """The last iteration, and the learning curve as estimates for the whole scan: of the best dictionary so far.
+    """The last iteration with exact weights, and the learning curve as estimates for the whole scan: of the best
+    dictionary so far.
 
-    A round of passes ends early where one gains less than `least_gain_db`. Of `n_splats` there are fewer atoms than `bits` name
+    Passes end early where one gains less than `least_gain_db`. Of `n_splats` there are fewer atoms than `bits` name
     where the codes that the first iteration counts do not pay for them.
     """
     seconds = 0.0  # of the passes as they were made, now or by an earlier run
-    of_turns = form or AtomForm()
+    of_turns, n_patches = form or AtomForm(), space.summary.n_patches
+    share, n_passes = rounds_of_passes(settings.iterations, n_patches)[0] if form else (1.0, settings.iterations)
 
-    n_patches = space.summary.n_patches
-    rounds = ((1.0, settings.iterations),) if form is None else rounds_of_passes(settings.iterations, n_patches)[:1]
-
-    def updated(previous: Path, iteration: int, share: float) -> StageRecord[Updated]:
+    def updated(previous: Path, iteration: int) -> StageRecord[Updated]:
         stops = settings.max_atoms, stop.tolerance, iteration, stop.multiplier, of_turns
         return run.do(KsvdUpdate(space.folder, previous, *stops, share, _quantised_share(space, form)))
 
@@ -216,22 +216,20 @@ def _learn(
 
     learned, first = seeded(bits), None
     if n_splats and bits > FEWEST_INDEX_BITS:
-        first = updated(learned, 0, rounds[0][0])
+        first = updated(learned, 0)
         codes = codes_bytes_a_splat(bits + settings.weight_bits, training.summary, first.summary)
         if (fewer := bits_for_codes(form, bits, n_splats, codes)) < bits:
             learned, first = seeded(fewer), None
     curve: list[LearningPass] = []
-    for share, n_passes in rounds:
-        begin = len(curve)
-        for iteration in range(begin, begin + n_passes):
-            record = first if first and iteration == 0 else updated(learned, iteration, share)
-            seconds += record.made_seconds
-            learned, found = record.folder, record.summary
-            curve.append(
-                LearningPass(seconds, estimated_psnr_db(training.summary, found), found.n_replaced, found.accepted)
-            )
-            if _is_settled(curve[begin:], settings.least_gain_db):
-                break
+    for iteration in range(n_passes):
+        record = first if first and iteration == 0 else updated(learned, iteration)
+        seconds += record.made_seconds
+        learned, found = record.folder, record.summary
+        curve.append(
+            LearningPass(seconds, estimated_psnr_db(training.summary, found), found.n_replaced, found.accepted)
+        )
+        if _is_settled(curve, settings.least_gain_db):
+            break
     return record, tuple(curve)
 
 
@@ -268,16 +266,17 @@ def _quantise_best(
     return (best, of_best, 1) if best.summary.squared_error < last.summary.squared_error else (last, of_last, 0)
 
 
-def _learn_as_coded(run: Run, priced: Quantisation, n_passes: int, iterations: int) -> StageRecord[Updated]:
+def _learn_as_coded(run: Run, priced: Quantisation, n_passes: int, iterations: int) -> tuple[StageRecord[Updated], int]:
     """The last passes, by all patches as they will be coded: with the pursuit, the multiplier and the weight levels of a
-    quantising, from its atoms as they will be decoded."""
+    quantising, from its atoms as they will be decoded; and how many of them did worse than the best before them."""
     quantised = run.do(priced)
-    previous, stops = quantised.folder, (priced.multiplier, priced.form)
+    previous, stops, n_worse = quantised.folder, (priced.multiplier, priced.form), 0
     for iteration in range(iterations - n_passes, iterations):
         place, coding = (priced.training, previous, priced.max_atoms, 0.0), (quantised.folder, priced.pursuit)
         record: StageRecord[Updated] = run.do(KsvdUpdate(*place, iteration, *stops, 1.0, 1.0, *coding))
         previous = record.folder
-    return record
+        n_worse += not record.summary.accepted
+    return record, n_worse
 
 
 def _ladder(
