@@ -99,7 +99,7 @@ PRESETS = {
         dictionary_bits=12,
         max_atoms=MAX_ATOMS,
         target_psnr_db=44.0,
-        pursuit="4x4",
+        pursuit="4x2",
         iterations=14,
         training_splats=80_000,
     ),
@@ -109,10 +109,10 @@ PRESETS = {
         weight_bits=6,
         max_atoms=MAX_ATOMS,
         target_psnr_db=48.0,
-        pursuit="8x4",
-        iterations=16,
+        pursuit="4x2",
+        iterations=12,
         least_gain_db=0.005,
-        training_splats=80_000,
+        training_splats=50_000,
     ),
 }
 DEFAULT_PRESET = Settings().preset
