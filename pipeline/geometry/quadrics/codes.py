@@ -53,15 +53,14 @@ def encode_quadrics(
     multiples of at least.
 
     Guarantees: the decoded position lies within half a cell of the given one along every axis of its frame; origins are
-    whole multiples of `unit`, or of half the power of two below their cells where that is more; cells are at most 1.13 as wide as asked where 47 bits, 2^31 cells, 4,096 along an
-    axis and 2^-22 of a coordinate leave them so; normals are those of the best code on their chunk's map, whose mean error is the
-    one asked for within 4 %, where 55 to 175 steps do, and 127 in chunks that look all round. A chunk depends on no
-    other.
+    whole multiples of `unit`, or of half the power of two below their cells where that is more; cells are at most 1.13
+    as wide as asked where 47 bits, 2^31 cells, 4,096 along an axis and 2^-22 of a coordinate leave them so; normals are
+    those of the best code on their chunk's map, whose mean error is the one asked for within 4 %, where 55 to 175 steps
+    do, and 127 in chunks that look all round. A chunk depends on no other.
     """
     n, n_chunks = len(position), -(-len(position) // CHUNK)
-    rows = np.minimum(np.arange(n_chunks * CHUNK), n - 1).reshape(
-        n_chunks, CHUNK
-    )  # the last splat fills up the last chunk
+    of_chunks = np.arange(n_chunks * CHUNK).reshape(n_chunks, CHUNK)
+    rows = np.minimum(of_chunks, n - 1)  # the last splat fills up the last chunk
     code, values = sizes or (np.zeros(n, np.int64), np.ones(n_chunks, np.uint8))
     unit = np.zeros(n_chunks) if unit is None else unit
     piece = surface(position[rows], normal[rows], normal_error, code[rows].astype(np.int64), values, unit)

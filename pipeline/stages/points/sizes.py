@@ -30,8 +30,8 @@ class SizesBlock:
 
 @dataclass(frozen=True)
 class Sizes:
-    """A task a block. Arrays: size_code (n,) uint8 and, by chunk, size_scale (c, 2) and size_cells (c,) uint8. The summary has the share of
-    the surface whose splats need to be LARGE, before any is made to close a gap."""
+    """A task a block. Arrays: size_code (n,) uint8 and, by chunk, size_scale (c, 2) and size_cells (c,) uint8. The summary
+    has the share of the surface whose splats need to be LARGE, before any is made to close a gap."""
 
     partition: Path
     neighbours: Path

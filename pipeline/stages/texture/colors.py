@@ -32,7 +32,8 @@ class ColorsBlock:
 class Colors:
     """A task a block. Arrays by splat: energy (n,) float32, squared norm of the patch less its average colour as it is
     decoded (`average_colors`); with boxes color_code (n,) uint32, and by chunk color_low (c, 3) int16, color_size (c,
-    3) uint8, color_turn (c, 3) int8; without average (n, 3) float32. The census, of octaves of energy, is of the finest level."""
+    3) uint8, color_turn (c, 3) int8; without average (n, 3) float32. The census, of octaves of energy, is of the finest
+    level."""
 
     patches: Path
     step: int  # code of the largest cell of boxes; 0: averages are whole bytes
