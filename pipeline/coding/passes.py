@@ -37,11 +37,6 @@ def rounds_of_passes(iterations: int, n_patches: int) -> tuple[tuple[float, int]
     return ((share, iterations - n_last), *(((1.0, n_last),) if n_last else ()))
 
 
-def whole_passes(iterations: int, n_patches: int) -> float:
-    """How many passes over all patches take as long."""
-    return sum(share * n_passes for share, n_passes in rounds_of_passes(iterations, n_patches))
-
-
 def quantised_share(n_patches: int) -> float:
     """Of `n_patches`, the share that quantising looks at: as many as the first passes."""
     return min(1.0, COARSE / max(1, n_patches))

@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 
 from pipeline.coding.grid import SYMMETRIES, AtomForm
-from pipeline.coding.passes import quantised_share, whole_passes
+from pipeline.coding.passes import quantised_share, rounds_of_passes
 from pipeline.execution.stage import Executor, Progress, Stage, StageRecord
 from pipeline.numerics.accuracy import squared_error_at
 from pipeline.planning.dictionary_size import PATCHES_AN_ATOM, index_bits
@@ -338,12 +338,8 @@ def _stage_seconds(
         factor = n_patches / record.n_splats if learning and record.n_splats else 1.0
         passes = 1.0
         if record.name == KsvdUpdate.name:
-            passes = _passes(pilot, settings)
-            factor *= (
-                1.0
-                if settings.coder == "paper"
-                else whole_passes(settings.iterations, int(n_patches)) / settings.iterations
-            )
+            passes, share = _passes(pilot, settings, int(n_patches), getattr(stage, "quantised", None) is not None)
+            factor *= share
         if isinstance(stage, Quantisation) and settings.coder != "paper":
             factor *= quantised_share(int(n_patches)) / stage.share
         return passes * atoms * (
@@ -363,17 +359,27 @@ def _rate(tasks: Iterable[work.TaskRecord], clock: str, cold: bool) -> float:
 
 def _gain_of_passes(pilot: _Pilot, settings: Settings) -> float:
     curve = [row.psnr_db for row in pilot.coded.learning]
+    if None in curve or len(curve) < _rounds(pilot.settings)[0][1]:
+        return 0.0
+    n_passes = (
+        len(curve) * settings.iterations // pilot.settings.iterations
+    )  # to the curve's as the job's to the pilot's
+    return gain_of_passes(curve, n_passes, settings.least_gain_db)
+
+
+def _rounds(settings: Settings, n_patches: int = 1) -> tuple[tuple[float, int], ...]:
+    """Shares of the patches and passes over them, with exact weights and then, but for the paper's coder, as coded."""
     return (
-        0.0
-        if None in curve or len(curve) < pilot.settings.iterations
-        else gain_of_passes(curve, settings.iterations, settings.least_gain_db)
+        ((1.0, settings.iterations),) if settings.coder == "paper" else rounds_of_passes(settings.iterations, n_patches)
     )
 
 
-def _passes(pilot: _Pilot, settings: Settings) -> float:
-    """Passes of the job for one of the pilot, which may have ended early as the job will."""
-    n_run = len(pilot.coded.learning)
-    return 1.0 if n_run < pilot.settings.iterations else settings.iterations / n_run
+def _passes(pilot: _Pilot, settings: Settings, n_patches: int, as_coded: bool) -> tuple[float, float]:
+    """Passes of the job for one of the pilot, whose exact ones may have ended early as the job's will; and the share of
+    `n_patches` that they look at."""
+    n_pilot, (share, n_passes) = _rounds(pilot.settings)[as_coded][1], _rounds(settings, n_patches)[as_coded]
+    ended = not as_coded and len(pilot.coded.learning) < n_pilot
+    return (1.0 if ended else n_passes / n_pilot), share
 
 
 def _shared(busy: float, n_tasks: float, n_workers: int) -> float:

@@ -215,3 +215,17 @@ def test_scaling__a_last_round_leaves_workers_idle(tmp_path):
 
 def test_scaling__a_stage_of_training_patches_grows_with_them(tmp_path):
     assert seconds_of(OfPatches(Path("t")), tmp_path, [(1.0, 150), (1.0, 150)], 1.0) == pytest.approx(3.0)
+
+
+def test_estimate__passes_as_coded_and_with_exact_weights_are_scaled_each_by_themselves():
+    job = settings_for("balanced", iterations=14)
+    pilot = SimpleNamespace(settings=settings_for("balanced", iterations=4), coded=SimpleNamespace(learning=(1, 2)))
+    assert module._passes(pilot, job, 60_000, as_coded=False) == (8 / 2, 10_000 / 60_000)
+    assert module._passes(pilot, job, 60_000, as_coded=True) == (6 / 2, 1.0)
+    ended = SimpleNamespace(settings=pilot.settings, coded=SimpleNamespace(learning=(1,)))
+    assert module._passes(ended, job, 60_000, as_coded=False)[0] == 1.0  # as the job's will
+    paper = replace(job, coder="paper")
+    assert module._passes(SimpleNamespace(settings=paper, coded=ended.coded), paper, 60_000, as_coded=False) == (
+        1.0,
+        1.0,
+    )
